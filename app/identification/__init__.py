@@ -1,3 +1,3 @@
-"""Identification seen from the command line: figures, known truths, the papers' experiments."""
+"""Identification for the command line: trial drives, verdict, figures and page."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The page of `identify`: results, measurement and simulation, trial drives, and remedies for warnings."""
+"""HTML page of `identify`: results, measurement and simulation, trial drives, and remedies for warnings."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-_FILES = {"config.yaml": "Configuration that was written", "model.yaml": "Model that was written"}
+_FILES = {"config.yaml": "Written configuration", "model.yaml": "Written model"}
 _POINTS, _RUN_POINTS = 1500, 300
-_PICTURES = {"What residuals still hold": "residuals.png", "Poles": "poles.png"}
+_PICTURES = {"Correlation of residuals": "residuals.png", "Poles": "poles.png"}
 
 
 @cache
@@ -49,7 +49,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     Parameters
     ----------
     verdict
-        Judgement of the identification and of the drives of its configuration.
+        Verdict on the identification and on the drives with its configuration.
     folder
         Folder of the result files.
     seconds
@@ -64,7 +64,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
         summary=[*report.findings_summary, *verdict.answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
-        views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],
+        views=[*simulation_charts(report), *_drive_views(trials), *other_charts(report), *_pictures(folder)],
         warnings=_warnings(report, trials),
         configurations=ConfigurationView.of_files(folder, _FILES),
     )
@@ -76,41 +76,43 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
 def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[KeyFigure]:
     fit, low = report.fitted.validation.fit_percent, identification_settings().warn.low_fit
     model = report.fitted.identified.model
-    made = []
+    figures = []
     for i, channel in enumerate(CHANNELS):
-        sound = "good" if fit[i] >= low else "bad"
-        training = f"on data held out; training {number(float(report.fitted.train.fit_percent[i]), 1)} %"
-        made.append(KeyFigure(f"FIT of {channel}", f"{number(float(fit[i]), 1)} %", training, sound))  # type: ignore[arg-type]
+        rating = "good" if fit[i] >= low else "bad"
+        training = f"on held-out data; training {number(float(report.fitted.train.fit_percent[i]), 1)} %"
+        figures.append(KeyFigure(f"FIT of {channel}", f"{number(float(fit[i]), 1)} %", training, rating))  # type: ignore[arg-type]
     for i, channel in enumerate(CHANNELS):
-        late, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
-        made.append(
-            KeyFigure(f"{channel} follows after", f"{late + lag:.0f} ms", f"dead time {late:.0f}, lag {lag:.0f} ms")
+        dead_time, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
+        figures.append(
+            KeyFigure(
+                f"{channel} follows after", f"{dead_time + lag:.0f} ms", f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
+            )
         )
     verdicts = [doubt.verdict for doubt in report.doubts] + [
         finding.verdict for finding in report.data.findings if finding.verdict
     ]
-    matter = sum(verdict is not None and verdict.matters for verdict in verdicts)
-    made.append(
+    relevant = sum(verdict is not None and verdict.matters for verdict in verdicts)
+    figures.append(
         KeyFigure(
-            "warnings", str(len(verdicts)), f"{matter or 'none'} of which matter for driving", "bad" if matter else ""
+            "warnings", str(len(verdicts)), f"{relevant or 'none'} relevant for driving", "bad" if relevant else ""
         )
     )
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
-        beside = f"of the circle's radius beside the path, at most ({worst.path})"
-        made.append(
+        label = f"maximum lateral error over the circle's radius ({worst.path})"
+        figures.append(
             KeyFigure(
-                "driving with it",
+                "trial drives",
                 f"{100 * worst.lateral_share:.1f} %",
-                beside,
+                label,
                 "bad" if trial_doubts(drives) else "good",
             )
         )
-    return made
+    return figures
 
 
-def _driven(drives: Sequence[TrialDrive]) -> list[View]:
-    """Show the trial drives as linked views."""
+def _drive_views(drives: Sequence[TrialDrive]) -> list[View]:
+    """Return the trial drives as linked views."""
     if not drives:
         return []
     plants = list(dict.fromkeys(drive.plant for drive in drives))
@@ -124,17 +126,17 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
         )
         for drive in drives
     ]
-    note = "Trial drives with the configuration that was written, on paths scaled to the robot. Point at either view."
+    note = "Trial drives with the written configuration, on paths scaled to the robot. Both views are linked."
     return [RunViews(runs, note)]
 
 
 def _pictures(folder: Path) -> list[View]:
-    drawn = {title: folder / FOLDER / name for title, name in _PICTURES.items()}
-    return [EmbeddedPicture(title, picture(path), broad=False) for title, path in drawn.items() if path.is_file()]
+    paths = {title: folder / FOLDER / name for title, name in _PICTURES.items()}
+    return [EmbeddedPicture(title, picture(path), broad=False) for title, path in paths.items() if path.is_file()]
 
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
-    """List the warnings about log, estimate and drives; those that matter for driving first."""
+    """Return the warnings about log, estimate and drives; those that matter for driving are first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
     shown = [(finding.verdict, str(finding), finding.kind) for finding in findings]
     shown += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]

@@ -1,4 +1,4 @@
-"""From logs to a folder with everything that was found, for the command line."""
+"""Implementation of `identify`: from logs to a folder with all results."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ from diffdrive_mpc.sim.plants.identified_robot import ROBOT_FILE
 
 
 class ParameterWriter(Protocol):
-    """Plug-in of the group `diffdrive_mpc.parameter_writers`: parameter file of one package.
+    """Plug-in of the group `diffdrive_mpc.parameter_writers`, which writes the parameter file of one package.
 
-    The first writer of a call estimates for all of them.
+    In each call the first writer estimates the parameters for all writers.
     """
 
     def estimate(self, data: LogData, limits: Mapping[str, float], base: IdentifiedBase | None) -> Any:  # noqa: ANN401
         """Estimate the parameters that a log determines."""
 
-    def text(self, estimate: Any) -> str:  # noqa: ANN401 - what `estimate` returns
-        """Return the parameter file."""
+    def text(self, estimate: Any) -> str:  # noqa: ANN401 - result of `estimate`
+        """Return the text of the parameter file."""
 
-    def table(self, estimate: Any) -> TextTable:  # noqa: ANN401 - what `estimate` returns
-        """Return a row for each quantity."""
+    def table(self, estimate: Any) -> TextTable:  # noqa: ANN401 - result of `estimate`
+        """Return a table with a row for each quantity."""
 
 
 def identify_into(
@@ -66,20 +66,20 @@ def identify_into(
     *,
     packages: str | None = None,
     force: bool = False,
-    **options: Any,  # noqa: ANN401 - those of `identify`
+    **options: Any,  # noqa: ANN401 - options of `identify`
 ) -> None:
-    """Identify a model, print a summary of the logs and its quality, write files and figures into `out`.
+    """Identify a model, print summaries of logs and quality, and write files and figures to `out`.
 
-    `packages` are comma-separated names of packages whose parameter files are written, too. Without `force` neither
-    model nor configuration is written if the logs or the FIT speak against it; a mapping that corrects the logs is
-    written.
+    `packages` are comma-separated names of packages whose parameter files are also written. Without `force`, model and
+    configuration are not written if the logs, the FIT or the trial drives are insufficient. A mapping that corrects the
+    logs is written in any case.
 
     Raises
     ------
     models.errors.MissingPackageError
         If no installed plug-in writes the parameters of a package.
     models.checked_yaml.ConfigError, ValueError, OSError
-        If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
+        If an option, a log or the folder cannot be used, or no model can be identified; nothing is written then.
     """
     names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
     writers = {name: plug_in("parameter_writers", name) for name in names}
@@ -96,11 +96,11 @@ def identify_into(
 def _identify_into(
     logs: Sequence[Path], out: Path, writers: Mapping[str, ParameterWriter], force: bool, options: Mapping[str, Any]
 ) -> None:
-    began = time.perf_counter()
+    start = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, ROBOT_FILE, *(f"{package}.yaml" for package in writers), REPORT)
     table = None
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
-        verdict = _proven(_identified(logs, bar, force, options), bar, force)
+        verdict = _trial_verdict(_identify(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
         if writers and (force or not verdict.identification.refusal):
             bar.start_stage("parameters of other packages", 1)
@@ -110,8 +110,8 @@ def _identify_into(
             table = estimator.table(estimate)
             for package, writer in writers.items():
                 (folder / f"{package}.yaml").write_text(writer.text(estimate), encoding="utf-8")
-        write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
-    _print(verdict.identification, out)
+        write_page(identification_page(verdict, folder, time.perf_counter() - start), folder / REPORT)
+    _print_identification(verdict.identification, out)
     if table:
         output_console().print(rich_table(table))
     if verdict.identification.advice:
@@ -119,12 +119,12 @@ def _identify_into(
     _print_verdict(verdict, out, force)
 
 
-def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
-    """Identify from the logs; errors name options as on the command line."""
+def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
+    """Identify from the logs; errors name the options of the command line."""
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
-        for line in (f"{stated.name}, as its maker states it; none of this is identified:", *stated.lines()):
+        for line in (f"{stated.name}, data stated by its maker, not identified:", *stated.lines()):
             _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
@@ -139,22 +139,22 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
         raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
 
 
-def _proven(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
-    """Drive the configuration, unless the logs alone rule it out."""
+def _trial_verdict(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
+    """Run the trial drives of the configuration, unless the identification is refused."""
     if identification.refusal and not force:
-        return TrialVerdict(identification, None, (), against=identification.refusal)
+        return TrialVerdict(identification, None, (), failure=identification.refusal)
     count = DRIVES + trial_settings().unexplained
     return judge_by_drives(identification, lambda text: bar.start_stage(text, count), bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
-    """Write files and figures; model, configuration and first circle only where the drives pass, or with `force`."""
+    """Write files and figures; model, configuration and first circle only if the drives pass, or with `force`."""
     identification = verdict.identification
     report = identification.report
     bar.start_stage("figures", len(figures_of(report)))
     figures = draw_identification(report, folder, bar.advance)
-    drives = force or not verdict.against
-    if drives:
+    is_usable = force or not verdict.failure
+    if is_usable:
         identification.write_model(folder)
     if identification.advice:
         identification.advice.write(folder)
@@ -168,7 +168,7 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
             trial_table(verdict.drives).markdown(),
             "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives)),
         ]
-    if drives and verdict.config is not None:
+    if is_usable and verdict.config is not None:
         circle = first_circle(verdict.config, identification.model)
         (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
         if verdict.robot is not None:
@@ -180,16 +180,16 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
 
 
 def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
-    """Print the result of the drives and the next steps; raise ConfigError if no configuration was written."""
+    """Print the results of the drives and the next steps; raise ConfigError if no configuration was written."""
     if verdict.drives:
         output_console().print(rich_table(trial_table(verdict.drives)))
     for doubt in trial_doubts(verdict.drives):
         _print_line(f"warning: {doubt}")
-    if verdict.against and force:
-        _print_line(f"warning: written by force, but {verdict.against}")
-    elif verdict.against:
-        old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
-        raise ConfigError(f"{verdict.against}; no model and no configuration are written{old}, --force writes them")
+    if verdict.failure and force:
+        _print_line(f"warning: written because of --force, but {verdict.failure}")
+    elif verdict.failure:
+        note = f" ({out / CONFIG_FILE} is from an earlier run)" if (out / CONFIG_FILE).exists() else ""
+        raise ConfigError(f"{verdict.failure}; no model and no configuration are written{note}, --force writes them")
     echo()
     for line in verdict.lines(out):
         echo(line)
@@ -207,21 +207,21 @@ def _print_findings(findings: Sequence[Finding]) -> None:
             _print_line(f"{severity}: {line}")
 
 
-def _print(identification: Identification, out: Path) -> None:
+def _print_identification(identification: Identification, out: Path) -> None:
     report = identification.report
     for table in report.scores:
         output_console().print(rich_table(table))
     for doubt in report.doubts:
         _print_line(f"warning: {doubt}")
-    chosen = report.fitted.orders
-    if chosen:
-        _print_line(f"order {chosen.order}: {chosen.reason}")
+    orders = report.fitted.orders
+    if orders:
+        _print_line(f"order {orders.order}: {orders.reason}")
     _print_line(report.findings_summary[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.line()}")
     if identification.configuration.room:
         room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in identification.configuration.room)
-        _print_line(f"room, more than usual as the robot is larger or faster: {room}")
+        _print_line(f"lengths above the defaults, because the robot is larger or faster: {room}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 
@@ -229,10 +229,10 @@ def _print_line(text: str, indent: str = "") -> None:
     output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
-# Draft of a mapping as a file, with the findings from reading the log with it.
+# Draft of a mapping as a file, and findings from reading the log with it.
 
 
-_NAME = "mapping.yaml"
+_DEFAULT_NAME = "mapping.yaml"
 
 
 def write_draft(logs: Sequence[Path], out: Path | None) -> None:
@@ -243,7 +243,7 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
     logs
         One CSV file or bag.
     out
-        The file, if it ends in .yaml, or a folder for mapping.yaml; None for the current folder.
+        File with the suffix .yaml, or folder for mapping.yaml; None for the current folder.
 
     Raises
     ------
@@ -251,8 +251,8 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         If there are several logs, the log cannot be read, or the file exists or cannot be written.
     """
     if len(logs) != 1:
-        raise ConfigError(f"--draft-mapping: {len(logs)} logs; give one, the mapping then serves all of its kind")
-    target = Path(_NAME) if out is None else out if out.suffix in (".yaml", ".yml") else out / _NAME
+        raise ConfigError(f"--draft-mapping: {len(logs)} logs; give one, and use the mapping for all logs of its kind")
+    target = Path(_DEFAULT_NAME) if out is None else out if out.suffix in (".yaml", ".yml") else out / _DEFAULT_NAME
     text = draft_mapping(logs[0])
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -262,14 +262,14 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         raise ConfigError(f"{target}: exists and is not replaced; move it away, or give --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
-    echo(f"{target}: guesses with their reasons; correct them\n")
+    echo(f"{target}: guesses with reasons; correct them\n")
     echo(text)
     try:
         remarks = [str(finding) for finding in read_log(logs[0], target).findings]
     except ConfigError as error:
         remarks = [str(error)]
     if remarks:
-        echo("Read with this draft:")
+        echo("Findings with this draft:")
         echo("\n".join(f"  {remark}" for remark in remarks))
     command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
     echo(f"Next: correct {target}, then {command}")

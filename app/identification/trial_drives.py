@@ -1,4 +1,4 @@
-"""Simulated drives with the identified configuration, on its model and on a model of the held-out part."""
+"""Simulated drives with the identified configuration on its model and on a model of held-out data."""
 
 from __future__ import annotations
 
@@ -37,43 +37,43 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
 ITSELF, HELD_OUT = "model itself", "model of held-out data"
-UNEXPLAINED = "the model with the motion that it left unexplained"
-_TITLE = "Driving with it"
+UNEXPLAINED = "the model with its unexplained motion"
+_TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
-    "Paths scaled to size and limits of the robot; lateral errors beside the radius of the scaled circle: below {:g} % "
-    "is good. On the model itself this shows that configuration and model agree; on one of the data held out, of "
-    "another structure, that it depends neither on the part of the log nor on the structure. Neither shows the floor: "
-    "begin slowly, with room."
+    "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
+    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. Drives on a "
+    "model of held-out data with another structure test whether the result depends on the part of the log or on the "
+    "structure. Neither includes the surface: start slowly, with free space."
 )
 
 
 class TrialSettings(StrictModel):
-    """Requirements of the trial drives, and reactions to a failure."""
+    """Requirements of the trial drives, and limits to try after a failure."""
 
-    lateral_share: Positive = Field(description="largest lateral error over the radius of the scaled circle [-]")
+    lateral_share: Positive = Field(description="maximum lateral error over the radius of the scaled circle [-]")
     shares: tuple[tuple[Share, Share], ...] = Field(
-        description="of limits.v and limits.omega to go down to, the fastest first [-]"
+        description="shares of limits.v and limits.omega to try after a failure, the fastest first [-]"
     )
-    curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
-    window: Positive = Field(description="over which motion that the model leaves unexplained is averaged [s]")
-    noise_speed: Positive = Field(description="speed that noise of the poses may pass for [m/s]")
+    curved: tuple[str, ...] = Field(description="paths without corners, on which the promise is based")
+    window: Positive = Field(description="averaging window of the unexplained motion [s]")
+    noise_speed: Positive = Field(description="maximum apparent speed due to noise of the poses [m/s]")
     unexplained: int = Field(ge=1, description="number of curved drives with such motion")
     lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
     promise_factor: Positive = Field(description="promised error over the geometric mean of these drives [-]")
-    stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
-    stand_in_rows: int = Field(ge=1, description="of the data held out that it is fitted to")
+    stand_in_order: int = Field(ge=1, description="order of the SSM as the stand-in for an SM or MBM")
+    stand_in_rows: int = Field(ge=1, description="maximum number of held-out rows for the fit of the stand-in")
 
 
 @cache
 def trial_settings() -> TrialSettings:
-    """Read `trial_drives.yaml`; raises ConfigError on a mistake in it."""
+    """Read `trial_drives.yaml`; raise ConfigError if it is invalid."""
     return load_checked(TrialSettings, Path(__file__).with_name("trial_drives.yaml"))
 
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """Drive of one path on one stand-in of the robot.
+    """Simulated drive of one path on one stand-in for the robot.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class TrialDrive:
     run
         The simulated drive.
     radius
-        Radius of the circle among the paths, scaled to the robot [m].
+        Radius of the circle path, scaled to the robot [m].
     """
 
     plant: str
@@ -99,12 +99,12 @@ class TrialDrive:
 
     @property
     def lateral_share(self) -> float:
-        """Largest lateral error over the radius of the scaled circle [-]."""
+        """Maximum lateral error over the radius of the scaled circle [-]."""
         return self.metrics.lateral_max_m / self.radius
 
     @property
     def passed(self) -> bool:
-        """True if the robot arrived and stayed near enough to its path."""
+        """True if the robot arrived and its lateral error stayed within the limit."""
         return self.metrics.completed and self.lateral_share <= trial_settings().lateral_share
 
 
@@ -117,13 +117,13 @@ class StandIn:
     name
         `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     model
-        Model of the robot's velocities.
+        Velocity model of the robot.
     base
         Identified effects of the base around the model.
     disturbance
-        Motion beyond the model, as `ModelPlant` takes it.
+        Unexplained motion for `ModelPlant`.
     slip, sensors
-        Slip and sensors of the drive; by default the slip of the log and the default sensor set.
+        Slip and sensors; by default the slip of the log and the default sensor set.
     """
 
     name: str
@@ -135,13 +135,13 @@ class StandIn:
 
 
 def model_itself(identification: Identification) -> StandIn:
-    """Return the model that was identified, with the effects of its base."""
+    """Return the identified model with its base effects as a stand-in."""
     return StandIn(ITSELF, identification.model, identification.report.fitted.identified.base_effects)
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
-    """Return the model itself, and one of another structure fitted to held-out data, if there is enough."""
-    itself, held_out = model_itself(identification), _of_held_out(identification)
+    """Return the model itself and, if it can be fitted, a model of another structure for the held-out data."""
+    itself, held_out = model_itself(identification), _held_out_stand_in(identification)
     return [itself] if held_out is None else [itself, held_out]
 
 
@@ -154,17 +154,17 @@ def trial_drives(
     paths: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Iterator[TrialDrive]:
-    """Drive paths, by default `PATHS`, with the configuration on stand-ins of the robot.
+    """Yield simulated drives of paths, by default `PATHS`, with the configuration on stand-ins for the robot.
 
-    `on_run` is called after each drive; `seed` is that of the sensors' noise.
+    `on_run` is called after each drive; `seed` is the seed of the sensor noise.
     """
     radius = circle_radius(config)
-    usual = load_robot()
+    default_robot = load_robot()
     for stand_in in plants:
         slip, sensors = stand_in.slip or log_slip(identification), stand_in.sensors or load_sensor_set("default")
-        reached = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
-        limits = usual.limits.model_copy(update=reached)
-        robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
+        max_limits = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
+        limits = default_robot.limits.model_copy(update=max_limits)
+        robot = default_robot.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:
             plant = ModelPlant(
                 stand_in.model,
@@ -182,7 +182,7 @@ def trial_drives(
 
 
 def log_slip(identification: Identification, *, pose_point: bool = False) -> BodySlip:
-    """Return the slip of the surface of the log, of the rotation centre or of the point that the poses are of."""
+    """Return the slip on the surface of the log for the rotation centre, or for the point of the poses."""
     slip = check(Surface, identification.surface, "surface").slip
     ahead, left = identification.report.poses.place if pose_point else (0.0, 0.0)
     if not (ahead or left):
@@ -192,7 +192,7 @@ def log_slip(identification: Identification, *, pose_point: bool = False) -> Bod
 
 
 def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
-    """Return the default sensors, with rate and noise of the poses of the log."""
+    """Return the default sensors with the rate and noise of the log's poses."""
     sensors, data = load_sensor_set("default"), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
@@ -204,14 +204,14 @@ def log_sensors(identification: Identification, config: ControllerConfig) -> Sen
 
 
 def circle_radius(config: ControllerConfig) -> float:
-    """Compute the radius of the shipped circle, a metre, scaled to the robot's track [m]."""
+    """Compute the radius of the shipped circle (1 m), scaled to the robot's track [m]."""
     return config.wheels.encoder_track / load_robot().track
 
 
-def _of_held_out(identification: Identification) -> StandIn | None:
-    """Fit another structure, the selected effects, or the function, to the data held out; None if that fails.
+def _held_out_stand_in(identification: Identification) -> StandIn | None:
+    """Fit another structure, the selected effects, or the predictor to the held-out data; return None on failure.
 
-    A model without the effects would mistake a slew limit of the base for a lag.
+    Without the effects, a slew limit of the base would appear as a lag.
     """
     data, fitted = identification.report.data, identification.report.fitted
     try:
@@ -221,14 +221,14 @@ def _of_held_out(identification: Identification) -> StandIn | None:
         if fitted.base is not None:
             alternative = fitted.base.refitted(data.validation)
         else:
-            alternative = _of_other_structure(data, fitted.structure)
+            alternative = _fit_other_structure(data, fitted.structure)
         return StandIn(HELD_OUT, alternative.model, alternative.base_effects)
     except ValueError:
         return None
 
 
-def _of_other_structure(data: LogData, structure: str) -> IdentifiedModel:
-    """Fit an SSM to a robot of decoupled channels, an SM to any other, or dead times if neither is a robot's."""
+def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
+    """Fit an SSM for a structure with decoupled channels, else an SM; fit gains with dead times if that fails."""
     settings = trial_settings()
     rows = tuple(most_informative(data.validation, settings.stand_in_rows))
     structure_name, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
@@ -236,13 +236,13 @@ def _of_other_structure(data: LogData, structure: str) -> IdentifiedModel:
     try:
         return fit(held_out, STRUCTURES[structure_name], order).identified
     except ModelError:
-        # Short data may show no lag at all, as a pole that is faster than a robot's.
+        # Short data may show no lag, so that a pole is faster than that of a robot.
         return fit(held_out, STRUCTURES["two_delays"], None).identified
 
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
-    """Tabulate errors, a row for each stand-in and path."""
-    columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the circle's radius [%]")
+    """Build a table of errors with a row for each stand-in and path."""
+    columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "over circle radius [%]")
     return TextTable(
         _TITLE,
         (*columns, "fall-backs", "completed"),
@@ -266,36 +266,40 @@ def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
 def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
     """Return a doubt for each drive that failed."""
     doubts = [
-        f"the configuration does not drive '{drive.path}' on {drive.plant}: "
-        + (f"{drive.metrics.lateral_max_m:.2g} m beside the path" if drive.metrics.completed else "it did not arrive")
+        f"the configuration fails on '{drive.path}' with {drive.plant}: "
+        + (
+            f"a lateral error of {drive.metrics.lateral_max_m:.2g} m"
+            if drive.metrics.completed
+            else "the robot does not arrive"
+        )
         for drive in drives
         if not drive.passed
     ]
     return [Doubt("failed drive", words) for words in doubts]
 
 
-# The first drive of an identified configuration on the robot: a slow circle, and a recipe in the report.
+# First drive of the robot with an identified configuration: a slow circle, and instructions in the report.
 
 
 FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
-"""Share of the attainable speeds [-]: slow enough to walk along, fast enough to leave the dead band."""
-_FASTEST = 0.5
-"""Walking speed [m/s], which limits faster robots."""
-_ROOM = 2.0
-"""Free space over the size of the circle [-]."""
+"""Share of the attainable speeds [-], slow enough to walk next to the robot and fast enough to leave the dead band."""
+_WALKING_SPEED = 0.5
+"""Walking speed [m/s], the limit for faster robots."""
+_FREE_SPACE = 2.0
+"""Free space relative to the diameter of the circle [-]."""
 
 
 @dataclass(frozen=True)
 class FirstCircle:
-    """One turn to the left, slowly.
+    """One slow turn to the left.
 
     Attributes
     ----------
     radius
-        Radius of the shipped circle, times the robot's track over that of the papers' robot [m].
+        Radius of the shipped circle, scaled to the robot's track [m].
     v, omega
-        Speeds [m/s], [rad/s].
+        Speed [m/s] and yaw rate [rad/s].
     """
 
     radius: float
@@ -310,7 +314,8 @@ class FirstCircle:
     def text(self) -> str:
         """Format the trajectory file."""
         return (
-            f"# One turn to the left, {self.radius:.3g} m in radius, at {_SHARE:g} of what the robot can, or a walk.\n"
+            f"# One turn to the left with a radius of {self.radius:.3g} m, at {_SHARE:g} of the maximum speed or at "
+            "walking speed.\n"
             "name: first circle\n"
             "segments:   # v [m/s], omega [rad/s], duration [s]\n"
             f"  - {{v: {self.v:.6g}, omega: {self.omega:.6g}, duration: {self.duration:.6g}}}\n"
@@ -318,35 +323,37 @@ class FirstCircle:
 
 
 def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> FirstCircle:
-    """Design the circle for a robot with these limits and gains."""
+    """Return the circle for the limits of `config` and the gains of `model`."""
     radius = circle_radius(config)
     v_gain, omega_gain = abs(model.dc_gain[0, 0]), abs(model.dc_gain[1, 1])
-    reached = min(
+    max_omega = min(
         v_gain * config.limits.v / radius, omega_gain * config.limits.omega, config.limits.wheel_speed / radius
     )
-    omega = float(min(_SHARE * reached, _FASTEST / radius))
+    omega = float(min(_SHARE * max_omega, _WALKING_SPEED / radius))
     return FirstCircle(radius, radius * omega, omega)
 
 
 def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[TrialDrive], topics: Topics) -> str:
-    """Describe the first drive of the robot, as the end of the report; `topics` are those of a bag."""
-    room = _ROOM * 2.0 * circle.radius
+    """Format the instructions for the first drive at the end of the report; `topics` are those of a bag."""
+    free_space = _FREE_SPACE * 2.0 * circle.radius
     arguments = f" {node_arguments(topics)}" if topics else ""
     steps = [
-        "Read the warnings that matter for driving, and fix what you can.",
-        "Drive it here first, in the folder of this report: `diffdrive-mpc simulate --config config.yaml "
-        f"--plant model:model.yaml --surface surface.yaml --trajectory {FIRST_CIRCLE}`. It is a circle of "
-        f"{circle.radius:.2g} m in radius at {circle.v:.2g} m/s, one turn in {circle.duration:.0f} s.",
-        "Lift the wheels: start the node, check that no topic is refused, call start. Both sides must turn as "
-        "told, and the base must stop by itself when the node is killed (docs/robot.md, step 4).",
-        f"On the floor, {room:.2g} m free all round, a hand on the emergency stop: `diffdrive-mpc node --config "
+        "Read the warnings that matter for driving, and correct their causes if possible.",
+        "Simulate the drive first, in the folder of this report: `diffdrive-mpc simulate --config config.yaml "
+        f"--plant model:model.yaml --surface surface.yaml --trajectory {FIRST_CIRCLE}`. It is a circle with "
+        f"a radius of {circle.radius:.2g} m at {circle.v:.2g} m/s, one turn in {circle.duration:.0f} s.",
+        "Lift the wheels, start the node, check that no topic is rejected, and call start. Both sides must turn as "
+        "commanded, and the base must stop when the node is killed (docs/robot.md, step 4).",
+        f"On the ground, with {free_space:.2g} m of free space on all sides and a hand on the emergency stop: "
+        "`diffdrive-mpc node --config "
         f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
-        "Look at the mode, which stays TRACKING, at the lateral error, a few centimetres and not growing, and at "
-        "the message, which is empty or says what is wrong (docs/safety.md).",
-        f"Stop it if it weaves more and more, turns the wrong way, or is further than {config.reentry.band:.2g} m "
-        "beside the circle for longer than a second.",
-        "Then faster, a little at a time; then paths with corners. New floor or load: a new log.",
+        "Check that the mode stays TRACKING, that the lateral error is a few centimetres and does not grow, and that "
+        "the message is empty or names a fault (docs/safety.md).",
+        f"Stop the robot if it oscillates increasingly, turns in the wrong direction, or is more than "
+        f"{config.reentry.band:.2g} m away from the circle for longer than a second.",
+        "Increase the speed in small steps, then drive paths with corners. For another surface or load, record a new "
+        "log.",
     ]
     if trial_doubts(drives):
-        steps.insert(0, "Not yet: some paths above failed. Fix that first.")
+        steps.insert(0, "Do not drive yet: some paths above failed. Correct the cause first.")
     return "## The first drive on the robot\n\n" + "".join(f"{i}. {step}\n" for i, step in enumerate(steps, 1))

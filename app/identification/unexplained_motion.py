@@ -1,4 +1,4 @@
-"""Motion of a robot in the data held out beyond its model, in blocks that trial drives add to the motion of a plant."""
+"""Unexplained motion of a robot in held-out data, which trial drives add to the motion of a plant in blocks."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
 from diffdrive_mpc.sim.plants.surface import BodySlip
 
-_FEWEST_POSES = 4
-_LEAST_SHARE = 0.1
-"""Share of the mean variance that a standing robot has at least [-]: logs hold few straight and steady parts."""
+_MIN_POSES = 4
+_MIN_VARIANCE = 0.1
+"""Minimum constant variance as a share of the mean variance [-], because logs have few straight and steady parts."""
 _HEAD = (
-    "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and motion\n"
-    "# beyond the model: its variance by speeds and rates, and intervals of samples and multiples of its deviation.\n"
+    "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and\n"
+    "# unexplained motion with its variance by speeds and rates, and intervals of samples and multiples of its\n"
+    "# deviation.\n"
 )
 
 
 def unexplained_motion(identification: Identification) -> list[FloatArray]:
-    """Return, for each record held out, twists measured less predicted, means over windows (K, 3).
+    """Return measured minus predicted twists (K, 3) of each held-out record, as means over windows.
 
-    Forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the log. Measured is
-    by the poses where the record has them, else by encoders and gyro, which see no lateral speed.
+    The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the
+    log. Measured twists are from poses if the record has them, else from encoders and gyro, without lateral speed.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
@@ -54,25 +55,25 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             turning = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            by_poses = _by_poses(report.poses.at_rotation_centre([record])[0], predicted, turning)
-            if by_poses is not None:
-                rows = np.column_stack([by_poses[:, :2], (by_poses if yaw_rate is None else rows)[:, 2]])
+            from_poses = _motion_from_poses(report.poses.at_rotation_centre([record])[0], predicted, turning)
+            if from_poses is not None:
+                rows = np.column_stack([from_poses[:, :2], (from_poses if yaw_rate is None else rows)[:, 2]])
         motion.append(rows)
     return motion
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
-    """Return the robot of the log for simulation with the poses of the log; None if no motion is known.
+    """Return the robot of the log for simulation with the poses of the log; None without unexplained motion.
 
-    The variance of the motion is a sum over squares of speeds and rates with coefficients that are not negative (least
-    squares): straight and steady driving is not credited with the motion of sharp turns.
+    The variance of the motion is a non-negative linear function of squared speeds and rates, fitted by least squares,
+    so that the variance in sharp turns does not apply to straight and steady driving.
     """
     report = identification.report
     motion = [rows for rows in unexplained_motion(identification) if len(rows)]
     if not motion:
         return None
     identified = report.fitted.identified
-    slip = _explained(motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification)
+    slip = _subtract_slip(motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification)
     features = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
@@ -81,7 +82,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         features.append(_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
     known, rows = np.concatenate(features), np.concatenate(motion)
     variance = np.array([nnls(known, column**2)[0] for column in rows.T])
-    variance[:, 0] = np.maximum(variance[:, 0], _LEAST_SHARE * (rows**2).mean(axis=0))
+    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (rows**2).mean(axis=0))
     variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
     scaled = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
     return IdentifiedRobot(
@@ -98,11 +99,11 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     )
 
 
-def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
-    """Return the slip of the surface that the poses show, and take it out of `motion`: it is no motion of chance.
+def _subtract_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
+    """Return the slip of the surface according to the poses, and subtract it from `motion`, which is random only.
 
-    Encoders measure neither the radius of the wheels nor side-slip. Records without poses stay as they are. The gain is
-    that of means over blocks: in shorter ones the response to changes of the command counts as gain.
+    Encoders measure neither the wheel radius nor side-slip. Records without poses are unchanged. The gain is computed
+    from means over blocks; in shorter blocks the response to changes of the command would affect it.
     """
     slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
     pairs = [
@@ -127,63 +128,69 @@ def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identifi
 
 
 def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
-    """Return numbers with the digits of a robot file."""
+    """Round numbers to the digits of a robot file."""
     return [_rounded(row) for row in values] if values.ndim > 1 else [float(f"{value:.4g}") for value in values]
 
 
 def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tuple[float, float]:
-    """Return the standard deviations of v and omega under the first known name; zero if none is known."""
+    """Return the standard deviations of v and omega, each for the first known name; 0 if no name is known."""
     rows = {} if estimate is None else {name: deviation for name, _, deviation in estimate.rows}
     v, omega = (next((rows[name.format(c)] for name in names if name.format(c) in rows), 0.0) for c in CHANNELS)
     return float(f"{v:.3g}"), float(f"{omega:.3g}")
 
 
 def write_robot(robot: IdentifiedRobot, path: Path) -> None:
-    """Write a robot file; raises OSError if it cannot be written."""
+    """Write a robot file; raise OSError on failure."""
     text = yaml.safe_dump(robot.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120)
     path.write_text(f"{_HEAD}{text}", encoding="utf-8")
 
 
 def _means(rows: FloatArray, ends: AnyArray) -> FloatArray:
-    """Replace rows (K, n) by their means between `ends`; the motion outside of them is zero."""
+    """Replace rows (K, n) by their means between `ends`; rows outside are zero."""
     means = np.zeros_like(rows)
     for first, stop in itertools.pairwise(ends):
         means[first:stop] = rows[first:stop].mean(axis=0)
     return means
 
 
-def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> FloatArray | None:
-    """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3); None if few.
+def _motion_from_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> FloatArray | None:
+    """Return measured minus predicted twists (K, 3) from the displacements between poses; None for too few poses.
 
-    The heading is the integral of `turning` (K,) [rad/s], laid over the poses of a window: less noise than a pose's.
-    Displacements are between the means of the poses in consecutive windows. These are so long that the noise of the
-    poses has little effect, and its part of the power is subtracted.
+    The heading is the integral of the yaw rate `turning` (K,) [rad/s], aligned with the poses in a window, which has
+    less noise than single poses. Displacements are between the mean poses of consecutive windows. The windows are long
+    enough for a small effect of pose noise, and the power of the noise is subtracted.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose
-    if np.count_nonzero(fresh) < _FEWEST_POSES:
+    if np.count_nonzero(fresh) < _MIN_POSES:
         return None
-    turned = dt * np.cumsum(turning)
+    integrated_turn = dt * np.cumsum(turning)
     half = round(identification_settings().pose_window / dt)
-    off = np.where(fresh, record.pose[:, 2] - turned, 0.0)
+    offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
     window = np.ones(2 * half + 1)
-    heading = turned + np.convolve(off, window, "same") / np.maximum(np.convolve(fresh, window, "same"), 1.0)
-    # Between two samples the body points midway between their headings.
+    heading = integrated_turn + np.convolve(offset, window, "same") / np.maximum(
+        np.convolve(fresh, window, "same"), 1.0
+    )
+    # Between two samples the mean heading of the body applies.
     path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * turning)))
-    beyond = record.pose[:, 0] + 1j * record.pose[:, 1] - path
-    turn = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
-    # Smooth motion has no second differences between consecutive poses.
-    noise = np.array([np.mean(np.abs(np.diff(rows[fresh], 2)) ** 2) / 6.0 for rows in (beyond, turn)])
+    position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
+    heading_error = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
+    # Second differences of smooth motion are negligible, so they contain the noise.
+    noise = np.array([np.mean(np.abs(np.diff(rows[fresh], 2)) ** 2) / 6.0 for rows in (position_error, heading_error)])
     noise[0] /= 2.0
     steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
     poses = np.flatnonzero(fresh)
     groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
-    if len(groups) < _FEWEST_POSES:
+    if len(groups) < _MIN_POSES:
         return None
     centres = np.array([round(group.mean()) for group in groups])
     first, last = centres[:-1], centres[1:]
-    moved = np.diff([beyond[group].mean() for group in groups]) * np.exp(-1j * heading[(first + last) // 2])
-    windows = np.column_stack([moved.real, moved.imag, np.diff([turn[group].mean() for group in groups])])
+    displacement = np.diff([position_error[group].mean() for group in groups]) * np.exp(
+        -1j * heading[(first + last) // 2]
+    )
+    windows = np.column_stack(
+        [displacement.real, displacement.imag, np.diff([heading_error[group].mean() for group in groups])]
+    )
     power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
     share = 2.0 * np.mean([1.0 / len(group) for group in groups])
     windows *= np.sqrt(np.maximum(1.0 - share * noise[[0, 0, 1]] / power, 0.0))

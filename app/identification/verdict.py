@@ -1,4 +1,4 @@
-"""Verdict on an identified model: trust by its logs, and results of its trial drives."""
+"""Verdict on an identified model from the trust in its logs and from its trial drives."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ SIMPLEST = "sm"
 _WIDTH = 80
 _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
 DRIVES = 2 * len(PATHS)
-"""Trial drives of one configuration without unexplained motion."""
+"""Number of trial drives of one configuration without unexplained motion."""
 
 
 class Promise(NamedTuple):
-    """Speeds of curved paths, and errors within which a share of the drives stays."""
+    """Promised performance: speeds on curved paths, and errors that a share of the drives does not exceed."""
 
     v: float
-    """[m/s]"""
+    """Maximum speed [m/s]."""
     omega: float
-    """[rad/s]"""
+    """Maximum yaw rate [rad/s]."""
     lateral: float
-    """Distance from the path [m]"""
+    """Maximum distance from the path [m]."""
     position: float
-    """Distance from the timed position [m]"""
+    """Maximum distance from the timed position [m]."""
     share: str
-    """Number of drives that stay within, "95 of 100", or fewer if drives with unexplained motion do not arrive"""
+    """Share of the drives within these errors: "95 of 100", or the arrivals if drives with unexplained motion fail."""
 
 
 @dataclass(frozen=True)
@@ -66,26 +66,26 @@ class TrialVerdict:
     Attributes
     ----------
     identification
-        The identification, possibly with lower limits or a simpler model where only these pass.
+        Identification, possibly with lower limits or a simpler model if the original fails.
     config
-        Configuration of the identified robot; None where none can be written.
+        Configuration of the identified robot; None if it is invalid.
     drives
-        All that were driven with it.
-    changed
-        Limits that were lowered and parts that were simplified so that the drives pass, a clause each.
-    against
-        Why nothing drives, in a clause; empty where the drives pass.
+        Trial drives with the configuration.
+    changes
+        Reduced limits and simplified parts with which the drives pass, one clause each.
+    failure
+        Reason for which the configuration is unusable, in a clause; empty if the drives pass.
     unexplained
-        Curved drives with the motion that the model leaves unexplained in the data held out.
+        Curved drives with the unexplained motion of the held-out data.
     robot
-        With this motion; None without such drives.
+        Robot with the unexplained motion; None without such drives.
     """
 
     identification: Identification
     config: ControllerConfig | None
     drives: tuple[TrialDrive, ...]
-    changed: tuple[str, ...] = ()
-    against: str = ""
+    changes: tuple[str, ...] = ()
+    failure: str = ""
     unexplained: tuple[TrialDrive, ...] = ()
     robot: IdentifiedRobot | None = None
 
@@ -93,22 +93,22 @@ class TrialVerdict:
     def grade(self) -> Grade:
         """Grade of trust for driving."""
         trust = self.identification.report.trust
-        if self.against or trust.grade == "No":
+        if self.failure or trust.grade == "No":
             return "No"
         return "With care" if self.reasons else "Yes"
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Reasons against a better grade, a clause each."""
+        """Reasons against a better grade, one clause each."""
         trust = self.identification.report.trust
-        if self.against:
-            return (self.against,)
-        alone = self.drives and not any(drive.plant == HELD_OUT for drive in self.drives)
-        words = ("the data held out are too few for a stand-in of their own",) if alone else ()
-        return (*self.changed, *words, *self._rough, *trust.reasons)
+        if self.failure:
+            return (self.failure,)
+        has_no_stand_in = self.drives and not any(drive.plant == HELD_OUT for drive in self.drives)
+        words = ("there are too few held-out data for a model of them",) if has_no_stand_in else ()
+        return (*self.changes, *words, *self._unexplained_reasons, *trust.reasons)
 
     @property
-    def _rough(self) -> tuple[str, ...]:
+    def _unexplained_reasons(self) -> tuple[str, ...]:
         count = len(self.unexplained)
         if lost := count - len(_errors(self.unexplained)):
             return (f"{lost} of {count} drives of {UNEXPLAINED} do not arrive",)
@@ -117,79 +117,79 @@ class TrialVerdict:
         return (f"{UNEXPLAINED} leaves its path by more than {100 * trial_settings().lateral_share:g} % of a radius",)
 
     @property
-    def promised(self) -> Promise | None:
-        """Performance to expect of the robot; None if nothing drives."""
+    def performance(self) -> Promise | None:
+        """Expected performance of the robot; None if the configuration is unusable."""
         curved = [drive for drive in self.drives if drive.path in trial_settings().curved]
-        if self.against or not curved:
+        if self.failure or not curved:
             return None
         v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
-        largest, arrived = np.max(_errors(curved), axis=0), _errors(self.unexplained)
+        max_errors, arrived = np.max(_errors(curved), axis=0), _errors(self.unexplained)
         if arrived:
-            largest = np.maximum(largest, trial_settings().promise_factor * gmean(arrived))
-        lateral, position = (math.ceil(1000 * size) / 1000 for size in largest)
+            max_errors = np.maximum(max_errors, trial_settings().promise_factor * gmean(arrived))
+        lateral, position = (math.ceil(1000 * error) / 1000 for error in max_errors)
         count = len(self.unexplained)
         share = f"{len(arrived)} of {count}" if len(arrived) < count else "95 of 100"
         return Promise(float(v), float(omega), lateral, position, share)
 
     @property
     def promise(self) -> str:
-        """The same in a sentence without a full stop; empty where nothing drives."""
-        promised = self.promised
-        if promised is None:
+        """Expected performance as a sentence without a full stop; empty if the configuration is unusable."""
+        performance = self.performance
+        if performance is None:
             return ""
-        v, omega, lateral, position, share = promised
+        v, omega, lateral, position, share = performance
         return (
             f"follows curved paths at up to {v:.2g} m/s and {omega:.2g} rad/s in {share} drives within "
             f"{100 * lateral:.3g} cm of the path and {100 * position:.3g} cm of the timed position"
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Grade, reasons and promise for a program."""
+        """Return grade, reasons and promise for JSON."""
         return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
 
     def answers(self) -> list[str]:
-        """Answer whether the robot may drive, how fast, how well, and the next step: a sentence or two each."""
+        """Return one or two sentences each on permission to drive, speed, quality of the model, and next step."""
         fit = self.identification.report.fitted.validation.fit_percent
-        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
-        explained = f"FIT on data held out: {each}."
-        why = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the floor of the log"
+        values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
+        quality = f"FIT on held-out data: {values}."
+        reasons = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the surface of the log"
         fast = f"In trial drives in simulation it {self.promise}." if self.promise else "Not at all."
         if self.promise and self.grade == "Yes":
-            following = "In simulation with this, then on the robot as report.md ends:"
+            next_step = "Simulate with this command, then drive the robot as described at the end of report.md:"
         elif self.promise:
-            following = "Read report.md's warnings, then drive slowly, in simulation first:"
+            next_step = "Read the warnings in report.md, then drive slowly, first in simulation:"
         else:
-            following = "report.md says what to mend."
-        return [f"{self.grade}{why}.", fast, explained, following]
+            next_step = "report.md lists the remedies."
+        return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def lines(self, folder: Path = Path()) -> list[str]:
-        """Return the limits of the base, and the answers in at most ten lines of 80 columns, with the next command."""
-        driven, *others = self.answers()
-        answers = (_shortened(driven, 3), *others)
-        lines = [line for head, words in zip(_HEADS, answers, strict=True) for line in _answer(head, words)]
-        limits = [line for words in self.identification.report.limits for line in _answer("Limits", words)]
+        """Return the limits of the base, and the answers with the next command in at most ten lines of 80 columns."""
+        permission, *others = self.answers()
+        answers = (_shortened(permission, 3), *others)
+        lines = [line for head, text in zip(_HEADS, answers, strict=True) for line in _answer(head, text)]
+        limits = [line for text in self.identification.report.limits for line in _answer("Limits", text)]
         return [*limits, *lines, *(next_command(folder) if self.promise else ())]
 
 
 def _errors(drives: Sequence[TrialDrive]) -> list[tuple[float, float]]:
-    """Return the largest errors [m] of drives that arrive: from the path, and from the timed position."""
+    """Return the maximum lateral and position errors [m] of the drives that arrive."""
     arrived = [drive.metrics for drive in drives if drive.metrics.completed]
     return [(metrics.lateral_max_m, metrics.position_max_m) for metrics in arrived]
 
 
-def _answer(head: str, words: str) -> list[str]:
+def _answer(head: str, text: str) -> list[str]:
     indent = " " * (max(map(len, _HEADS)) + 1)
-    return textwrap.wrap(words, _WIDTH, initial_indent=head.ljust(len(indent)), subsequent_indent=indent)
+    return textwrap.wrap(text, _WIDTH, initial_indent=head.ljust(len(indent)), subsequent_indent=indent)
 
 
-def _shortened(words: str, lines: int) -> str:
-    """Shorten an answer to `lines`."""
-    room = lines * (_WIDTH - max(map(len, _HEADS)) - 8)
-    return words if len(words) <= room else f"{words[:room].rsplit(' ', 1)[0]} ... (report.md)"
+def _shortened(text: str, lines: int) -> str:
+    """Shorten an answer to `lines` lines."""
+    max_length = lines * (_WIDTH - max(map(len, _HEADS)) - 8)
+    return text if len(text) <= max_length else f"{text[:max_length].rsplit(' ', 1)[0]} ... (report.md)"
 
 
 def next_command(folder: Path = Path()) -> list[str]:
-    """Return the command that drives the first path of the trials again, with the files of an identification."""
+    """Return the command that repeats the first trial drive with the files of an identification."""
     options = [
         ["diffdrive-mpc", "simulate", "--config", str(folder / CONFIG_FILE)],
         ["--plant", f"model:{folder / MODEL_FILE}"],
@@ -205,18 +205,18 @@ def judge_by_drives(
     *,
     force: bool = False,
 ) -> TrialVerdict:
-    """Drive with the configuration; where drives fail, lower its limits, then simplify its model, until all pass.
+    """Drive with the configuration; if drives fail, reduce its limits, then simplify its model, until all pass.
 
     Parameters
     ----------
     identification
-        The identification to judge.
+        Identification to assess.
     on_try
-        Called before the drives of a configuration, with which it is.
+        Called with a description of each configuration before its drives.
     on_run
         Called after each drive.
     force
-        Whether the configuration is kept as identified, independent of the drives.
+        Whether to keep the configuration as identified even if drives fail.
 
     Raises
     ------
@@ -225,63 +225,65 @@ def judge_by_drives(
     """
     plants = stand_ins(identification)
     on_try("driving")
-    first = _driven(identification, plants, on_run, whole=True)
-    if force or not first.against:
+    first = _run_drives(identification, plants, on_run, run_all=True)
+    if force or not first.failure:
         return _with_unexplained(first, on_try, on_run)
-    slower = _fastest(identification, plants, (), on_try, on_run)
-    if slower is None and (simpler := _simplified(identification)) is not None:
-        candidate, simplified = simpler
-        slower = _fastest(candidate, stand_ins(candidate), simplified, on_try, on_run)
-    return _with_unexplained(slower or first, on_try, on_run)
+    reduced = _with_fastest_limits(identification, plants, (), on_try, on_run)
+    if reduced is None and (simpler := _simpler_model(identification)) is not None:
+        candidate, changes = simpler
+        reduced = _with_fastest_limits(candidate, stand_ins(candidate), changes, on_try, on_run)
+    return _with_unexplained(reduced or first, on_try, on_run)
 
 
 def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
-    """Drive curved paths with the motion that the model leaves unexplained; a share of the drives must arrive."""
+    """Drive curved paths with unexplained motion, and add the result to the verdict; most of the drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     robot = None if verdict.config is None else identified_robot(identification, verdict.config)
-    if verdict.against or verdict.config is None or robot is None:
+    if verdict.failure or verdict.config is None or robot is None:
         return verdict
     on_try("driving with unexplained motion")
-    rough = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
+    stand_in = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
     for seed in range(settings.unexplained):
         disturbance = robot.disturbance(verdict.config.sample_time, np.random.default_rng(seed))
-        plant = replace(rough, disturbance=disturbance)
+        plant = replace(stand_in, disturbance=disturbance)
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
-    proven = replace(verdict, unexplained=tuple(drives), robot=robot)
+    result = replace(verdict, unexplained=tuple(drives), robot=robot)
     lost = sum(not drive.metrics.completed for drive in drives)
-    return replace(proven, against=proven._rough[0]) if lost > settings.lost_share * len(drives) else proven
+    return (
+        replace(result, failure=result._unexplained_reasons[0]) if lost > settings.lost_share * len(drives) else result
+    )
 
 
-def _fastest(
+def _with_fastest_limits(
     candidate: Identification,
     plants: Sequence[StandIn],
-    simplified: tuple[str, ...],
+    changes: tuple[str, ...],
     on_try: Callable[[str], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
-    """Find the largest configured share of the limits whose drives pass, by bisection; None if the least fails."""
+    """Find the maximum configured share of the limits whose drives pass, by bisection; None if the minimum fails."""
     shares = trial_settings().shares
 
     def attempt(i: int) -> TrialVerdict:
-        lowered, words = _lowered(candidate, shares[i])
-        on_try(", ".join(["driving", *simplified, *words]))
-        return replace(_driven(lowered, plants, on_run, whole=False), changed=(*simplified, *words))
+        reduced, reductions = _with_reduced_limits(candidate, shares[i])
+        on_try(", ".join(["driving", *changes, *reductions]))
+        return replace(_run_drives(reduced, plants, on_run, run_all=False), changes=(*changes, *reductions))
 
-    fails, passes = -1, len(shares) - 1
-    best = attempt(passes)
-    if best.against:
+    failing, passing = -1, len(shares) - 1
+    best = attempt(passing)
+    if best.failure:
         return None
-    while passes - fails > 1:
-        middle = (fails + passes) // 2
-        tried = attempt(middle)
-        fails, passes = (middle, passes) if tried.against else (fails, middle)
-        best = best if tried.against else tried
+    while passing - failing > 1:
+        middle = (failing + passing) // 2
+        verdict = attempt(middle)
+        failing, passing = (middle, passing) if verdict.failure else (failing, middle)
+        best = best if verdict.failure else verdict
     return best
 
 
-def _simplified(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
-    """Return the plain SM of the same data and the changes; None if it is one already, or there is none."""
+def _simpler_model(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
+    """Return a plain SM of the same data with the change; None if the model is a plain SM, or the fit fails."""
     report = identification.report
     fitted = report.fitted
     if fitted.structure == SIMPLEST and fitted.base is None:
@@ -290,26 +292,28 @@ def _simplified(identification: Identification) -> tuple[Identification, tuple[s
         simpler = identify_data(report.data, STRUCTURES[SIMPLEST], report.name)
     except ValueError:
         return None
-    more = " with effects" if fitted.base is not None else ""
-    words = f"a plain {SIMPLEST.upper()} in place of the {fitted.structure.upper()}{more}, which fails"
-    return None if simpler.refusal else (simpler, (words,))
+    effects = " with effects" if fitted.base is not None else ""
+    change = f"a plain {SIMPLEST.upper()} instead of the {fitted.structure.upper()}{effects}, which fails"
+    return None if simpler.refusal else (simpler, (change,))
 
 
-def _lowered(identification: Identification, shares: tuple[float, float]) -> tuple[Identification, tuple[str, ...]]:
-    """Reduce the limits of v and omega to a share; return the identification with the changes."""
+def _with_reduced_limits(
+    identification: Identification, shares: tuple[float, float]
+) -> tuple[Identification, tuple[str, ...]]:
+    """Reduce the limits of v and omega to `shares`; return the identification and the changes."""
     configuration = identification.configuration.slowed(dict(zip(CHANNELS, shares, strict=True)))
-    words = [
-        f"limits.{channel} lowered to {100 * share:.0f} %, as faster trial drives fail"
+    changes = [
+        f"limits.{channel} reduced to {100 * share:.0f} %, because faster trial drives fail"
         for channel, share in zip(CHANNELS, shares, strict=True)
         if share < 1.0
     ]
-    return replace(identification, configuration=configuration, config=configuration.mapping()), tuple(words)
+    return replace(identification, configuration=configuration, config=configuration.mapping()), tuple(changes)
 
 
-def _driven(
-    identification: Identification, plants: Sequence[StandIn], on_run: Callable[[], None], *, whole: bool
+def _run_drives(
+    identification: Identification, plants: Sequence[StandIn], on_run: Callable[[], None], *, run_all: bool
 ) -> TrialVerdict:
-    """Run the trial drives of a configuration; stop after the first failure unless `whole`."""
+    """Run the trial drives of a configuration; stop after the first failure unless `run_all`."""
     drives: list[TrialDrive] = []
     config: ControllerConfig | None = None
     with TemporaryDirectory() as folder:
@@ -318,10 +322,10 @@ def _driven(
             config = load_config(Path(folder) / CONFIG_FILE)
             for drive in trial_drives(identification, config, plants, on_run):
                 drives.append(drive)
-                if not (drive.passed or whole):
+                if not (drive.passed or run_all):
                     break
         except ValueError as error:
-            return TrialVerdict(identification, config, (), against=f"the configuration does not drive: {error}")
+            return TrialVerdict(identification, config, (), failure=f"the configuration is unusable: {error}")
     failed = trial_doubts(drives)
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    return TrialVerdict(identification, config, tuple(drives), against=f"{failed[0].words}{more}" if failed else "")
+    return TrialVerdict(identification, config, tuple(drives), failure=f"{failed[0].words}{more}" if failed else "")

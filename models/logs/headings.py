@@ -1,8 +1,8 @@
-"""Headings of a robot of which only positions are measured (motion capture of one marker, RTK, beacons).
+"""Headings of a robot with measured positions only (motion capture of one marker, RTK, beacons).
 
-The motion predicted from gyro, encoders or else commands, each with gain, dead time and two lags, is fitted to the
-positions, with an unknown start in every window. The heading is the predicted one plus a random walk, smoothed with the
-positions (Rauch, Tung, Striebel, AIAA Journal 1965, 3(8), 1445-1450; here as one sparse least-squares problem).
+The motion is predicted from gyro, encoders or, without these, commands. Gain, dead time and two lags of each are fitted
+to the positions, with an unknown start in each window. The heading is the prediction plus a random walk, smoothed with
+the positions (Rauch, Tung, Striebel, AIAA Journal 1965, 3(8), 1445-1450; here as one sparse least-squares problem).
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, Record
 
 _WINDOWS = (2.0, 6.0)
-"""Duration of the windows of the first search and of the fit [s]: a poor gain turns long windows too far."""
-# Gain, dead time [s] and two lags [s] of v and of omega; then the measured point ahead and to the left [m].
+"""Duration of the windows of the first search and of the fit [s]; a poor initial gain requires short windows."""
+# Bounds of gain, dead time [s] and two lags [s] of v and of omega, and of the measured point ahead and to the left [m].
 _LOW = np.array([0.05, -0.3, 1e-3, 1e-3, -3.0, -0.3, 1e-3, 1e-3, -2.0, -2.0])
 _HIGH = np.array([3.0, 0.8, 1.0, 1.0, 3.0, 0.8, 1.0, 1.0, 2.0, 2.0])
-_SIZE = np.array([1.0, 0.1, 0.1, 0.1, 1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
+_SCALE = np.array([1.0, 0.1, 0.1, 0.1, 1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
 _STARTS = [np.array([0.9, 0.1, 0.15, 0.02, gain, 0.1, 0.15, 0.02, 0.0, 0.0]) for gain in (0.5, 0.9, -0.9)]
 _TURN = 4
-"""Index of the gain of omega; negative where positions are mirrored."""
+"""Index of the gain of omega, which is negative for mirrored positions."""
 _EVALUATIONS = (10, 20)
-_SETTLED = 1e-5
+_COST_TOLERANCE = 1e-5
 """Relative decrease of the cost below which the search stops."""
 _DISTURBANCES = (0.05, 0.3)
-"""Standard deviations of travel [m] and heading [rad] around the prediction after 1 s."""
-_STEPS = 4
-_MOST_ROWS = 30_000
-_FEWEST = 20
+"""Standard deviations of travel [m] and heading [rad] relative to the prediction after 1 s."""
+_ITERATIONS = 4
+_MAX_ROWS = 30_000
+_MIN_POSITIONS = 20
 
 
 class _Positions(NamedTuple):
-    """Predicting signals (K, 2), sample time [s], rows (n,) with a position, and the positions x + iy (n,) [m]."""
+    """Inputs of the prediction (K, 2), sample time [s], rows (n,) with a position, and positions x + iy (n,) [m]."""
 
     inputs: FloatArray
     dt: float
@@ -45,15 +45,15 @@ class _Positions(NamedTuple):
 
 
 def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Return records whose poses have headings that follow from their positions, and findings.
+    """Return records with headings computed from the positions, and findings.
 
     Parameters
     ----------
     log
         Name of the log.
     records
-        Records whose poses have x and y; theta is replaced, and mirrored positions are mirrored back. Records with few
-        positions lose their poses.
+        Records with x and y of poses. theta is replaced, and mirrored positions are corrected. Poses of records with
+        few positions are removed.
     """
     data = [_positions(record) for record in records]
     sensors = [
@@ -62,31 +62,36 @@ def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], li
         if all(getattr(record, field) is not None for record in records)
     ]
     source = " and ".join(sensors) or "commands"
-    words = f"the poses have no heading: it is computed from positions and {source}"
-    used = [part for part in data if part is not None]
-    findings = [Finding("computed heading", "note", log, words)]
+    message = f"the poses have no heading: it is computed from positions and {source}"
+    usable = [part for part in data if part is not None]
+    findings = [Finding("computed heading", "note", log, message)]
     if not sensors:
-        words += "; forwards is taken from the command, and a controller needs a gyro or encoders beside such poses"
-        findings = [Finding("no heading", "warning", log, words)]
-    parameters = _fit(used) if used else _STARTS[0]
+        message += (
+            "; the forward direction is that of the command, and a controller needs a gyro or encoders in addition to "
+            "such poses"
+        )
+        findings = [Finding("no heading", "warning", log, message)]
+    parameters = _fit(usable) if usable else _STARTS[0]
     side = float(np.sign(parameters[_TURN]))
     if side < 0:
-        words = f"the positions turn against the {source}: they are mirrored, or x and y are exchanged"
-        findings.append(Finding("mirrored pose", "error", log, words, changes=(MappingChange("pose", "y.sign", -1),)))
+        message = (
+            f"the positions turn in the opposite direction of the {source}: they are mirrored, or x and y are exchanged"
+        )
+        findings.append(Finding("mirrored pose", "error", log, message, changes=(MappingChange("pose", "y.sign", -1),)))
         parameters = parameters * np.where(np.isin(np.arange(len(parameters)), (_TURN, len(parameters) - 1)), -1.0, 1.0)
-    posed: list[Record] = []
+    results: list[Record] = []
     for record, part in zip(records, data, strict=True):
         if part is None or record.pose is None:
-            posed.append(replace(record, pose=None, fresh_pose=None))
+            results.append(replace(record, pose=None, fresh_pose=None))
             continue
-        upright = part._replace(measured=part.measured.real + 1j * side * part.measured.imag)
-        pose = np.column_stack([record.pose[:, :2] * [1.0, side], _smoothed(upright, parameters)])
-        posed.append(replace(record, pose=pose))
-    return posed, findings
+        corrected = part._replace(measured=part.measured.real + 1j * side * part.measured.imag)
+        pose = np.column_stack([record.pose[:, :2] * [1.0, side], _smooth_headings(corrected, parameters)])
+        results.append(replace(record, pose=pose))
+    return results, findings
 
 
 def _positions(record: Record) -> _Positions | None:
-    if record.pose is None or record.fresh_pose is None or record.fresh_pose.sum() < _FEWEST:
+    if record.pose is None or record.fresh_pose is None or record.fresh_pose.sum() < _MIN_POSITIONS:
         return None
     rows = np.flatnonzero(record.fresh_pose)
     v, omega = (record.command if record.twist is None else record.twist).T
@@ -100,28 +105,34 @@ def _positions(record: Record) -> _Positions | None:
 
 
 def _fit(data: Sequence[_Positions]) -> FloatArray:
-    """Fit the parameters of the prediction to positions, rigidly aligned in every window."""
+    """Fit the parameters of the prediction to the positions, rigidly aligned in each window."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly
 
-    parts = [part for i, part in enumerate(data) if not i or sum(len(p.inputs) for p in data[:i]) < _MOST_ROWS]
+    parts = [part for i, part in enumerate(data) if not i or sum(len(p.inputs) for p in data[:i]) < _MAX_ROWS]
 
     def residuals(parameters: FloatArray, window: float) -> FloatArray:
         errors = []
         for part in parts:
-            measured, predicted, turn = _aligned(part, _motion(part, parameters)[1], window)
+            measured, predicted, turn = _align_windows(part, _predict_motion(part, parameters)[1], window)
             errors.append(measured - predicted * turn)
         return np.concatenate(errors).view(float)
 
     best = min(_STARTS, key=lambda start: float(np.sum(residuals(start, _WINDOWS[0]) ** 2)))
     for window, evaluations in zip(_WINDOWS, _EVALUATIONS, strict=True):
         best = least_squares(
-            residuals, best, bounds=(_LOW, _HIGH), x_scale=_SIZE, max_nfev=evaluations, ftol=_SETTLED, args=(window,)
+            residuals,
+            best,
+            bounds=(_LOW, _HIGH),
+            x_scale=_SCALE,
+            max_nfev=evaluations,
+            ftol=_COST_TOLERANCE,
+            args=(window,),
         ).x
     return np.asarray(best)
 
 
-def _motion(part: _Positions, parameters: FloatArray) -> tuple[FloatArray, AnyArray]:
-    """Return predicted headings (K,) [rad] and positions x + iy (n,) [m] of the measured point, from the origin."""
+def _predict_motion(part: _Positions, parameters: FloatArray) -> tuple[FloatArray, AnyArray]:
+    """Return predicted headings (K,) [rad] and positions x + iy (n,) [m] of the measured point, starting at zero."""
     v, omega = (_response(part.inputs[:, i], part.dt, parameters[4 * i : 4 * i + 4]) for i in (0, 1))
     turns = 0.5 * part.dt * (omega[1:] + omega[:-1])
     heading = np.concatenate([[0.0], np.cumsum(turns)])
@@ -137,17 +148,17 @@ def _response(values: FloatArray, dt: float, parameters: FloatArray) -> FloatArr
     grid = np.arange(len(values))
     response = gain * np.interp(grid - dead_time / dt, grid, values)
     for i, lag in enumerate(lags):
-        keep = np.exp(-dt / lag)
-        # Exact for held values, and for the first lag's response as straight lines between samples.
-        late = (1 - keep) * lag / dt
-        taps = [1 - late, late - keep] if i else [0.0, 1 - keep]
-        settled = signal.lfilter_zi(taps, [1.0, -keep]) * response[0]
-        response = signal.lfilter(taps, [1.0, -keep], response, zi=settled)[0]
+        pole = np.exp(-dt / lag)
+        # The first lag is exact for held values, the second for linear interpolation between samples.
+        mean_step = (1 - pole) * lag / dt
+        taps = [1 - mean_step, mean_step - pole] if i else [0.0, 1 - pole]
+        initial = signal.lfilter_zi(taps, [1.0, -pole]) * response[0]
+        response = signal.lfilter(taps, [1.0, -pole], response, zi=initial)[0]
     return np.asarray(response)
 
 
-def _aligned(part: _Positions, path: AnyArray, window: float) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Return measured and predicted positions (n,) around the mean of their window, and the turn (n,) between them."""
+def _align_windows(part: _Positions, path: AnyArray, window: float) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Return measured and predicted positions (n,) minus their window means, and the rotation (n,) between them."""
     index = np.unique((part.rows * part.dt) // window, return_inverse=True)[1]
     count = np.bincount(index)
 
@@ -159,33 +170,33 @@ def _aligned(part: _Positions, path: AnyArray, window: float) -> tuple[AnyArray,
     return measured, predicted, np.exp(1j * np.angle(centre(np.conj(predicted) * measured)))
 
 
-def _smoothed(part: _Positions, parameters: FloatArray) -> FloatArray:
-    """Return headings (K,) [rad]: the predicted ones plus a random walk that agrees with the positions."""
+def _smooth_headings(part: _Positions, parameters: FloatArray) -> FloatArray:
+    """Return headings (K,) [rad]: the prediction plus a random walk that fits the positions."""
     from scipy import sparse  # noqa: PLC0415 - loads slowly
     from scipy.sparse.linalg import spsolve  # noqa: PLC0415
 
-    heading, path = _motion(part, parameters)
+    heading, path = _predict_motion(part, parameters)
     steps, count = np.diff(path), len(part.rows)
     spread = np.sqrt(np.diff(part.rows) * part.dt)
-    # The third difference of white noise has 20 times its variance, in each of two axes.
+    # The third difference of white noise has 20 times its variance in each of two axes.
     noise = 1e-4 + float(np.std(np.diff(part.measured, 3))) / np.sqrt(40.0)
     identity = sparse.identity(count, format="csr")
     change, mean = identity[1:] - identity[:-1], 0.5 * (identity[1:] + identity[:-1])
-    moved, turned = (sparse.diags(1.0 / (size * spread)) for size in _DISTURBANCES)
-    place, walk = part.measured, np.unwrap(np.angle(_aligned(part, path, _WINDOWS[1])[2]))
-    for _ in range(_STEPS):
+    travel_weight, turn_weight = (sparse.diags(1.0 / (size * spread)) for size in _DISTURBANCES)
+    positions, walk = part.measured, np.unwrap(np.angle(_align_windows(part, path, _WINDOWS[1])[2]))
+    for _ in range(_ITERATIONS):
         moves = steps * np.exp(1j * (mean @ walk))
         rows = [
             [identity / noise, None, None],
             [None, identity / noise, None],
-            [moved @ change, None, moved @ sparse.diags(moves.imag) @ mean],
-            [None, moved @ change, -moved @ sparse.diags(moves.real) @ mean],
-            [None, None, turned @ change],
+            [travel_weight @ change, None, travel_weight @ sparse.diags(moves.imag) @ mean],
+            [None, travel_weight @ change, -travel_weight @ sparse.diags(moves.real) @ mean],
+            [None, None, turn_weight @ change],
         ]
-        away, gap = (place - part.measured) / noise, moved @ (np.diff(place) - moves)
-        errors = np.concatenate([away.real, away.imag, gap.real, gap.imag, turned @ np.diff(walk)])
+        position, travel = (positions - part.measured) / noise, travel_weight @ (np.diff(positions) - moves)
+        errors = np.concatenate([position.real, position.imag, travel.real, travel.imag, turn_weight @ np.diff(walk)])
         jacobian = sparse.bmat(rows, format="csc")
-        square = (jacobian.T @ jacobian + 1e-9 * sparse.identity(3 * count)).tocsc()
-        x, y, turn = np.split(spsolve(square, jacobian.T @ errors), 3)
-        place, walk = place - x - 1j * y, walk - turn
+        normal_matrix = (jacobian.T @ jacobian + 1e-9 * sparse.identity(3 * count)).tocsc()
+        x, y, turn = np.split(spsolve(normal_matrix, jacobian.T @ errors), 3)
+        positions, walk = positions - x - 1j * y, walk - turn
     return np.asarray(heading + np.interp(np.arange(len(heading)), part.rows, walk))

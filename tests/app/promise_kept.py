@@ -51,7 +51,7 @@ class KeptPromise:
     @property
     def held_count(self) -> int:
         """Number of variations in which the promise held."""
-        promised = self.verdict.promised
+        promised = self.verdict.performance
         return 0 if promised is None else sum(error <= promised.lateral for error in self.lateral)
 
     def __str__(self) -> str:
@@ -74,8 +74,8 @@ def keep_promise(
         If the log cannot be used, or its verdict contains no promise.
     """
     verdict = judge_by_drives(identify(data / log.file, mapping=log.mapping))
-    if verdict.promised is None or verdict.config is None:
-        raise ValueError(f"{log.robot}: nothing is promised: {verdict.against}")
+    if verdict.performance is None or verdict.config is None:
+        raise ValueError(f"{log.robot}: nothing is promised: {verdict.failure}")
     paths, lateral = trial_settings().curved, []
     for i, stand_in in enumerate(islice(_variations(verdict.identification, verdict.config, seed), draws)):
         (drive,) = trial_drives(

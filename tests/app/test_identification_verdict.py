@@ -89,10 +89,10 @@ def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
         return 8.0 * slide_sideways(time, left)
 
     refused = judge_by_drives(move_held_out_poses(identification, slide_far))
-    assert refused.grade == "No" and "do not arrive" in refused.against and not refused.promise
+    assert refused.grade == "No" and "do not arrive" in refused.failure and not refused.promise
     verdict = judge_by_drives(move_held_out_poses(identification, slide_sideways))
     assert verdict.grade == "With care" and any("leaves its path" in reason for reason in verdict.reasons)
-    assert 0.03 < verdict.promised.lateral < 0.3
+    assert 0.03 < verdict.performance.lateral < 0.3
 
 
 def clips(identification, share):
@@ -112,11 +112,11 @@ def one_path(monkeypatch):
 def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
     monkeypatch.setattr(verdicts, "stand_ins", lambda _: clips(identification, share))
     verdict = judge_by_drives(identification)
-    assert verdict.grade == "With care" and not verdict.against
+    assert verdict.grade == "With care" and not verdict.failure
     old, new = identification.config["limits"], verdict.identification.config["limits"]
     assert new["omega"] < old["omega"] and new["predicted_omega"] < old["predicted_omega"]
     assert all(drive.passed for drive in verdict.drives)
-    assert any("limits.omega lowered to" in reason for reason in verdict.reasons)
+    assert any("limits.omega reduced to" in reason for reason in verdict.reasons)
     assert "faster trial drives failed" in verdict.identification.configuration.text()
 
 
@@ -138,11 +138,11 @@ def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatc
     )
     words = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
-    assert result.exit_code == 2 and "does not drive 'circle'" in result.stderr and result.stderr.count("\n") == 1
+    assert result.exit_code == 2 and "fails on 'circle'" in result.stderr and result.stderr.count("\n") == 1
     assert not (tmp_path / "out" / "config.yaml").exists() and not (tmp_path / "out" / "model.yaml").exists()
     assert "May I drive? No: " in (tmp_path / "out" / "report.md").read_text()
     result = CliRunner().invoke(app, [*words, "--force"])
-    assert result.exit_code == 0 and "written by force" in result.stdout
+    assert result.exit_code == 0 and "written because of --force" in result.stdout
     assert (tmp_path / "out" / "config.yaml").exists()
 
 

@@ -86,8 +86,8 @@ def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading,
     for channel, gain, delay in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
         file = getattr(result.content.channels, channel)
         assert file.gain == pytest.approx(gain, rel=gain_error)
-        response_delay = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
-        assert response_delay == pytest.approx(delay, abs=late)
+        identified_delay = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
+        assert identified_delay == pytest.approx(delay, abs=late)
     assert "yaw rate of the wheels" not in result.report.markdown()
     lacking = "a controller needs a gyro or encoders"
     for text in (result.configuration.text(), result.report.markdown()):
