@@ -1,4 +1,4 @@
-"""Experiment of an experiment file: variations, parts and tables."""
+"""Experiment that is defined by an experiment file: variations, parts and tables."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _DIMENSIONS = {dimension.name for dimension in DIMENSIONS}
 
 
 class Experiment(ExperimentFile):
-    """Experiment file with its runs and tables."""
+    """Contents of an experiment file, from which runs and tables are built."""
 
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
     def drives(self, only: Sequence[str] = ()) -> dict[str, list[ExperimentRun]]:
-        """List the drives of each part, or of the named parts only.
+        """List the runs of each part, or of the parts in `only`.
 
-        Raises ConfigError if there is no such part, variant or configuration value, ValueError if there are too many
-        runs.
+        Raises ConfigError if a part, variant or configuration value does not exist, and ValueError if there are too
+        many runs.
         """
         check_parts(only, tuple(self.parts))
         chosen = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
@@ -51,7 +51,7 @@ class Experiment(ExperimentFile):
     def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)
         if variant is not None and variant not in self.variants:
-            raise ConfigError(f"variants: there is no '{variant}'; known: {', '.join(self.variants)}")
+            raise ConfigError(f"variants: unknown variant '{variant}'; available: {', '.join(self.variants)}")
         overrides = {} if variant is None else dict(self.variants[str(variant)])
         overrides |= {name: value for name, value in values.items() if name not in _DIMENSIONS}
         dimensions = {name: value for name, value in values.items() if name in _DIMENSIONS}
@@ -60,7 +60,7 @@ class Experiment(ExperimentFile):
 
 
 def load_experiment(file: str | Path) -> Experiment:
-    """Read an experiment; raise ConfigError if its file is invalid."""
+    """Load an experiment; raise ConfigError if the file is invalid."""
     return load_checked(Experiment, file)
 
 
@@ -68,14 +68,14 @@ Drives = dict[str, list[ExperimentRun]]
 
 
 class SpecStudy(Study[Drives, DataFrame]):
-    """An experiment as a study; a subclass may add measurements and figures.
+    """Experiment as a study; a subclass may add measurements and figures.
 
     Parameters
     ----------
     experiment
         Experiment with its runs and tables.
     only
-        Parts to run; empty for all.
+        Parts to run; empty for all parts.
     measure, run_one
         Arguments of `bench.experiment.drive_all`.
     """
@@ -93,19 +93,19 @@ class SpecStudy(Study[Drives, DataFrame]):
         self.title = experiment.title  # type: ignore[misc]
 
     def plan(self) -> Drives:
-        """Plan the drives of each part; raise ConfigError or ValueError if a run cannot be driven."""
+        """Plan the runs of each part; raise ConfigError or ValueError if a run is not possible."""
         plan = self.experiment.drives(self._only)
         check_cases(self.driven(plan))
         return plan
 
     def driven(self, plan: Drives) -> Iterable[Case]:
-        """Return the cases with a controller of `CONTROLLERS`."""
+        """Return the cases whose controller is in `CONTROLLERS`."""
         return (drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
 
     def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Run every case once; the rows have a column `part`, and a run in several parts has a row in each."""
+        """Run every case once; the rows have a column `part`, and a run of several parts has a row for each."""
         drives = {drive.case: drive for listed in plan.values() for drive in listed}
-        bar.start_stage(f"driving, {jobs} at a time", len(drives))
+        bar.start_stage(f"simulating {jobs} runs in parallel", len(drives))
         rows = drive_all(list(drives.values()), jobs, bar.advance, self._measure, self._run_one)
         return in_parts(rows, plan)
 
@@ -114,7 +114,7 @@ class SpecStudy(Study[Drives, DataFrame]):
         return self.cell_tables(rows, {})
 
     def cell_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
-        """Build the tables of the parts that were run; `cells` are the cells that the program computes, by name."""
+        """Build the tables of the parts that were run; `cells` are the cells computed by the program, by name."""
         tables = []
         for spec in self.experiment.tables.values():
             part_rows = rows[rows["part"].isin(spec.part)] if spec.part else rows
@@ -123,7 +123,7 @@ class SpecStudy(Study[Drives, DataFrame]):
         return tables
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Build the report with the tables and every row."""
+        """Build the report with the tables and all rows."""
         rows = results.drop_duplicates("case")
         return Report(
             counted=f"{len(rows)} runs",
@@ -136,9 +136,9 @@ class SpecStudy(Study[Drives, DataFrame]):
 
 
 def in_parts(rows: DataFrame, plan: Drives) -> DataFrame:
-    """Stack the rows of all parts, with the labels of their runs."""
-    places = {case: place for place, case in enumerate(rows["case"])}
+    """Stack the rows of all parts and add columns for part and variant."""
+    row_of_case = {case: place for place, case in enumerate(rows["case"])}
     listed = [(name, drive) for name, drives in plan.items() for drive in drives]
-    placed = rows.iloc[[places[drive.case] for _, drive in listed]].reset_index(drop=True)
+    part_rows = rows.iloc[[row_of_case[drive.case] for _, drive in listed]].reset_index(drop=True)
     variants = [drive.labels.get(VARIANT, "") for _, drive in listed]
-    return placed.assign(part=[name for name, _ in listed], variant=variants)
+    return part_rows.assign(part=[name for name, _ in listed], variant=variants)

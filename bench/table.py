@@ -27,7 +27,7 @@ _ABBREVIATIONS = {
     "completed": "done",
     "trajectory": "path",
 }
-"""Abbreviations of words that would make columns too wide for a terminal of 80 characters."""
+"""Abbreviations of words that make columns too wide for a terminal of 80 characters."""
 _GAP = 2
 """Number of characters between two columns."""
 
@@ -42,16 +42,16 @@ class Table(plain.TextTable):
 
 @dataclass(frozen=True)
 class RichTables:
-    """Table that Rich renders within the width of the console.
+    """Table that Rich renders in the width of the console.
 
-    Texts and headings wrap. Columns of numbers that do not fit continue in further tables, which repeat the columns of
-    names.
+    Texts and headings are wrapped. Columns of numbers that do not fit are placed in further tables, which repeat the
+    columns of names.
     """
 
     table: plain.TextTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the parts, one below the other."""
+        """Yield the parts from top to bottom."""
         parts = self._parts(options.max_width)
         for i, columns in enumerate(parts):
             if i > 0:
@@ -59,22 +59,22 @@ class RichTables:
             yield self._part(columns, is_first=i == 0, is_last=i == len(parts) - 1)
 
     def _parts(self, width: int) -> list[list[int]]:
-        """Return the columns of each part of at most `width` characters."""
+        """Distribute the columns to parts of at most `width` characters."""
         names = list(range(self.table.text_columns))
         parts = [names]
-        room = width - min(sum(self._min_width(i) + _GAP for i in names), width // 2)
-        left = room
+        width_of_numbers = width - min(sum(self._min_width(i) + _GAP for i in names), width // 2)
+        remaining = width_of_numbers
         for i in range(len(names), len(self.table.columns)):
             needed = self._min_width(i) + _GAP
-            if needed > left and len(parts[-1]) > len(names):
+            if needed > remaining and len(parts[-1]) > len(names):
                 parts.append(names)
-                left = room
+                remaining = width_of_numbers
             parts[-1] = [*parts[-1], i]
-            left -= needed
+            remaining -= needed
         return parts
 
     def _min_width(self, column: int) -> int:
-        """Return the width of the longest word or number of a column, which must not be broken."""
+        """Return the width of a column's longest word or number, which must not be broken."""
         is_number = column >= self.table.text_columns
         cells = [plain_line(row[column]) for row in self.table.rows]
         words = [word for cell in (_brief(self.table.columns[column]), *cells) for word in cell.split()]
@@ -82,7 +82,7 @@ class RichTables:
 
     def _part(self, columns: Sequence[int], *, is_first: bool, is_last: bool) -> RichTable:
         table = self.table
-        drawn = RichTable(
+        part = RichTable(
             title=Text(table.title, style="bold") if is_first else None,
             caption=Text(table.note) if is_last and table.note else None,
             title_justify="left",
@@ -97,19 +97,19 @@ class RichTables:
             is_number = column >= table.text_columns
             justify: Literal["left", "right"] = "right" if is_number else "left"
             min_width = self._min_width(column) if is_number else None
-            drawn.add_column(Text(_brief(table.columns[column])), justify=justify, min_width=min_width, overflow="fold")
+            part.add_column(Text(_brief(table.columns[column])), justify=justify, min_width=min_width, overflow="fold")
         for row in table.rows:
-            drawn.add_row(*(Text(plain_line(row[column])) for column in columns))
-        return drawn
+            part.add_row(*(Text(plain_line(row[column])) for column in columns))
+        return part
 
 
 def rich_table(table: plain.TextTable) -> RichTables:
-    """Return a table for the terminal."""
+    """Build a table for the terminal."""
     return RichTables(table)
 
 
 def millis(value: float) -> str:
-    """Format a value in thousandths of its unit."""
+    """Format a value in thousandths of the unit."""
     return number(1e3 * value, 1)
 
 
