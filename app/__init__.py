@@ -1,1 +1,1 @@
-"""Command line, and the functions behind each of its commands."""
+"""Command line and the implementations of its commands."""

@@ -1,1 +1,1 @@
-"""Comparison of controllers: cases, runs, peers, tables, and the report."""
+"""Comparison of controllers: cases, runs, peers, tables and report."""

@@ -1,7 +1,7 @@
-"""Definition of a run by one value of each dimension.
+"""Definition of a run by a value of each dimension.
 
-The fields of `Case` are the only place where a dimension is declared. Options, plan, names in tables, figures and JSON,
-and the introduction of a report follow from them; docs/recipes.md shows how to add one.
+Dimensions are declared only as fields of `Case`. Options, plan, names in tables, figures and JSON, and the introduction
+of a report are derived from these fields; docs/recipes.md describes how to add a dimension.
 """
 
 from __future__ import annotations
@@ -22,38 +22,40 @@ Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
 NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
-"""Scenario without disturbances; model of a peer, which has none; timing that a trajectory file states."""
+"""Scenario without disturbances; placeholder for the model of a peer; timing of the trajectory file."""
 MAX_SEEDS = 10_000
-"""Maximum number of seeds of one case: more runs take days, and their list alone could fill the memory."""
+"""Maximum number of seeds of a case; more runs would take days, and their list could fill the memory."""
 MAX_CASES = 100_000
-"""Maximum number of cases of one study: some days on two cores, and a gigabyte of results."""
+"""Maximum number of cases of a study, which take several days on two cores and a gigabyte of results."""
 COMPARED = (
     *((peer, NO_MODEL) for peer in ("lqr+slip", "kanayama+slip", "pursuit+slip")),
     *(("mpc", model) for model in ("kinematic", "two_delays", "mbm", "sm", "ssm")),
 )
-"""Controllers, each with its model, that `bench` compares without options; add further default controllers here."""
+"""Controllers with their models that `bench` compares by default."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
-"""Model that `bench` compares by default with OSQP at every tick, and the value that selects OSQP."""
+"""Model for which `bench` by default also compares OSQP at every tick, and the overrides that select OSQP."""
 HORIZONS = (7, 10, 20, 30, 50)
-"""Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
+"""Horizons that `bench` sweeps for each model with the first seed [steps]."""
 
 
 def split_names(text: str, option: str) -> tuple[str, ...]:
-    """Split `a,b,c`; raise ValueError if a name is empty or given twice."""
+    """Split `a,b,c` into names; raise ValueError if a name is empty or given twice."""
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
-        raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
+        raise ValueError(f"{option} '{text}': give one name, or several names separated by commas")
     if len(set(names)) < len(names):
-        taken: set[str] = set()
-        twice = next(name for name in names if name in taken or taken.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"{option} '{text}': '{twice}' is given twice")
+        previous: set[str] = set()
+        repeated = next(name for name in names if name in previous or previous.add(name))  # type: ignore[func-returns-value]
+        raise ValueError(f"{option} '{text}': '{repeated}' is given twice")
     return names
 
 
 def check_count(count: int, limit: int = MAX_CASES) -> None:
     """Raise ValueError if a study has more runs than the limit, before the cases are listed."""
     if count > limit:
-        raise ValueError(f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split it")
+        raise ValueError(
+            f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study"
+        )
 
 
 def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None = None) -> tuple[int, ...]:
@@ -61,7 +63,7 @@ def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None =
     try:
         numbers = tuple(int(number) for number in split_names(text.rstrip(","), option))
     except ValueError as error:
-        raise ValueError(f"{option} '{text}': give whole numbers with commas between them, each once") from error
+        raise ValueError(f"{option} '{text}': give different whole numbers, separated by commas") from error
     if min(numbers) < minimum:
         raise ValueError(f"{option} '{text}': each number must be at least {minimum}")
     if maximum is not None and max(numbers) > maximum:
@@ -70,42 +72,41 @@ def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None =
 
 
 def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
-    """Parse seeds: `5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) lists the seeds; raise ValueError."""
+    """Parse seeds: `5` for the seeds 0 to 4, or a list with commas such as `7,` or `3,4`; may raise ValueError."""
     numbers = split_numbers(text, option, minimum=0)
     if "," in text:
         return numbers
     if numbers[0] == 0:
         raise ValueError(f"{option} 0: give the number of seeds (at least 1), or a list such as 0,1,2")
     if numbers[0] > MAX_SEEDS:
-        raise ValueError(f"{option} {text}: give at most {MAX_SEEDS} seeds; for the one seed {text} write {text},")
+        raise ValueError(f"{option} {text}: give at most {MAX_SEEDS} seeds; for the single seed {text} write {text},")
     return tuple(range(numbers[0]))
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """One dimension of a comparison.
+    """Dimension of a comparison.
 
     Attributes
     ----------
     several
-        The dimension's name in the plural: the key of the requested values, in settings and in the `meta` part of a
-        report.
+        Plural of the name, which is the key of the requested values in settings and in the `meta` part of a report.
     default
-        Value if none is requested.
+        Value if no value is requested.
     help
         Help text of the option.
     compared
-        Values that `bench` compares without options; if empty, only `default`.
+        Values that `bench` compares by default; only `default` if empty.
     list_option, list_help
-        Option that takes several values, and its help text; by default equal to `option` and `help`.
+        Option for several values, and its help text; by default equal to `option` and `help`.
     kind
         Type of a value, with its range.
     read
-        Function that parses the text of the list option; it raises ValueError.
+        Function that parses the text of the list option; it raises ValueError for invalid text.
     silent
         True if rows and introduction omit the dimension when only its default was requested.
     name
-        Name of the field of `Case`; also the column name in tables and the key of a run in JSON.
+        Name of the field of `Case`, which is also the column name in tables and the key of a run in JSON.
     """
 
     several: str
@@ -121,12 +122,12 @@ class Dimension:
 
     @property
     def option(self) -> str:
-        """The option that takes one value."""
+        """Option for a single value."""
         return f"--{self.name.replace('_', '-')}"
 
     @property
     def place(self) -> bool:
-        """True for a dimension of the place of a run; it is part of a controller's name in tables if it varies."""
+        """True for a dimension of the conditions of a run, which is part of a controller's name if it varies."""
         return self.name not in ("controller", "model", "trajectory", "seed")
 
 
@@ -136,19 +137,19 @@ def _dimension(several: str, default: object, text: str, **more: Any) -> Any:  #
 
 @dataclass(frozen=True)
 class Case:
-    """Complete definition of one run; equal cases give bit-identical runs.
+    """Complete definition of a run; equal cases give bit-identical runs.
 
-    Fields that are no dimensions: `config` is the controller's configuration file, None for the model's shipped
-    configuration. `overrides` replace configuration values. `top_speed` rebuilds the trajectory's segments so that the
-    fastest one has this speed [m/s]. `scaled` fits the segments to size and limits of the configuration's robot.
-    `late` is the plant's dead time minus the controller's [ticks]: if positive, it is added to the plant's dead
-    time; if negative, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
+    The following fields are not dimensions. `config` is the configuration file of the controller, None for the built-in
+    configuration of the model. `overrides` replace configuration values. `top_speed` scales the trajectory's segments
+    to this maximum speed [m/s]. `scaled` fits the segments to size and limits of the robot of the configuration. `late`
+    is the dead time of the plant minus that of the controller [ticks]: a positive value is added to the dead time of
+    the plant; for a negative value, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
     """
 
     controller: str = _dimension(
         "controllers",
         "mpc",
-        f"mpc, or a peer: {', '.join(PEERS)}.",
+        f"mpc or a peer: {', '.join(PEERS)}.",
         compared=tuple(dict.fromkeys(controller for controller, _ in COMPARED)),
     )
     model: str = _dimension(
@@ -168,7 +169,7 @@ class Case:
     timing: str = _dimension(
         "timings",
         AS_FILED,
-        f"Timing of the trajectory: stop, commanded, smooth, or {AS_FILED} for the timing in its file.",
+        f"Timing of the trajectory: stop, commanded, smooth, or {AS_FILED} for that of the trajectory file.",
         silent=True,
     )
     plant: str = _dimension(
@@ -197,7 +198,7 @@ class Case:
     gains: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Set the trajectory to the name of the plant if none is given and the plant has its own path."""
+        """Set the default trajectory to that of the plant if the plant defines a path."""
         if self.trajectory == _trajectory_default() and split_plant(self.plant) is not None:
             object.__setattr__(self, "trajectory", self.plant)
 
@@ -211,18 +212,18 @@ class Case:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Value of each dimension for tables and files; a path is reduced to its stem."""
+        """Value of each dimension for tables and files; paths are reduced to their stems."""
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
-        """Return the values of the dimensions for JSON, except dimensions in `leave_out`."""
+        """Return the values of the dimensions for JSON, without the dimensions in `leave_out`."""
         values = {
             dimension.name: getattr(self, dimension.name) for dimension in DIMENSIONS if dimension.name not in leave_out
         }
         return {name: label(value) if isinstance(value, str) else value for name, value in values.items()}
 
     def with_override(self, key: str, value: object) -> Case:
-        """Return the case with one configuration value replaced."""
+        """Return the case with a replaced configuration value."""
         remaining = tuple(pair for pair in self.overrides if pair[0] != key)
         return replace(self, overrides=(*remaining, (key, value)))
 
@@ -238,7 +239,7 @@ DIMENSIONS: tuple[Dimension, ...] = tuple(
     for member in fields(Case)
     if (entry := member.metadata.get("dimension"))
 )
-"""Every dimension, in order."""
+"""Dimensions in the order of the fields of `Case`."""
 
 
 def _trajectory_default() -> str:
@@ -246,9 +247,9 @@ def _trajectory_default() -> str:
 
 
 def combinations(**values: Iterable[object]) -> list[Case]:
-    """Return a case for each combination of `values` by field name; the last field varies fastest.
+    """Return a case for each combination of the values of fields; the last field varies fastest.
 
-    Other fields have their defaults. Raises ValueError if there are more than `MAX_CASES` combinations.
+    Other fields have their default values. Raises ValueError if there are more than `MAX_CASES` combinations.
     """
     listed = [tuple(several) for several in values.values()]
     check_count(math.prod(map(len, listed)))
@@ -257,12 +258,12 @@ def combinations(**values: Iterable[object]) -> list[Case]:
 
 
 def label(value: object) -> str:
-    """Return a value as text, with paths reduced to their stem, also in "model:PATH+SECONDS" and "KIND:PATH@PLANT"."""
+    """Return a value as text with paths reduced to their stems, including "model:PATH+SECONDS", "KIND:PATH@PLANT"."""
     inner, at_sign, outer = str(value).rpartition("@")
     if at_sign and outer.partition(":")[0] in BUILT_IN:
         return f"{label(inner)}@{label(outer)}"
     kind, separator, rest = str(value).rpartition(":")
     base = Path(rest).name
-    for ending in (".yaml", ".yml", ".csv"):
-        base = base.replace(ending, "")
+    for suffix in (".yaml", ".yml", ".csv"):
+        base = base.replace(suffix, "")
     return kind + separator + base

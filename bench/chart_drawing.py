@@ -1,4 +1,4 @@
-"""Draw the charts of a report into PNG files, from the same description as the charts of its HTML page."""
+"""Drawing of the charts of a report as PNG files, from the same description as the charts of the HTML page."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, RunViews,
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
-"""Width and height of a chart, and height of a row of its legend [inches]."""
+"""Width and height of a chart, and height of a legend row [inches]."""
 _NAMES_IN_A_ROW = 3
 _DENSE = 100
-"""Number of points of a series at and above which markers are small."""
+"""Number of points of a series from which markers are small."""
 HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
 _BARS = 0.84
-"""Total width of the bars of a category, as a share of the distance between two categories."""
+"""Total width of the bars of a category as a share of the distance between two categories [-]."""
 
 
 def draw_charts(
     charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH, columns: int | None = None
 ) -> None:
-    """Draw charts, each `width` inches wide, into the PNG file `path`.
+    """Draw charts with a width of `width` [inches] each into the PNG file `path`.
 
     A row has `columns` charts, by default all charts. A common legend is below the charts.
     """
@@ -52,7 +52,7 @@ def draw_charts(
 
 
 def draw_run(views: RunViews, title: str, path: Path, draw_more: Callable[[Axes], None] = lambda _: None) -> None:
-    """Draw the paths of runs in the plane, and their panes over time, into the PNG file `path`.
+    """Draw the paths of runs in the plane and their time series into the PNG file `path`.
 
     `draw_more` draws additional elements into the axes of the plane.
     """
@@ -113,19 +113,21 @@ def draw_chart(axes: Axes, chart: Chart) -> None:
 
 
 def _draw_mark(axes: Axes, mark: Mark) -> None:
-    look: Any = {"textcoords": "offset points", "fontsize": 8.0, "color": REFERENCE_COLOUR}
+    style: Any = {"textcoords": "offset points", "fontsize": 8.0, "color": REFERENCE_COLOUR}
     line = axes.axvline if mark.upright else axes.axhline
     line(mark.value, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.2)
     if mark.upright:
-        place, offset = (mark.value, 0.98), (-2, 0)
-        axes.annotate(mark.text, place, offset, ("data", "axes fraction"), ha="right", va="top", rotation=90, **look)
+        position, offset = (mark.value, 0.98), (-2, 0)
+        axes.annotate(
+            mark.text, position, offset, ("data", "axes fraction"), ha="right", va="top", rotation=90, **style
+        )
     else:
-        place, offset = (0.01, mark.value), (0, 1)
-        axes.annotate(mark.text, place, offset, ("axes fraction", "data"), ha="left", va="bottom", **look)
+        position, offset = (0.01, mark.value), (0, 1)
+        axes.annotate(mark.text, position, offset, ("axes fraction", "data"), ha="left", va="bottom", **style)
 
 
 def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - argument of Figure.colorbar
-    """Draw a map with logarithmic colours and a cross at each crossed cell; return the mesh for a colour bar."""
+    """Draw a map with logarithmic colours and a cross at each marked cell; return the mesh for a colour bar."""
     values = _numbers([value for row in chart.values for value in row]).reshape(len(chart.values), -1)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     norm = LogNorm(low, max(high, 1.001 * low))
@@ -138,7 +140,7 @@ def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - argument of F
 
 
 def _categories(chart: Chart) -> list[str]:
-    """List the names along a categorical axis in the order of first appearance."""
+    """Return the names along a categorical axis in the order of first appearance."""
     rows = any(entry.kind == "rows" for entry in chart.series)
     if not rows and chart.x.type != "category":
         return []
@@ -146,12 +148,12 @@ def _categories(chart: Chart) -> list[str]:
     return list(dict.fromkeys(map(str, names)))
 
 
-def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: Sequence[str]) -> None:
+def _draw_bars(axes: Axes, series: Series, position: int, count: int, categories: Sequence[str]) -> None:
     width = _BARS / count
     names, lengths = (series.y, series.x) if series.kind == "rows" else (series.x, series.y)
-    places = np.array([categories.index(str(name)) for name in names]) + (place - (count - 1) / 2) * width
+    places = np.array([categories.index(str(name)) for name in names]) + (position - (count - 1) / 2) * width
     values = np.nan_to_num(_numbers(lengths))
-    look: dict[str, Any] = {
+    style: dict[str, Any] = {
         "color": colour(series.style),
         "hatch": HATCHES[series.style % len(HATCHES)],
         "edgecolor": "white",
@@ -160,10 +162,10 @@ def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: S
     }
     ends = _interval(series, values)
     if series.kind == "rows":
-        axes.barh(places, values, 0.92 * width, xerr=ends, **look)
+        axes.barh(places, values, 0.92 * width, xerr=ends, **style)
         axes.grid(axis="y", visible=False)
     else:
-        axes.bar(places, values, 0.92 * width, yerr=ends, capsize=2, **look)
+        axes.bar(places, values, 0.92 * width, yerr=ends, capsize=2, **style)
         axes.grid(axis="x", visible=False)
 
 
@@ -173,18 +175,18 @@ def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
         axes.step(x, list(map(str, series.y)), where="post", color=colour(series.style))
         return
     y = _numbers(series.y)
-    look: dict[str, Any] = {"color": colour(series.style), "label": series.name}
-    look["linestyle"] = "none" if series.kind == "points" else line_style(series.style)
+    style: dict[str, Any] = {"color": colour(series.style), "label": series.name}
+    style["linestyle"] = "none" if series.kind == "points" else line_style(series.style)
     if series.kind == "reference":
-        look |= {"color": REFERENCE_COLOUR, "linestyle": ":", "linewidth": 2.0}
+        style |= {"color": REFERENCE_COLOUR, "linestyle": ":", "linewidth": 2.0}
     elif series.kind != "line":
         size = 4.0 if len(series.x) < _DENSE else 1.5
-        look |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": size}
-    axes.errorbar(x, y, yerr=_interval(series, y), capsize=3, **look)
+        style |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": size}
+    axes.errorbar(x, y, yerr=_interval(series, y), capsize=3, **style)
 
 
 def _interval(series: Series, values: FloatArray) -> FloatArray | None:
-    """Compute (2, n) lengths of the interval below and above each value; None if the series has no interval."""
+    """Compute the lengths (2, n) of the interval below and above each value; None if the series has no interval."""
     if not len(series.low):
         return None
     return np.asarray(np.abs([values - _numbers(series.low), _numbers(series.high) - values]))

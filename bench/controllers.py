@@ -1,4 +1,4 @@
-"""Build the objects that a case names: controller, plant and reference."""
+"""Build the controller, the plant and the reference of a case."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
 from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
 
-# Plant that receives every command some ticks later: a dead time unknown to controllers.
+# Plant with an additional dead time, which the controllers do not know.
 
 
 class LatePlant(PlantAround):
-    """`plant` with a delay line that holds every command for `ticks` samples; see `sim.plants.plant.Plant`."""
+    """`plant` behind a line that delays every command by `ticks` samples; see `sim.plants.plant.Plant`."""
 
     def __init__(self, plant: Plant, ticks: int) -> None:
         super().__init__(plant)
@@ -43,12 +43,12 @@ class LatePlant(PlantAround):
         self._under_way: deque[FloatArray] = deque()
 
     def reset(self, pose: ArrayLike) -> None:
-        """Reset the plant, and fill the delay line with zero commands."""
+        """Reset the plant and fill the delay line with zero commands."""
         self._plant.reset(pose)
         self._under_way = deque(np.zeros(2) for _ in range(self._ticks))
 
     def measure(self) -> Measurement:
-        """Collect the plant's sensor data; the applied command is the last one that entered the delay line."""
+        """Collect the plant's sensor data; the command reported as sent is the last one that entered the delay line."""
         measurement = self._plant.measure()
         if measurement.sent is None or not self._under_way:
             return measurement
@@ -56,27 +56,27 @@ class LatePlant(PlantAround):
         return replace(measurement, sent=(v, omega))
 
     def advance(self, command: ArrayLike) -> None:
-        """Append `command` (2,) to the delay line, and advance the plant with the output of the line."""
+        """Append `command` (2,) to the delay line and advance the plant with the output of the line."""
         self._under_way.append(np.array(command, dtype=float))
         self._plant.advance(self._under_way.popleft())
 
 
 CONTROLLERS = ("mpc", *PEERS)
 _SAME_TRACK = 0.05
-"""Relative difference of track between plant and configuration above which they count as different robots [-]."""
+"""Relative difference in track above which plant and configuration count as different robots [-]."""
 
 
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
-    """Make the controller, plant and reference of a case.
+    """Create the controller, the plant and the reference of a case.
 
-    The plant takes commands at the sample time of the configuration. Raises ConfigError or ValueError if a name is
+    The plant accepts commands at the sample time of the configuration. Raises ConfigError or ValueError if a name is
     unknown or a file is invalid.
     """
     return make_controller(case), build_plant(case), load_reference(case)
 
 
 def build_plant(case: Case) -> Plant:
-    """Make the plant of a case; raises as `build` does."""
+    """Create the plant of a case; raises as `build` does."""
     options: dict[str, Any] = {}
     if case.controller not in PEERS:
         options = plant_settings(controller_config(case.model, case.config, settings_of(case)))
@@ -90,7 +90,7 @@ def run_case(case: Case) -> Run:
 
 
 def check_cases(cases: Iterable[Case]) -> None:
-    """Build each distinct configuration once, and load every trajectory; raise as `build` does."""
+    """Build each distinct configuration once and load every trajectory; raise as `build` does."""
     every = list(cases)
     for case in {(case.trajectory, case.timing, case.scaled): case for case in every}.values():
         load_reference(case)
@@ -99,10 +99,10 @@ def check_cases(cases: Iterable[Case]) -> None:
 
 
 def load_reference(case: Case) -> Trajectory:
-    """Return the trajectory of a case with its timing; raise ConfigError if either cannot be used.
+    """Return the timed trajectory of a case; raise ConfigError if its trajectory or its timing cannot be used.
 
-    With a top speed, or scaled to the robot, the trajectory stops at jumps of curvature. A plant may have its own
-    reference.
+    With a maximum speed, or scaled to the robot, the trajectory stops at jumps of curvature. A plant may define its
+    own reference.
     """
     plant_path = _reference_of_plant(case)
     if plant_path is not None:
@@ -114,9 +114,9 @@ def load_reference(case: Case) -> Trajectory:
         return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)
-        faster = case.top_speed / max(abs(segment.v) for segment in segments)
+        ratio = case.top_speed / max(abs(segment.v) for segment in segments)
         scaled = [
-            Segment(v=segment.v * faster, omega=segment.omega * faster, duration=segment.duration / faster)
+            Segment(v=segment.v * ratio, omega=segment.omega * ratio, duration=segment.duration / ratio)
             for segment in segments
         ]
         name = f"{case.trajectory} at {case.top_speed:g} m/s"
@@ -126,18 +126,18 @@ def load_reference(case: Case) -> Trajectory:
     except BeyondLimitError as error:
         if case.config is not None:
             raise
-        raise BeyondLimitError(f"{error}, or give the configuration of the robot (--config)") from error
+        raise BeyondLimitError(f"{error}, or state the configuration of the robot (--config)") from error
 
 
 def _reference_of_plant(case: Case) -> Trajectory | None:
-    """Return the reference that belongs to the plant of a case; None if it has none.
+    """Return the reference that the plant of a case defines; None if it defines none.
 
-    Raises ConfigError if the case names another trajectory, or none and the plant has none.
+    Raises ConfigError if the case names another trajectory, or if neither the case nor the plant has a trajectory.
     """
-    around = split_plant(case.plant)
-    if around is None:
+    wrapper = split_plant(case.plant)
+    if wrapper is None:
         return None
-    kind, name, _ = around
+    kind, name, _ = wrapper
     limits = TrajectoryLimits.of_controller(_config_of_robot(case).limits)
     reference: Trajectory | None = kind.reference(name, case.seed, limits)
     is_named = case.trajectory != case.plant
@@ -154,15 +154,15 @@ def _reference_of_plant(case: Case) -> Trajectory | None:
 def other_robots(cases: Iterable[Case]) -> list[str]:
     """Return a warning for each physics plant that differs from the robot in the configuration of its case."""
     predictive = (case for case in cases if case.controller == "mpc" and case.model != NO_MODEL)
-    kinds = {(case.model, case.config, settings_of(case), case.plant): case for case in predictive}
-    sentences = (_other_robot(case) for case in kinds.values())
+    distinct = {(case.model, case.config, settings_of(case), case.plant): case for case in predictive}
+    sentences = (_other_robot(case) for case in distinct.values())
     return list(dict.fromkeys(filter(None, sentences)))
 
 
 def reference_remarks(cases: Iterable[Case]) -> list[str]:
-    """Return the remark of each reference that differs from its file."""
-    kinds = {(case.trajectory, case.timing, case.scaled, case.top_speed): case for case in cases}
-    return list(dict.fromkeys(filter(None, (load_reference(case).remark for case in kinds.values()))))
+    """Return a remark on each reference that differs from its file."""
+    distinct = {(case.trajectory, case.timing, case.scaled, case.top_speed): case for case in cases}
+    return list(dict.fromkeys(filter(None, (load_reference(case).remark for case in distinct.values()))))
 
 
 def _other_robot(case: Case) -> str:
@@ -186,7 +186,7 @@ def _other_robot(case: Case) -> str:
 
 
 def _config_of_robot(case: Case) -> ControllerConfig:
-    """Return the configuration for the robot of a case; for a peer, that of the default model."""
+    """Return the configuration of the robot of a case; for a peer, the configuration of the default model."""
     model = Case().model if case.controller in PEERS or case.model == NO_MODEL else case.model
     return controller_config(model, case.config, settings_of(case))
 
@@ -206,32 +206,32 @@ def make_controller(case: Case) -> TrackingController:
 
 
 def settings_of(case: Case) -> Overrides:
-    """Return configuration values by dotted key: `case.overrides`, and the values stated by a random robot's user.
+    """Return configuration values by dotted key: `case.overrides` and the values that a random robot's user states.
 
-    For a peer that does not use this project's estimator, return `case.overrides` only.
+    A peer that does not use this project's estimator receives `case.overrides` only.
     """
-    drawn = None if case.controller in PEERS and not takes_settings(case.controller) else drawn_robot(case.plant)
-    return case.overrides if drawn is None else tuple((dict(drawn.stated) | dict(case.overrides)).items())
+    robot = None if case.controller in PEERS and not takes_settings(case.controller) else drawn_robot(case.plant)
+    return case.overrides if robot is None else tuple((dict(robot.stated) | dict(case.overrides)).items())
 
 
 def case_config(case: Case) -> ControllerConfig:
-    """Return the configuration of the predictive controller of a case, with the settings that its plant needs.
+    """Return the configuration of the predictive controller of a case, with the settings that the plant requires.
 
     Raises ConfigError as `controller_config`.
     """
-    around = split_plant(case.plant)
-    needed = {} if around is None else dict(around[0].settings(around[1], around[2]))
-    return controller_config(case.model, case.config, tuple((needed | dict(settings_of(case))).items()))
+    wrapper = split_plant(case.plant)
+    required = {} if wrapper is None else dict(wrapper[0].settings(wrapper[1], wrapper[2]))
+    return controller_config(case.model, case.config, tuple((required | dict(settings_of(case))).items()))
 
 
 @lru_cache(maxsize=256)
 def controller_config(model: str, config: str | None = None, overrides: Overrides = ()) -> ControllerConfig:
     """Return the configuration of the predictive controller.
 
-    Without `config`, it is the shipped configuration of `model`. A user's model file has no shipped configuration and
-    takes that of the SSM without the extra dead time, which was identified with the SSM.
+    Without `config`, return the built-in configuration of `model`. For a user's model file, return the built-in
+    configuration of the SSM without its extra dead time, which was identified together with the SSM.
 
-    Raises ConfigError if the model is unknown or the configuration has a mistake.
+    Raises ConfigError if the model is unknown or the configuration is invalid.
     """
     if config is not None:
         loaded = load_config(config, {"model": _model_reference(model), **dict(overrides)})
@@ -244,7 +244,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:
-    """Return the requested model; if None, the model of the configuration file, or the default model without a file.
+    """Return `model`; if it is None, the model of the configuration file, or without a file the default model.
 
     Raises ConfigError if the name is empty or the file cannot be used.
     """

@@ -1,8 +1,9 @@
 """Detect by counters whether a timed run was disturbed. Standard library only: processes of peers import this module.
 
-A short piece of work is undisturbed if its thread was never preempted and held the processor all the time, and if the
-machine ran at full speed before and after it. The speed is measured by a yardstick, a fixed computation: it takes
-longer if the processor is throttled, or if its core is shared with a virtual machine that the system cannot detect.
+A short piece of work is undisturbed if its thread was never preempted and occupied the processor without interruption,
+and if the computer ran at full speed before and after the work. The speed is measured by a yardstick, a fixed
+computation whose duration increases if the processor is throttled or shares its core with another virtual machine,
+which the operating system cannot detect.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ except ImportError:  # without this module, context switches are not counted
 T = TypeVar("T")
 
 AWAY = (2e-5, 0.01)
-"""Tolerated time without the processor: constant part [s], and share of the elapsed time [-].
+"""Tolerated time without the processor: constant part [s] and share of the elapsed time [-].
 
 The clocks are read one after the other, so a small difference is normal.
 """
 SLOWER = 1.15
-"""Ratio of the yardstick's time to its best time above which the machine counts as slow."""
+"""Ratio of the yardstick's time to its minimum time above which the computer counts as slow."""
 _PROBES, _SUMMANDS = 3, 300
 
 
@@ -39,31 +40,31 @@ class Effort(NamedTuple):
     pace: float
 
     def undisturbed(self, best_pace: float) -> bool:
-        """Return True if the work was undisturbed; `best_pace` is the minimum time of the machine's yardstick [s]."""
+        """Return True if the work was undisturbed; `best_pace` is the minimum time of the yardstick [s]."""
         away = self.elapsed - self.processor
         return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
 
 
 def measure_effort(work: Callable[[], T]) -> tuple[T, Effort]:
-    """Run `work`; return its result and its effort. The yardstick is measured before and after."""
+    """Run `work`; return its result and its effort. The yardstick is measured before and after the work."""
     pace = yardstick()
-    began, processor, switches = time.perf_counter(), time.thread_time(), _switches()
+    start, processor, switches = time.perf_counter(), time.thread_time(), _switches()
     result = work()
-    effort = (time.perf_counter() - began, time.thread_time() - processor, _switches() - switches)
+    effort = (time.perf_counter() - start, time.thread_time() - processor, _switches() - switches)
     return result, Effort(*effort, max(pace, yardstick()))
 
 
 def yardstick() -> float:
-    """Return the minimum time of a fixed sum over a few runs [s]; the call takes a few dozen microseconds."""
+    """Return the minimum time of a few runs of a fixed sum [s]; the call takes a few dozen microseconds."""
     return min(_one_sum() for _ in range(_PROBES))
 
 
 def _one_sum() -> float:
-    began = time.perf_counter()
+    start = time.perf_counter()
     total = 0
     for i in range(_SUMMANDS):
         total += i * i
-    return time.perf_counter() - began
+    return time.perf_counter() - start
 
 
 def _switches() -> int:

@@ -1,4 +1,4 @@
-"""`diffdrive_mpc.simulate`: the closed loop of `sim`; accepts names and files in place of objects."""
+"""`diffdrive_mpc.simulate`: the closed loop of `sim`, which also accepts names and files in place of objects."""
 
 from __future__ import annotations
 
@@ -40,27 +40,28 @@ def simulate(
     keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference` from rest, as in `simulate("ssm", "mujoco", "circle")`.
+    """Drive `plant` along `reference` from rest, for example `simulate("ssm", "mujoco", "circle")`.
 
     Parameters
     ----------
     controller
-        Object with `start` and `step`; or a configuration, or an argument of `load_config`, such as "ssm".
+        Object with the methods `start` and `step`, a configuration, or an argument of `load_config`, such as "ssm".
     plant
-        Simulated robot, which is reset first; or an argument of `make_plant`, such as "mujoco" or a velocity model. A
-        new plant has the sample time and the limits of the controller's configuration. To choose its seed or sensors,
-        pass `make_plant(name, seed=..., sensors=...)`.
+        Simulated robot, which is reset first, or an argument of `make_plant`, such as "mujoco" or a velocity model. A
+        plant created from such an argument has the sample time and the limits of the controller's configuration. To
+        set its seed or sensors, pass `make_plant(name, seed=..., sensors=...)`.
     reference
-        Timed trajectory; or an argument of `load_trajectory`, such as "circle", loaded with the limits of the
-        controller's configuration.
+        Timed trajectory, or an argument of `load_trajectory`, such as "circle", which is loaded with the limits of
+        the controller's configuration.
     extra_time, keep_plans, on_tick
-        Arguments of `sim.loop.simulate`: time to continue after the end [s], whether the run stores the plans, and a
-        function that is called after each tick with the number of completed ticks and the total number.
+        Arguments of `sim.loop.simulate`: duration of the run after the end of the trajectory [s], whether the run
+        stores the plans, and a function that is called after each tick with the number of completed ticks and the
+        total number.
 
     Returns
     -------
     Run
-        See `sim.loop.simulate`. A warning names the point at which the reference exceeds the limits of the robot.
+        See `sim.loop.simulate`. A warning states where the reference exceeds the limits of the robot.
 
     Raises
     ------
@@ -96,19 +97,19 @@ def simulate(
 
 
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
-    """Return sample time and limits of the plant of a controller, as arguments of `make_plant`."""
-    shipped = load_robot().limits
-    # A robot with higher limits than the papers' robot must not be clipped at the range of that robot's link.
-    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(shipped, name)) for name in ("v", "omega")}
+    """Return the sample time and the limits of a controller's plant as arguments of `make_plant`."""
+    standard = load_robot().limits
+    # A robot with higher limits than the papers' robot must not be limited to the range of that robot's serial link.
+    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(standard, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 
 
-def _check_names(places: Mapping[str, object]) -> None:
-    """Raise ArgumentError if an argument is a shipped name of another kind; `places` are the arguments by kind."""
+def _check_names(arguments: Mapping[str, object]) -> None:
+    """Raise ArgumentError if an argument is a built-in name of another kind; `arguments` are the arguments by kind."""
     for kind, names in {"plant": (PHYSICS,), "trajectory": BUILT_IN}.items():
-        for place, value in places.items():
-            if isinstance(value, str) and value in names and place != kind:
-                raise ArgumentError(f"simulate: '{value}' is the name of a {kind}, given as the {place}; {_ORDER}")
+        for argument, value in arguments.items():
+            if isinstance(value, str) and value in names and argument != kind:
+                raise ArgumentError(f"simulate: '{value}' is the name of a {kind}, given as the {argument}; {_ORDER}")
 
 
 def _has(value: object, names: tuple[str, ...]) -> bool:

@@ -1,4 +1,4 @@
-"""Run many cases, and group their rows in pandas tables; one row per run."""
+"""Run many cases and group their rows in pandas tables; one row per run."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 
 Measure = Callable[[Case, Run], Mapping[str, object]]
-"""Function that computes further columns of a run in the process that drives it; the run itself is not stored."""
+"""Function that computes further columns from a run, in the process of the run; the run itself is not stored."""
 PROCESSOR = "processor_s"
 """Column of the processor time of a run [s]."""
 COMPARED = "compared"
-"""Column that names controllers by every setting that varies among the rows, see `bench.run_row.driver_names`."""
+"""Column with the name of the controller and every setting that varies among the rows, see
+`bench.run_row.driver_names`."""
 
 
 @dataclass(frozen=True)
 class ExperimentRun:
-    """A run of an experiment: its case, and labels that become additional columns."""
+    """Run of an experiment: its case and labels, which become additional columns."""
 
     case: Case
     labels: Mapping[str, object] = field(default_factory=dict)
@@ -44,7 +45,7 @@ def drive_all(
     measure: Measure | None = None,
     run_one: Callable[[Case], Run] = run_case,
 ) -> DataFrame:
-    """Run `drives` in `jobs` processes, see `bench.runner.run_tasks`; return one row per run, in order.
+    """Run `drives` in `jobs` processes, see `bench.runner.run_tasks`; return one row per run, in the order of `drives`.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def drive_all(
     jobs, on_done
         Arguments of `run_tasks`.
     measure
-        Function that computes further columns of a run; None for no further columns.
+        Function that computes further columns from a run; None for no further columns.
     run_one
         Function that runs a case.
     """
@@ -61,9 +62,9 @@ def drive_all(
 
 
 def _row(drive: ExperimentRun, measure: Measure | None, run_one: Callable[[Case], Run]) -> Row:
-    began = time.process_time()
+    start = time.process_time()
     run = run_one(drive.case)
-    cost = {PROCESSOR: time.process_time() - began}
+    cost = {PROCESSOR: time.process_time() - start}
     return row_of(drive.case, run) | cost | dict(drive.labels) | (dict(measure(drive.case, run)) if measure else {})
 
 
@@ -73,9 +74,9 @@ def frame(rows: Iterable[Row]) -> DataFrame:
 
 
 def concatenate(*parts: DataFrame) -> DataFrame:
-    """Concatenate tables; drop empty tables and repeated cases."""
-    filled = [part for part in parts if len(part)]
-    return pd.concat(filled, ignore_index=True).drop_duplicates("case") if filled else DataFrame()
+    """Concatenate tables; omit empty tables and repeated cases."""
+    non_empty = [part for part in parts if len(part)]
+    return pd.concat(non_empty, ignore_index=True).drop_duplicates("case") if non_empty else DataFrame()
 
 
 def values(rows: DataFrame, column: str) -> FloatArray:
@@ -90,14 +91,15 @@ def mean(rows: DataFrame, column: str) -> float:
 
 
 def total(rows: DataFrame, column: str) -> int:
-    """Sum a column of counts or booleans over runs."""
+    """Sum a column of counts or booleans over all runs."""
     return int(values(rows, column).sum())
 
 
 def group_rows(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
-    """Group rows by columns in the order of first appearance; the first column varies most slowly.
+    """Group rows by columns in the order of first appearance; the first column varies slowest.
 
-    The column `COMPARED` names controllers by every setting that varies inside the groups of the preceding columns.
+    The column `COMPARED` contains the name of the controller and every setting that varies within a group of the
+    preceding columns.
     """
     if not len(rows) or not columns:
         return [((), rows)] if len(rows) else []
@@ -116,12 +118,12 @@ def _names(cases: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
-    """Return rows by the value of a column (or `COMPARED`), in the order of first appearance."""
+    """Group rows by the value of a column (or of `COMPARED`), in the order of first appearance."""
     return {name: part for (name,), part in group_rows(rows, [column])}
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
-    """Convert rows to plain values, without timings, runs and arrays, and with the case's overrides under "set"."""
+    """Convert rows to plain values without timings, runs and arrays; the overrides of the case are under "set"."""
     columns = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
     return [
         plain(

@@ -11,29 +11,29 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Value = bool | int | float | str
 Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
-"""Values of dimensions of `bench.case.Case`, of configuration values by dotted key, and of `variant`."""
+"""Values by dimension: a field of `bench.case.Case`, a configuration value by dotted key, or `variant`."""
 
 
 class TableFile(StrictModel):
-    """A table over groups of runs; cells that the program computes have a name of one word."""
+    """Table over groups of runs; a cell whose definition is one word is computed by the program."""
 
     title: str
-    part: tuple[str, ...] = Field((), description="parts of the experiment to tabulate; empty for all runs")
-    where: dict[str, Value] = Field({}, description="required value by column; selects the runs")
-    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, under their headings")
-    columns: dict[str, str] = Field(description="definition of the cells, by the heading of their column")
+    part: tuple[str, ...] = Field((), description="parts of the experiment in the table; empty for all runs")
+    where: dict[str, Value] = Field({}, description="value of each column that a run must have to be in the table")
+    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="grouping columns by heading")
+    columns: dict[str, str] = Field(description="definitions of the cells, by heading of the column")
     across: str = Field(
-        "", description="column for whose values the columns are repeated; the value replaces {} in headings"
+        "", description="column; the cells are repeated for each of its values, which replaces {} in the headings"
     )
-    mean: bool = Field(False, description="whether a row below each block summarises the block")
+    mean: bool = Field(False, description="whether each block of rows is followed by a row of means")
     note: str = ""
 
 
 class ExperimentFile(StrictModel):
-    """Runs of an experiment and their presentation."""
+    """Runs of an experiment and tables of their results."""
 
     title: str = Field(description="heading of the report")
-    vary: Varied = Field({}, description="values for every part that does not define them; the last varies fastest")
-    variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
-    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part; combinations of values are run")
+    vary: Varied = Field({}, description="default values of the dimensions; the last dimension varies fastest")
+    variants: dict[str, dict[str, Value]] = Field({}, description="configuration values by name of the variant")
+    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part; all combinations of a block are run")
     tables: Mapping[str, TableFile] = Field({}, description="tables of the report, in order")

@@ -45,21 +45,21 @@ _SETTINGS: Any = {
 
 @contextmanager
 def new_figure(path: Path, width: float, height: float) -> Iterator[Figure]:
-    """Yield a figure of `width` x `height` inches, and save it to `path` afterwards."""
+    """Yield a figure of `width` x `height` inches and save it to `path` afterwards."""
     with mpl.rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        # No date and no software version: the same run gives the same file.
+        # Without date and software version, the same run produces the same file.
         figure.savefig(path, metadata={"Software": None})
 
 
 def colour(index: int) -> str:
-    """Return the colour of the series number `index`; it repeats after seven."""
+    """Return the colour of series number `index`; the colours repeat after seven series."""
     return PALETTE[index % len(PALETTE)]
 
 
 def line_style(index: int) -> str:
-    """Return the line style of the series number `index`, so that lines also differ in print without colour."""
+    """Return the line style of series number `index`; it distinguishes the lines in a print without colour."""
     return LINE_STYLES[index % len(LINE_STYLES)]
 
 
@@ -68,8 +68,8 @@ def file_name(text: str) -> str:
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
 
 
-def free_name(text: str, taken: Container[str]) -> str:
-    """Return the file name of a figure called `text`, with a number if the name is taken."""
+def free_name(text: str, used: Container[str]) -> str:
+    """Return a file name for a figure titled `text`, with a number if the name is in `used`."""
     stem = file_name(text)
     names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
-    return next(name for name in names if name not in taken)
+    return next(name for name in names if name not in used)

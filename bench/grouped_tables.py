@@ -1,7 +1,7 @@
-"""Tables over groups of runs, with columns such as "mean lateral_max_m mm".
+"""Tables over groups of runs whose columns are defined by texts such as "mean lateral_max_m mm".
 
-A column is a statistic, the name of a column of `bench.run_row`, and optionally a unit (`mm`, `mrad`, `ms`, `percent`)
-and the number of decimal places.
+Such a text contains a statistic, the name of a column of `bench.run_row`, and optionally a unit (`mm`, `mrad`, `ms`,
+`percent`) and the number of decimal places.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray
 
 Cell = Callable[[DataFrame], str]
-"""Function from the rows of a group to a cell."""
+"""Function that maps the rows of a group to the text of a cell."""
 Figure = Callable[[DataFrame], float]
-"""Function from the rows of a group to a number."""
+"""Function that maps the rows of a group to a number."""
 
 UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)}
-"""Factor from the unit of the column, and the usual decimal places."""
+"""Conversion factor from the unit of the column, and default number of decimal places."""
 KNOWN = "_known"
 """Suffix of a statistic that omits runs without a value; without the suffix, such a run makes the statistic NaN."""
 STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
@@ -42,14 +42,14 @@ STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
 
 
 def figure(text: str, where: str = "figure") -> Figure:
-    """Return the function for "STATISTIC COLUMN", in the unit of the column; it returns NaN without runs.
+    """Parse "STATISTIC COLUMN"; the function returns the statistic in the unit of the column, or NaN without runs.
 
-    Raises ConfigError, which names the place `where`, if the text is invalid.
+    Raises ConfigError, whose message starts with `where`, if the text is invalid.
     """
     name, _, column = text.partition(" ")
     statistic = STATISTICS.get(name.removesuffix(KNOWN))
     if statistic is None or not column or " " in column:
-        raise ConfigError(f"{where}: '{text}' is no statistic of a column; known: {', '.join(STATISTICS)}")
+        raise ConfigError(f"{where}: '{text}' is not a statistic of a column; available: {', '.join(STATISTICS)}")
 
     def value(rows: DataFrame) -> float:
         numbers = values(rows, column)
@@ -63,9 +63,9 @@ def cell(text: str, where: str = "column") -> Cell:
     """Parse a cell such as "mean position_rmse_m mm" or "share completed".
 
     Further statistics are `runs` (number of runs), `share` (share of runs with a true value), and `time` or `longest`
-    (mean and maximum of a time, which is infinite if the event did not occur).
+    (mean and maximum of a time that is infinite if the event did not occur).
 
-    Raises ConfigError, which names the place `where`, if the text is invalid.
+    Raises ConfigError, whose message starts with `where`, if the text is invalid.
     """
     statistic, *words = text.split()
     column = " ".join(words[:1])
@@ -80,18 +80,18 @@ def cell(text: str, where: str = "column") -> Cell:
     places = words[1 + len(unit) :]
     factor, digits = UNITS[unit[0]] if unit else (1.0, 0 if statistic == "total" else 4)
     if len(places) > 1 or not all(word.isdecimal() for word in places):
-        raise ConfigError(f"{where}: '{text}': after the column give a unit ({', '.join(UNITS)}) and decimal places")
+        raise ConfigError(f"{where}: '{text}': the column may precede a unit ({', '.join(UNITS)}) and decimal places")
     value = figure(f"{statistic} {column}", where)
     return lambda rows: number(factor * value(rows), int(places[0]) if places else digits)
 
 
 class TableSpec(TableFile):
-    """Definition of a table over groups of runs, as read from a file."""
+    """Definition of a table over groups of runs, read from a file."""
 
     def table(self, rows: DataFrame, cells: Mapping[str, Cell] | None = None, note: str = "") -> Table:
         """Build the table of the selected rows.
 
-        `cells` are the cells that the program computes, by name; `note` is appended to the note of the file.
+        `cells` are the cells computed by the program, by name; `note` is appended to the note of the file.
         """
         for column, value in self.where.items():
             rows = rows[rows[column] == value]
@@ -109,7 +109,7 @@ class TableSpec(TableFile):
 
 
 def _cell_of_rows(column_cell: Cell, index: pd.Index, rows: DataFrame) -> str:
-    """Return the cell of the rows of a group whose index is in `index`."""
+    """Return the cell for those rows of a group whose index is in `index`."""
     part = rows[rows.index.isin(index)]
     return column_cell(part) if len(part) else "-"
 
@@ -137,15 +137,15 @@ def grouped_table(
     rows
         One row per run.
     names
-        Columns to group by, by heading; the first varies most slowly.
+        Columns by which the rows are grouped, by heading; the first column varies slowest.
     columns
         Cells by heading.
     mean
-        True to append a row for the whole block after each block of the last of `names`.
+        If True, each block of the last of `names` is followed by a row for the whole block.
     """
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
     for outer, block in itertools.groupby(group_rows(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
-        entries += (listed := list(block))
-        if mean and len(listed) > 1:
-            entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))
+        entries += (block_entries := list(block))
+        if mean and len(block_entries) > 1:
+            entries.append(((*outer, "mean"), pd.concat(part for _, part in block_entries)))
     return Table.build(title, tuple(names), columns, entries, note)

@@ -1,4 +1,4 @@
-"""Description of the machine that produced a result, without names of hosts, users or paths."""
+"""Description of the computer that produced a result, without names of hosts, users or paths."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 from diffdrive_mpc.bench.runner import available_cores
 
 PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "joblib")
-"""Packages whose version can change a result."""
+"""Packages whose version can influence a result."""
 
 
 def describe_run(wall_time: float) -> dict[str, Any]:
-    """Describe the run behind a result: version, revision, day, machine, duration `wall_time` [s]."""
+    """Describe the run that produced a result: version, revision, date, computer and duration `wall_time` [s]."""
     return {
         "project": "diffdrive-mpc",
         "version": project_version(),
@@ -28,7 +28,7 @@ def describe_run(wall_time: float) -> dict[str, Any]:
 
 
 def describe_machine() -> dict[str, object]:
-    """Describe processor, cores, system, Python and packages."""
+    """Describe the processor, the cores, the operating system, Python and the packages."""
     return {
         "cpu": _processor(),
         "cores": available_cores(),
@@ -44,23 +44,23 @@ def project_version() -> str:
 
 
 def git_revision() -> str | None:
-    """Return the revision of the running checkout, with "+" for uncommitted changes; None outside a checkout."""
+    """Return the Git revision of this checkout, with "+" if it has uncommitted changes; None outside a checkout."""
     root = Path(__file__).resolve().parents[1]
-    top = _git("rev-parse", "--show-toplevel")
+    checkout_root = _git("rev-parse", "--show-toplevel")
     revision = _git("rev-parse", "--short=12", "HEAD")
-    if not revision or not top or Path(top).resolve() != root:
+    if not revision or not checkout_root or Path(checkout_root).resolve() != root:
         return None
     return revision + ("+" if _git("status", "--porcelain", "--untracked-files=no") else "")
 
 
 def _git(*arguments: str) -> str:
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
         )
     except (OSError, subprocess.SubprocessError):
         return ""
-    return done.stdout.strip()
+    return completed.stdout.strip()
 
 
 def package_version(package: str) -> str:

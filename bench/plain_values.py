@@ -1,4 +1,4 @@
-"""Conversion to values that JSON can represent."""
+"""Conversion to values that JSON supports."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pydantic import BaseModel
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - any value of JSON
-    """Convert dataclasses, settings, mappings, sequences and arrays to JSON values; NaN and infinity become None.
+    """Convert dataclasses, Pydantic models, mappings, sequences and arrays to JSON values; NaN and infinity give None.
 
     Parameters
     ----------
     value
         Value to convert.
     digits
-        Significant digits of every number that is no integer; None for all digits.
+        Number of significant digits of numbers other than integers; None for all digits.
     """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""Terminal output: a progress bar that does not disturb time measurements, and the console for results."""
+"""Terminal output: a progress bar that does not disturb time measurements, and a console for results."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 
 _REFRESH_PERIOD = 0.2
 _LINE_PERIOD = 10.0
-"""Time between two lines of progress if stderr is no terminal, such as a pipe or a build log [s]."""
+"""Time between two lines of progress if stderr is not a terminal, but for example a pipe or a build log [s]."""
 
 
 class _PlainConsole(Console):
-    """Console that removes control characters from text, because names may come from untrusted files."""
+    """Console that removes control characters from texts, which may come from untrusted files."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield the rendered segments; segments for colours and cursor moves are kept."""
+        """Yield the rendered segments; segments for colours and cursor movements are unchanged."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
 
 
 class ProgressBar:
-    """A bar on stderr, drawn in the caller's thread: a separate thread would disturb measured step times.
+    """Progress bar on stderr, drawn in the caller's thread, because another thread would disturb measured step times.
 
     Parameters
     ----------
     text
         Description of the current stage.
     total
-        Number of steps; it may become known later.
+        Number of steps; None if it is not yet known.
     lines
-        True to write a line of progress periodically if stderr is no terminal.
+        Whether to write a line of progress periodically if stderr is not a terminal.
     """
 
     def __init__(self, text: str, total: int | None = None, *, lines: bool = False) -> None:
@@ -67,7 +67,7 @@ class ProgressBar:
         self._progress.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Show the progress as `done` of `total`."""
+        """Show that `done` of `total` steps are finished."""
         self._progress.update(self._task, completed=done, total=total)
         self._draw()
 
@@ -77,7 +77,7 @@ class ProgressBar:
         self._draw()
 
     def start_stage(self, text: str, total: int, done: int = 0) -> None:
-        """Start another stage, or resume one of which `done` steps are finished."""
+        """Start another stage, of which `done` steps are already finished."""
         self._progress.update(self._task, description=text, completed=done, total=total)
         self._progress.refresh()
 
@@ -94,9 +94,9 @@ class ProgressBar:
 
 
 def output_console(width_elsewhere: int = 140) -> Console:
-    """Create a console on stdout with the width of the variable COLUMNS or of the terminal.
+    """Create a console on stdout with the width of the terminal or of the environment variable COLUMNS.
 
-    Other outputs (a file, a pipe, a build log) get the width `width_elsewhere`, which is enough for the tables.
+    For a file, a pipe or a build log, the width is `width_elsewhere`, which is enough for the tables.
     """
     console = _PlainConsole()
     if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():

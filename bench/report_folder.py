@@ -1,4 +1,4 @@
-"""Write a folder of results so that it contains either the old or the new results, never a mixture."""
+"""Replace the results in a folder such that it contains either the old or the new results, never a mixture."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from diffdrive_mpc.models.whole_file import (
     scratch_folder,
 )
 
-# Record of the writing commands of a results folder, and lock for writing.
+# Record of the commands that wrote the files of a results folder, and lock for writing.
 
 
 REPORT = "report.html"
-"""Name of the page in a folder of results."""
+"""Name of the page in a results folder."""
 CONTENTS = ".contents.json"
-"""Name of the hidden file in the folder that records the commands that wrote its files."""
+"""Name of the hidden file that records which command wrote each file of the folder."""
 _MAX_CONTENTS_BYTES = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]
-"""Files of a folder by their path in it: the command that wrote each, size [bytes] and time of the last change [ns]."""
+"""For each file by its path in the folder: the command that wrote it, size [bytes] and time of the last change [ns]."""
 
 
 def _contents(folder: Path) -> Entries:
-    """Return the entries of a folder; empty if its record cannot be read."""
+    """Return the entries of a folder; empty if the record cannot be read."""
     try:
-        listed: Any = parse_json(read_input(folder / CONTENTS, _MAX_CONTENTS_BYTES))
+        record: Any = parse_json(read_input(folder / CONTENTS, _MAX_CONTENTS_BYTES))
         entries = {
-            str(name): _entry(str(entry["by"]), entry["bytes"], entry["changed_ns"]) for name, entry in listed.items()
+            str(name): _entry(str(entry["by"]), entry["bytes"], entry["changed_ns"]) for name, entry in record.items()
         }
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
-    whole = folder.resolve()
+    place = folder.resolve()
     return {
-        name: entry for name, entry in entries.items() if (path := whole / name).is_file() and path.resolve() == path
+        name: entry for name, entry in entries.items() if (path := place / name).is_file() and path.resolve() == path
     }
 
 
@@ -60,13 +60,13 @@ def _entry_of(path: Path, owner: str) -> dict[str, Any]:
 
 
 def _other_owner(entries: Entries, name: str, owner: str) -> str:
-    """Return the command that wrote a file; empty if it is `owner` or unknown."""
-    known = str(entries.get(name, {}).get("by", owner))
-    return "" if known == owner else known
+    """Return the command that wrote a file; empty if the command is `owner` or unknown."""
+    recorded = str(entries.get(name, {}).get("by", owner))
+    return "" if recorded == owner else recorded
 
 
 def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[str]:
-    """Return files that the command wrote before and not now, except files that were changed since or are in use."""
+    """Return earlier files of the command that are not in `new`; omit files that were changed since or are inputs."""
     return sorted(
         name
         for name, entry in entries.items()
@@ -76,7 +76,7 @@ def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[st
 
 @contextmanager
 def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iterator[None]:
-    """Lock a folder against other commands inside the context; the system releases the lock when this process ends.
+    """Lock a folder against other commands within the context; the system releases the lock when this process ends.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iter
     shown
         Name of the folder in the message.
     wait
-        True to wait for the other command, for short locks of processes that share a folder.
+        Whether to wait until another command releases its lock; for short locks of processes that share a folder.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iter
         handle = lock_folder(folder, wait=wait)
     except BlockingIOError as error:
         raise ConfigError(
-            f"--out {shown}: another command is writing to it; wait for its end, or give another folder"
+            f"--out {shown}: another command is writing to this folder; wait until it ends, or choose another folder"
         ) from error
     try:
         yield
@@ -114,31 +114,31 @@ def staged(
     owner: str = "",
     shared: bool = False,
 ) -> Iterator[Path]:
-    """Yield a temporary folder to write into; on success its files are moved to `target`, on failure none of them.
+    """Yield a temporary folder for the results; on success its files are moved to `target`, on failure none of them.
 
-    Other files of `target` are kept, except former results of the same command. Folders that were created and stay
-    empty are removed.
+    Other files in `target` are not changed, except that former results of the same command are removed. New folders
+    that remain empty are removed.
 
     Parameters
     ----------
     target
-        Folder for the results; created if missing.
+        Folder of the results, which is created if missing.
     files
-        Names of files that will be written; they are moved last, in this order.
+        Names of files that will be written, in the order in which they are moved after all other files.
     folders
         Names of folders that will be written.
     owner
-        Command that writes the results. Its former results are replaced. If `report.html` belongs to another command,
-        the page is named after this command. If empty, owners are not checked.
+        Command that writes the results and whose former results are replaced. If `report.html` belongs to another
+        command, the page is named after this command. If empty, owners are not checked.
     shared
-        True if several processes may work in `target` at the same time; else a second process raises ConfigError.
+        Whether several processes may work in `target` at the same time; if not, a second process raises ConfigError.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        On entry, if `target` is a file or cannot be written to, if another process writes to it, or if one of `files`
-        is a folder in `target` (or the reverse), belongs to another command, or is an input of this command. On exit,
-        if another result has the name of an entry of a different kind; then nothing is replaced.
+        On entry, if `target` is a file or cannot be written to, if another process writes to `target`, or if one of
+        `files` is a folder in `target` (or the reverse), belongs to another command, or is an input of this command.
+        On exit, if a result file has the name of a folder in `target` or the reverse; then nothing is replaced.
     """
     with ExitStack() as stack:
         try:
@@ -148,7 +148,7 @@ def staged(
                 stack.enter_context(exclusive_access(place, target))
             scratch = stack.enter_context(scratch_folder(place))
         except (OSError, RuntimeError) as error:
-            raise ConfigError(f"--out {target}: cannot be written to ({reason(error)}); give a folder") from error
+            raise ConfigError(f"--out {target}: cannot be written to ({reason(error)}); choose a folder") from error
         for name in (*files, *folders):
             _check_kind(place, Path(name), target, folder=name in folders)
         _check_owners(place, target, files, owner)
@@ -158,8 +158,8 @@ def staged(
         yield results
         if owner and shared:
             stack.enter_context(exclusive_access(place, target, wait=True))
-        before = _contents(place)
-        if owner and (results / REPORT).exists() and _other_owner(before, REPORT, owner):
+        old_entries = _contents(place)
+        if owner and (results / REPORT).exists() and _other_owner(old_entries, REPORT, owner):
             (results / REPORT).rename(results / f"{owner}.html")
         for path in sorted(results.rglob("*")):
             _check_kind(place, path.relative_to(results), target, folder=path.is_dir())
@@ -167,9 +167,9 @@ def staged(
                 within = path.relative_to(results)
                 check_not_read(place / within, f"--out {target / within}")
         new = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
-        stale = _stale(before, place, owner, {*new, *files}) if owner else []
+        stale = _stale(old_entries, place, owner, {*new, *files}) if owner else []
         if owner:
-            entries = {name: entry for name, entry in before.items() if entry["by"] != owner and name not in new}
+            entries = {name: entry for name, entry in old_entries.items() if entry["by"] != owner and name not in new}
             entries |= {name: _entry_of(results / name, owner) for name in new}
             text = json.dumps(dict(sorted(entries.items())), indent=0) + "\n"
             (results / CONTENTS).write_text(text, encoding="utf-8")
@@ -177,12 +177,12 @@ def staged(
 
 
 def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -> None:
-    """Raise ConfigError if a file of another command would be replaced; the page is excepted, as it can be renamed."""
-    known = _contents(place)
+    """Raise ConfigError if a file of another command would be replaced, unless it is the page, which can be renamed."""
+    recorded = _contents(place)
     for name in files if owner else ():
-        former = _other_owner(known, name, owner)
+        former = _other_owner(recorded, name, owner)
         if former and name != REPORT:
-            raise ConfigError(f"--out {target}: '{name}' is a result of `{former}`; give another folder")
+            raise ConfigError(f"--out {target}: '{name}' is a result of `{former}`; choose another folder")
         check_not_read(place / name, f"--out {target / name}")
 
 
@@ -193,29 +193,29 @@ def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
         return
     if path.is_symlink() or not (path.is_dir() if folder else path.is_file()):
         kind = "folder" if folder else "file"
-        raise ConfigError(f"--out {target}: '{name}' exists and is no {kind}, as the results need; move it away")
+        raise ConfigError(f"--out {target}: '{name}' exists and is not a {kind}; move or remove it")
 
 
 def _put_in_place(results: Path, place: Path, old: Path, last: Sequence[str], stale: Sequence[str]) -> None:
-    """Move every new file to its place, and stale files away; undo all moves if one fails."""
+    """Move every new file to `place` and every stale file away from it; undo all moves if one of them fails."""
     names = [path.relative_to(results) for path in results.rglob("*") if path.is_file()]
     names.sort(key=lambda name: (last.index(str(name)) if str(name) in last else -1, name))
-    done: list[Path] = []
+    moved: list[Path] = []
     with ExitStack() as created:
         try:
             for name in map(Path, stale):
                 (old / name).parent.mkdir(parents=True, exist_ok=True)
                 (place / name).replace(old / name)
-                done.append(name)
+                moved.append(name)
             for name in names:
                 created.enter_context(new_folder((place / name).parent))
                 if (place / name).exists():
                     (old / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(place / name, old / name)
                 (results / name).replace(place / name)
-                done.append(name)
+                moved.append(name)
         except BaseException:
-            for name in reversed(done):
+            for name in reversed(moved):
                 if (old / name).exists():
                     (old / name).replace(place / name)
                 else:

@@ -1,4 +1,4 @@
-"""Row of a run: all columns for tables, figures, JSON and Parquet."""
+"""Row of a run with all columns for tables, figures, JSON and Parquet."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from diffdrive_mpc.sim.run import NO_SOLVER
 
 Row = dict[str, Any]
 CLOCK = ("step_time", "solve_time", "deadline")
-"""Prefixes of the columns that differ when a run is repeated."""
+"""Prefixes of columns that differ between repetitions of a run."""
 FORMER_COLUMNS = {f"path_{name}_percent": f"method_{name}_percent" for name in ("unlimited", "active_set", "backend")}
-"""Columns by their deprecated name, which is written for one more release."""
-STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
+"""Names of columns by deprecated name; both are written for one more release."""
+STATISTICS = "true pose relative to the reference, from t = 0 to the end of the reference without a settling time"
 
 
 @dataclass(frozen=True)
 class SolverShares:
-    """Shares of the solver methods in the solved ticks [%], and the number of ticks without a solve.
+    """Shares of the solver's methods in the solved ticks [%], and number of ticks without a solve.
 
     Unlimited: no limit was active. Active set: the guessed active set was verified. Backend: solved by OSQP or DAQP.
     NaN if no tick was solved.
@@ -41,7 +41,7 @@ class SolverShares:
 
     @classmethod
     def of_run(cls, run: Run) -> SolverShares:
-        """Compute the shares over the ticks of `run` that the statistics cover."""
+        """Compute the shares over the counted ticks of `run`."""
         ticks = Counter(method for method, counted in zip(run.solver_methods, run.counted, strict=True) if counted)
         solved = ticks.total() - ticks[NO_SOLVER]
 
@@ -53,10 +53,10 @@ class SolverShares:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """A case and its run.
+    """Case and its run.
 
-    `clean_share` is the share of ticks that were timed undisturbed, or NaN if the run was not timed. Times of disturbed
-    ticks are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`.
+    `clean_share` is the share of ticks that were timed without disturbance, or NaN if the run was not timed. The times
+    of disturbed ticks are NaN, unless `bench.timing.time_outcomes` could not omit them.
     """
 
     case: Case
@@ -65,13 +65,13 @@ class RunOutcome:
 
     @property
     def untimed(self) -> RunOutcome:
-        """The outcome without step times, which runs in parallel disturb."""
-        nothing = np.full(len(self.run.time), np.nan)
-        return replace(self, run=self.run.with_step_time(nothing, nothing), clean_share=math.nan)
+        """Outcome without step times, for runs that were disturbed by parallel runs."""
+        no_times = np.full(len(self.run.time), np.nan)
+        return replace(self, run=self.run.with_step_time(no_times, no_times), clean_share=math.nan)
 
     @property
     def row(self) -> Row:
-        """The row of the run, with the run, the clean share, and the distance of the path from the drawn path [m]."""
+        """Row of the run, with the run itself, the clean share, and the distance from the drawn path [m]."""
         times, reference = self.run.time[self.run.counted], self.run.reference
         distance = reference.drawn_distance(times) if isinstance(reference, Trajectory) else np.zeros(times.size)
         return row_of(self.case, self.run) | {
@@ -84,19 +84,19 @@ class RunOutcome:
 
 
 def row_of(case: Case, run: Run) -> Row:
-    """Build the row of a run: the case, its driver, the dimensions of the case, and `run_columns`."""
+    """Build the row of a run: the case, the name of its controller, the dimensions of the case, and `run_columns`."""
     return {"case": case, "driver": driver_name(case)} | case.as_row() | run_columns(run)
 
 
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
-    """Compute metrics and shares of the solver, without the columns of times unless `timed`."""
+    """Compute the metrics and the shares of the solver; unless `timed`, omit the columns of times."""
     values = asdict(run.metrics) | asdict(SolverShares.of_run(run))
     values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
 
 
 def run_columns(run: Run) -> Row:
-    """Return statistics, recovery, columns of the run's parts, its end, and the most frequent message."""
+    """Compute the statistics, the recovery, the columns of the run's parts, its end, and the most frequent message."""
     messages = Counter(message for message in run.messages if message)
     return {
         **statistics_of(run),
@@ -111,13 +111,13 @@ def run_columns(run: Run) -> Row:
 
 
 def driver_name(case: Case) -> str:
-    """Return the model of the predictive controller, or the name of a peer."""
+    """Return the name of the predictive controller's model, or the name of a peer."""
     labels = case.labels
     return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
 
 
 def model_name(name: str) -> str:
-    """Return the name of a model as in the papers, or the name of the user's file."""
+    """Return the name of a model in the papers, or the name of the user's file."""
     if name in STRUCTURES:
         return name.replace("_", " ") if "_" in name else name.upper()
     return {
@@ -130,9 +130,9 @@ def _setting(key: str, value: object) -> str:
 
 
 def driver_names(cases: Sequence[Case]) -> list[str]:
-    """Name the compared controllers: peer or model, with the dimensions and settings that vary.
+    """Name the compared controllers by peer or model and by the dimensions and settings that vary.
 
-    A dimension that does not vary is omitted, and so is "mpc" before the name of its model.
+    Dimensions that do not vary are omitted, as is "mpc" before the name of a model.
     """
     labels = [case.labels for case in cases]
     varying = [
@@ -140,7 +140,7 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
         for dimension in DIMENSIONS
         if dimension.place and len({labels_of_case[dimension.name] for labels_of_case in labels}) > 1
     ]
-    several = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
+    overrides_vary = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
     names = []
     for case, labels_of_case in zip(cases, labels, strict=True):
         parts = [driver_name(case)]
@@ -148,6 +148,6 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
             labels_of_case[entry.name] if entry.kind is str else f"{entry.name}={labels_of_case[entry.name]}"
             for entry in varying
         ]
-        parts += [_setting(key, value) for key, value in case.overrides] if several else []
+        parts += [_setting(key, value) for key, value in case.overrides] if overrides_vary else []
         names.append(", ".join(parts))
     return names

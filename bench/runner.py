@@ -1,4 +1,4 @@
-"""The process pool of all studies."""
+"""Process pool of all studies."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
-# Failures of a study that are no user errors; each message is one line.
+# Failures of a study other than user errors; every message is a single line.
 
 
 class StudyFailedError(DiffdriveMpcError, RuntimeError):
-    """A study could not be finished."""
+    """A study could not be completed."""
 
 
 class NotReproducibleError(StudyFailedError):
-    """A replay of the same measurements gave different commands."""
+    """A replay of the same measurements computed different commands."""
 
 
 class WorkerDiedError(StudyFailedError):
@@ -45,24 +45,24 @@ def available_cores() -> int:
 
 @contextmanager
 def persistent_processes() -> Iterator[None]:
-    """Keep processes of `run_tasks` alive between calls inside the context."""
-    before = _PERSISTENT.set(True)
+    """Keep the processes of `run_tasks` alive between calls within the context."""
+    token = _PERSISTENT.set(True)
     try:
         yield
     finally:
-        _PERSISTENT.reset(before)
-        _end_processes(at_once=False)
+        _PERSISTENT.reset(token)
+        _end_processes(immediately=False)
 
 
 def keeps_processes() -> bool:
-    """Return True if processes are kept alive between calls of `run_tasks`."""
+    """Return True if processes stay alive between calls of `run_tasks`."""
     return _PERSISTENT.get()
 
 
 def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
-    """Call every task with one BLAS thread, in `jobs` processes; call `on_done` after each task.
+    """Call every task in one of `jobs` processes with one BLAS thread; call `on_done` after each task.
 
-    An exception of a task is raised, and ends the other tasks.
+    An exception of a task is raised and ends the other tasks.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
     Raises
     ------
     WorkerDiedError
-        If a process was killed, for instance because the memory was full.
+        If a process was killed, for instance because memory was exhausted.
     """
     results = {}
     if jobs == 1 or len(tasks) < 2:
@@ -99,16 +99,16 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
     except BrokenProcessPool as error:
         raise WorkerDiedError(f"one of {jobs} processes was killed; try a smaller --jobs") from error
     finally:
-        # Idle workers would disturb the subsequent timing; workers of a failed study are killed.
+        # Idle workers would disturb subsequent time measurements. Workers of a failed study are killed.
         if not (finished and keeps_processes()):
-            _end_processes(at_once=not finished)
+            _end_processes(immediately=not finished)
 
 
-def _end_processes(*, at_once: bool) -> None:
+def _end_processes(*, immediately: bool) -> None:
     from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - see run_tasks
 
-    pool = get_reusable_executor(reuse=True, kill_workers=at_once)
-    pool.shutdown(wait=True, kill_workers=at_once)
+    pool = get_reusable_executor(reuse=True, kill_workers=immediately)
+    pool.shutdown(wait=True, kill_workers=immediately)
 
 
 def _call_numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
@@ -117,14 +117,14 @@ def _call_numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
-    # The parent process has read the same file and shown the warning.
+    # The parent process has already read the file and issued the warning.
     warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 
 
 @cache
 def _end_with_parent() -> None:
-    """End this process soon after its parent ends, even if the parent was killed."""
+    """End this process shortly after its parent has ended, even if the parent was killed."""
     parent = os.getppid()
 
     def watch() -> None:

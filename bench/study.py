@@ -1,6 +1,6 @@
-"""Base of all studies: runs, and their presentation as tables, figures, NAME.md, NAME.json and a page.
+"""Base class of all studies, which present their runs as tables, figures, NAME.md, NAME.json and a page.
 
-docs/recipes.md shows how to add one.
+docs/recipes.md shows how to add a study.
 """
 
 from __future__ import annotations
@@ -46,24 +46,24 @@ class Report:
     counted
         Number of runs, such as "12 runs".
     meta
-        Entries of the `meta` part in addition to machine, versions and duration: definitions and requested settings.
+        Entries of `meta` in addition to computer, versions and duration: definitions and requested settings.
     content
-        Content of the JSON file besides `meta`: rows of plain values by name.
+        Content of the JSON file in addition to `meta`: lists of rows of plain values by name.
     facts, notes
-        Sentences of the introduction before and after the facts about the machine.
+        Sentences of the introduction before and after the description of the computer.
     tables
-        Tables in order.
+        Tables in their order.
     figures
-        Figures by file name: charts, drawn side by side in the file and also shown on the page, or a function that
-        draws another figure.
+        Figures by file name: charts, which are drawn side by side in the file and also shown on the page, or a function
+        that draws any other figure.
     figures_first
-        Number of figures above the tables; the others are below. None for all.
+        Number of figures above the tables, with the others below; None for all figures.
     shown
-        Content of the page `report.html` besides tables and figures.
+        Content of the page `report.html` in addition to tables and figures.
     files
-        Text of each further file, by name.
+        Texts of further files by file name.
     screen
-        Tables to print in place of `tables`, for a terminal of 80 columns.
+        Tables printed in place of `tables` in the terminal.
     """
 
     counted: str
@@ -80,47 +80,47 @@ class Report:
 
     @property
     def drawings(self) -> dict[str, Draw]:
-        """Return the functions that draw each file in the folder of figures."""
+        """Return functions that draw the figures, by file name."""
         return {
             name: figure if callable(figure) else partial(_draw_charts, figure) for name, figure in self.figures.items()
         }
 
     @property
     def charts(self) -> list[Chart | GridMap]:
-        """All charts in order."""
+        """All charts in their order."""
         return [chart for figure in self.figures.values() if not callable(figure) for chart in figure]
 
 
 class Study(ABC, Generic[P, R]):
-    """Base class of a study: subclasses define runs and their presentation; `carry_out` runs the study.
+    """Base class of a study; subclasses define the runs and their presentation, and `carry_out` runs the study.
 
-    P is the type of the plan, R the type of the results. `name` names the command and the files; `title` is the heading
-    of the report.
+    P is the type of the plan, R that of the results. `name` is the name of the command and of the files; `title` is the
+    heading of the report.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     shared: ClassVar[bool] = False
-    """True if several processes may run the study in one folder at the same time."""
+    """True if several processes may run the study in the same folder at the same time."""
 
     @abstractmethod
     def plan(self) -> P:
-        """Plan the runs, before a folder is created.
+        """Plan the runs before any folder is created.
 
         Raises ConfigError or ValueError if a named item does not exist or cannot be used.
         """
 
     def cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List cases whose plant is compared with the configuration's robot; empty by default."""
+        """List the cases whose plant is compared with the robot of the configuration; none by default."""
         return ()
 
     def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List cases whose references are compared with their files; empty by default."""
+        """List the cases whose references are compared with their files; none by default."""
         return ()
 
     @abstractmethod
     def run(self, plan: P, jobs: int, bar: ProgressBar) -> R:
-        """Run everything in `jobs` processes."""
+        """Execute the plan in `jobs` processes."""
 
     @abstractmethod
     def report(self, results: R, seconds: float) -> Report:
@@ -128,21 +128,21 @@ class Study(ABC, Generic[P, R]):
 
 
 def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
-    """Run a study, print its tables and write its report into `out`.
+    """Run a study, print its tables and write its report to `out`.
 
     Parameters
     ----------
     study
-        The study to run.
+        The study.
     out
         Folder of the report.
     jobs
-        Number of processes; by default one for each core.
+        Number of processes; by default the number of cores.
 
-    Raises ConfigError, ValueError or OSError if a named item cannot be used or `out` cannot be written to; then `out`
-    keeps its content. Raises StudyFailedError if the study could not be finished.
+    Raises ConfigError, ValueError or OSError if a named item or `out` cannot be used; `out` is then unchanged. Raises
+    StudyFailedError if the study could not be completed.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     plan = study.plan()
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
     with (
@@ -152,7 +152,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
             output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
         results = study.run(plan, jobs or available_cores(), bar)
-        run = describe_run(time.perf_counter() - began)
+        run = describe_run(time.perf_counter() - start)
         report = study.report(results, run["wall_time_s"])
         bar.start_stage("drawing figures", len(report.drawings))
         write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
@@ -161,7 +161,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 
 
 def print_report(report: Report, seconds: float, out: Path) -> None:
-    """Print warnings, tables and the path of a report; `seconds` is the duration that the report states."""
+    """Print the warnings, the tables and the path of a report; `seconds` is the duration stated in the report."""
     console = output_console()
     for warned in report.shown.warnings:
         console.print(f"warning: {warned.text} {warned.remedy}", highlight=False)
@@ -173,9 +173,9 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
 def write_report(
     study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, figures, further files, `NAME.md` and the page into the existing `folder`.
+    """Write `NAME.json`, the figures, further files, `NAME.md` and the page to the existing `folder`.
 
-    `on_figure` is called after each figure. Many figures are drawn in `jobs` processes.
+    `on_figure` is called after each figure. If there are many figures, `jobs` processes draw them.
     """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     for name, text in report.files.items():
@@ -183,14 +183,14 @@ def write_report(
     if report.drawings:
         (folder / FIGURES).mkdir()
     draws = [partial(draw, folder / FIGURES / name) for name, draw in report.drawings.items()]
-    # Several processes only pay for many figures: each process must first load matplotlib.
+    # A few figures are drawn faster in this process, because every other process must first load matplotlib.
     run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
     write_page(report_page(study, report, meta, folder / FIGURES), folder / REPORT)
 
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
-    """Build the page of the report: its views, its charts, and by default the pictures in `figures`."""
+    """Build the page of the report with its views, its charts, and by default the pictures in `figures`."""
     drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
     pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
@@ -200,7 +200,7 @@ def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -
 
 
 def json_text(meta: Meta, content: Mapping[str, object]) -> str:
-    """Format `{"meta": ..., NAME: ...}` with one line per row of a list; numbers that are not finite become null."""
+    """Format `{"meta": ..., NAME: ...}` with a line for each row of a list; numbers that are not finite become null."""
     parts = {"meta": json.dumps(plain(meta), indent=1, allow_nan=False)}
     for name, value in plain(content).items():
         if isinstance(value, list):
@@ -211,7 +211,7 @@ def json_text(meta: Meta, content: Mapping[str, object]) -> str:
 
 
 def markdown(title: str, report: Report, meta: Meta) -> str:
-    """Format the report as Markdown: runs and machine, tables, and links to the figures."""
+    """Format the report as Markdown: description of runs and computer, tables, and links to the figures."""
     images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
     first = len(images[: report.figures_first])
     parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, *run_facts(meta), *report.notes)), ""]
@@ -222,7 +222,7 @@ def markdown(title: str, report: Report, meta: Meta) -> str:
 
 
 def run_facts(meta: Meta) -> list[str]:
-    """List version, revision and date of `meta`, as `describe_run` returns it; then machine and packages."""
+    """List the facts about a run in two sentences: version, revision and date; computer and packages."""
     machine = meta["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
@@ -244,7 +244,7 @@ def _title(figure: str) -> str:
 
 
 def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:
-    """Raise ConfigError if `only` names an unknown part of a study."""
+    """Raise ConfigError if `only` contains an unknown part of a study."""
     unknown = [name for name in only if name not in parts]
     if unknown:
         raise ConfigError(f"--only: unknown part {not_among(unknown[0], parts)}")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
-    """Return every combination of the values of several settings, in order; one empty combination for no settings.
+    """Return every combination of the values of several settings, in order; without settings, one empty combination.
 
     Raises ConfigError as `parsed_settings`, and ValueError if there are too many combinations.
     """
@@ -41,7 +41,7 @@ def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
     return [tuple(zip(keys, combination, strict=True)) for combination in itertools.product(*(v for _, v in parsed))]
 
 
-# `diffdrive_mpc.sweep`: every combination of models, trajectories, seeds and configuration values, as a table.
+# `diffdrive_mpc.sweep`: table of all combinations of models, trajectories, seeds and configuration values.
 
 
 Model = VelocityModel | NonlinearModel
@@ -59,42 +59,42 @@ def sweep(
     on_done: OnDone | None = None,
     **values: Any,  # noqa: ANN401 - any value of a configuration
 ) -> DataFrame:
-    """Run every combination of the values, and return a pandas table with one row per run.
+    """Run every combination of the values and return a pandas table with one row per run.
 
     Example: `sweep(model=["sm", "ssm"], trajectory=["circle", "s"], seeds=range(5), **{"horizon": [10, 30]})`.
 
     Parameters
     ----------
     model
-        Models, or their names or paths, see `load_model`.
+        Models or names or paths of models; see `load_model`.
     trajectory
-        Trajectories, or their names or paths, see `load_trajectory`.
+        Trajectories or names or paths of trajectories; see `load_trajectory`.
     seeds
-        Seeds of the noise, or the number of seeds, which start at 0.
+        Seeds of the noise, or the number of seeds, which then start at 0.
     plant
-        Names of plants, see `make_plant`.
+        Names of plants; see `make_plant`.
     config
-        Configuration file; by default the shipped one of each model, and for a user's model that of the SSM without its
-        extra dead time.
+        Configuration file; by default the built-in configuration of each model, or for a user's model that of the SSM
+        without its extra dead time.
     jobs
-        Number of processes; by default one for each core. The table contains step times for `jobs=1` only, because
+        Number of processes; by default the number of cores. The table contains step times only if `jobs=1`, because
         parallel runs disturb each other.
     on_done
-        Function to call after each run, in place of a progress bar.
+        Function that is called after each run; if given, there is no progress bar.
     values
-        One or several values by the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`,
-        `controller`), or by the dotted key of a configuration: `**{"weights.across": [100, 300]}`.
+        One or several values of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`) or
+        of a configuration value by dotted key, such as `**{"weights.across": [100, 300]}`.
 
     Returns
     -------
     pandas.DataFrame
-        Dimensions, configuration values, statistics of `Run.metrics`, and `ended`, which is empty if the run reached
-        its end. To plot it: `table.pivot_table("position_rmse_m", "horizon", "model").plot()`.
+        Dimensions, configuration values, statistics of `Run.metrics`, and `ended`, which is empty if the run was not
+        aborted. Example of a plot: `table.pivot_table("position_rmse_m", "horizon", "model").plot()`.
 
     Raises
     ------
     ArgumentError, ConfigError, ModelError, ValueError
-        If a name or key is unknown or a value cannot be used; then no case is run.
+        If a name or key is unknown or a value is invalid; in this case nothing is run.
     MissingPackageError
         If pandas is not installed.
     """
@@ -106,15 +106,15 @@ def sweep(
         "plant": _as_list(plant),
     }
     listed |= {name: _as_list(value) for name, value in values.items()}
-    for name, several in listed.items():
-        near = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
-        if near and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
-            raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{near[0]}'?")
-        if not several:
-            raise ConfigError(f"sweep: {name} has no value; give one or more")
-        if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in several):
+    for name, options in listed.items():
+        similar = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
+        if similar and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
+            raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{similar[0]}'?")
+        if not options:
+            raise ConfigError(f"sweep: {name} has no value; state at least one")
+        if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in options):
             raise ConfigError(
-                f"sweep: {name}: give numbers or words; groups have dotted keys, such as 'weights.across'"
+                f"sweep: {name}: use numbers or words; the values of a group have dotted keys, such as 'weights.across'"
             )
     check_count(math.prod(map(len, listed.values())))
     rows = [dict(zip(listed, combination, strict=True)) for combination in itertools.product(*listed.values())]
@@ -129,20 +129,20 @@ def sweep(
 
 
 class _Task:
-    """One run: a case, and the objects that replace its model and trajectory."""
+    """Run of a case, and the objects that replace its model and trajectory."""
 
     def __init__(self, values: Mapping[str, Any], config: str | None) -> None:
         self._values = values
         self._model = values["model"] if isinstance(values["model"], Model) else None
         self._trajectory = values["trajectory"] if isinstance(values["trajectory"], Trajectory) else None
         dimensions = {name: value for name, value in values.items() if name in _DEFAULTS}
-        for name, replaced in (("model", self._model), ("trajectory", self._trajectory)):
-            dimensions[name] = _DEFAULTS[name] if replaced is not None else _name(name, values[name])
+        for name, replacement in (("model", self._model), ("trajectory", self._trajectory)):
+            dimensions[name] = _DEFAULTS[name] if replacement is not None else _name(name, values[name])
         overrides = tuple((name, value) for name, value in values.items() if name not in _DEFAULTS)
         self.case = Case(**dimensions, config=config, overrides=overrides)
 
     def row(self, *, timed: bool) -> dict[str, object]:
-        """Run the case, and return its row."""
+        """Run the case and return its row."""
         case = self.case
         controller = make_controller(case) if self._model is None else Controller(case_config(case), self._model)
         reference = load_reference(case) if self._trajectory is None else self._trajectory
@@ -159,17 +159,17 @@ def _as_list(value: Any) -> list[Any]:  # noqa: ANN401
 
 
 def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
-    """Return the given seeds, or the first n seeds."""
+    """Return `seeds` as a list; a number n stands for the seeds 0 to n - 1."""
     if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
-        raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MAX_SEEDS}, or a list such as [3, 4]")
+        raise ConfigError(f"sweep: seeds = {seeds}; use 1 to {MAX_SEEDS}, or a list such as [3, 4]")
     listed = list(range(seeds)) if isinstance(seeds, int) else _as_list(seeds)
     if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
-        raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers of at least 0, or the number of seeds")
+        raise ConfigError(f"sweep: seeds {seeds!r}; use integers of at least 0, or the number of seeds")
     return [int(seed) for seed in listed]
 
 
 def _name(name: str, value: object) -> str:
     if not isinstance(value, (str, Path)):
         call = "VelocityModel.from_control(system)" if name == "model" else "Trajectory.from_arrays(t, x, y)"
-        raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"make it with {call}")
+        raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"create it with {call}")
     return str(value)

@@ -1,7 +1,7 @@
-"""Step times: recorded measurements are replayed through new controllers that take turns on one core.
+"""Measurement of step times: recorded measurements are replayed through new controllers, which alternate on one core.
 
-Runs are recorded in parallel, which disturbs time measurements. The replay also checks determinism: its commands must
-equal the recorded ones bit for bit.
+The runs themselves are recorded in parallel, which disturbs time measurements. The replay also checks determinism: its
+commands must be bitwise equal to the recorded commands.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _WARM_UP_TICKS = 25
 
 @contextmanager
 def quiet_core() -> Iterator[int | None]:
-    """Reserve one core for this process, use one BLAS thread and disable garbage collection inside the context.
+    """Reserve one core for this process, use one BLAS thread and disable garbage collection within the context.
 
     Yields the number of the core, or None if the system does not support pinning.
     """
@@ -43,7 +43,7 @@ def quiet_core() -> Iterator[int | None]:
         if core is not None:
             os.sched_setaffinity(0, {core})
         gc.collect()
-        gc.freeze()  # later collections skip existing objects
+        gc.freeze()  # later collections ignore existing objects
         gc.disable()
         try:
             yield core
@@ -57,16 +57,16 @@ def quiet_core() -> Iterator[int | None]:
 
 @dataclass(frozen=True)
 class TimingPass:
-    """State of the machine during the timing.
+    """State of the computer during the timing.
 
     Attributes
     ----------
     clean_share
         Share of the ticks with an undisturbed measurement [-].
     others_share
-        Share of the time for which other programs used the core [-]; 0 if the system does not report it.
+        Share of the time in which other programs used the core [-]; 0 if the system does not report the share.
     yardstick
-        Minimum time of the yardstick of `bench.counters` [s]; two reports are comparable if these times agree.
+        Minimum time of the yardstick of `bench.counters` [s]; reports with equal times of the yardstick are comparable.
     """
 
     clean_share: float = 1.0
@@ -75,51 +75,51 @@ class TimingPass:
 
 
 UNDISTURBED = TimingPass()
-"""Timing pass without timed runs."""
+"""State if no runs are timed."""
 
 
 def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list[RunOutcome], TimingPass]:
-    """Replace step times by times of replays on one quiet core; controllers on the same plant and path take turns.
+    """Replace step times by those of replays on one quiet core; controllers on the same plant and path alternate.
 
     Returns
     -------
     outcomes
-        Outcomes with the new times. Ticks that were disturbed in every measurement are NaN; if a controller has only
-        such ticks, the disturbed times of all controllers are kept.
+        Outcomes with the new times. The times of ticks that were disturbed in every measurement are NaN; but if all
+        ticks of a controller were disturbed, the results contain the disturbed times of all controllers.
     timing
-        State of the machine during the timed runs.
+        State of the computer during the timed runs.
 
     Raises NotReproducibleError if the commands of a replay differ from those of the run.
     """
     groups = list(_group_by(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
-        began, processor, counted = time.perf_counter(), time.process_time(), busy_time(core)
-        replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
+        start, processor, busy_before = time.perf_counter(), time.process_time(), busy_time(core)
+        replays = [[CaseReplay(outcome.case, outcome.run) for outcome in group] for group in groups]
         durations, best = take_turns(replays, on_replay=on_done)
-        busy = busy_time(core) - counted - (time.process_time() - processor)
-        others = max(0.0, busy) / (time.perf_counter() - began)
+        busy = busy_time(core) - busy_before - (time.process_time() - processor)
+        foreign_share = max(0.0, busy) / (time.perf_counter() - start)
     times = {
-        outcome.case: replayed
-        for place, several in zip(groups, durations, strict=True)
-        for outcome, replayed in zip(place, several, strict=True)
+        outcome.case: tick_times
+        for group, replayed_group in zip(groups, durations, strict=True)
+        for outcome, tick_times in zip(group, replayed_group, strict=True)
     }
-    # Disturbed ticks are omitted for all controllers or for none.
+    # Disturbed ticks are omitted either for all controllers or for none of them.
     drivers = _group_by(outcomes, lambda outcome: _driver(outcome.case)).values()
     all_have_clean = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
     timed = {}
     for outcome in outcomes:
-        measured = times[outcome.case]
-        selected = measured.only_clean if all_have_clean else measured.times
+        replayed_times = times[outcome.case]
+        selected = replayed_times.only_clean if all_have_clean else replayed_times.times
         timed[outcome.case] = replace(
-            outcome, run=outcome.run.with_step_time(*selected[0].T), clean_share=measured.share
+            outcome, run=outcome.run.with_step_time(*selected[0].T), clean_share=replayed_times.share
         )
     ticks = [len(outcome.run.time) for outcome in outcomes]
     clean = float(np.average([timed[outcome.case].clean_share for outcome in outcomes], weights=ticks))
-    return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
+    return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, foreign_share, best)
 
 
 def _group_by(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> dict[K, list[RunOutcome]]:
-    """Group outcomes by a key, in the order of first appearance."""
+    """Group outcomes by a key in the order of first appearance."""
     groups: dict[K, list[RunOutcome]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)
@@ -127,19 +127,19 @@ def _group_by(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) ->
 
 
 def _place(case: Case) -> Case:
-    """Return the case without the fields in which compared cases differ."""
+    """Return the case without the fields that differ between compared cases."""
     return replace(case, controller="", model="", config=None, overrides=())
 
 
 def _driver(case: Case) -> tuple[object, ...]:
-    """Return the fields that distinguish controllers."""
+    """Return the fields of the case that identify its controller."""
     return case.controller, case.model, case.config, case.overrides
 
 
 class CaseReplay:
-    """New controller for `case` that replays the measurements of `run`; satisfies `bench.turns.Replay`.
+    """Replay of the measurements of `run` with a new controller for `case`; satisfies `bench.turns.Replay`.
 
-    Another instance takes a few steps first, so that imports and one-time costs are not timed.
+    Before the replay, another instance runs a few steps, so that imports and one-time costs are not timed.
     """
 
     def __init__(self, case: Case, run: Run) -> None:
@@ -153,46 +153,46 @@ class CaseReplay:
 
     def restart(self) -> None:
         """Create and start a new controller."""
-        warm = make_controller(self._case)
-        warm.start(self._run.reference, float(self._run.time[0]))
-        replay(warm, self._run, 0, min(_WARM_UP_TICKS, self.ticks))
+        warm_up = make_controller(self._case)
+        warm_up.start(self._run.reference, float(self._run.time[0]))
+        replay(warm_up, self._run, 0, min(_WARM_UP_TICKS, self.ticks))
         self._controller = make_controller(self._case)
         self._controller.start(self._run.reference, float(self._run.time[0]))
         gc.collect()
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort]:
-        """Replay ticks; return times (ticks, 2) of whole steps and solves [s]; raise as `replay`."""
+        """Replay ticks; return times (ticks, 2) of the steps and of their solves [s]; raise as `replay`."""
         controller = self._controller
         assert controller is not None
         times, effort = measure_effort(lambda: replay(controller, self._run, first, last))
         if last == self.ticks:
-            self._controller = None  # release its memory
+            self._controller = None  # release the memory
         return times, effort
 
 
 def replay(controller: TrackingController, run: Run, first: int, last: int) -> FloatArray:
-    """Replay the measurements of the ticks `first` to `last` - 1 of `run` with `controller`, and time them.
+    """Replay the measurements of ticks `first` to `last` - 1 of `run` with `controller`, and time its steps.
 
     Returns
     -------
     FloatArray
-        (ticks, 2) times of the whole step, and of the solve as reported by the controller, NaN without a solve [s].
+        (ticks, 2) times of the step, and of its solve as reported by the controller, or NaN without a solve [s].
 
-    Raises NotReproducibleError if a command differs from the recorded one in any bit.
+    Raises NotReproducibleError if a command is not bitwise equal to the recorded command.
     """
     times, commands = np.empty((last - first, 2)), np.empty((last - first, 2))
     for k in range(first, last):
         t, measurement = float(run.time[k]), run.measurements[k]
-        began = time.perf_counter()
+        start = time.perf_counter()
         step = controller.step(t, measurement)
-        times[k - first, 0] = time.perf_counter() - began
+        times[k - first, 0] = time.perf_counter() - start
         times[k - first, 1] = step.solve_time
         commands[k - first] = step.command
     differs = np.flatnonzero((commands != run.command[first:last]).any(axis=1))
     if differs.size:
         k = first + differs[0]
         raise NotReproducibleError(
-            f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k - first].tolist()}, the "
-            f"run {run.command[k].tolist()}: the controller is not deterministic"
+            f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k - first].tolist()}, but "
+            f"the run {run.command[k].tolist()}: the controller is not deterministic"
         )
     return times

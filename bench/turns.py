@@ -1,6 +1,6 @@
-"""Time replays that take turns block by block, and measure disturbed blocks again.
+"""Time replays that alternate block by block, and measure disturbed blocks again.
 
-Slow disturbances of the machine then affect all replays equally, and caches are equally warm.
+Slow disturbances of the computer then affect all replays equally, and the caches are equally warm.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.models.interface import FloatArray
 
 BLOCK = 25
-"""Number of ticks in a turn of one replay."""
+"""Number of ticks that a replay runs in one turn."""
 COLD = 1
-"""Number of ticks at the start of a turn that are not timed: with cold caches they take four times as long."""
+"""Number of ticks at the start of a turn that are not timed; because of cold caches they take four times as long."""
 STRETCH = 2e-3
-"""Maximum duration of a stretch, the part of a turn that is checked for disturbances as a unit [s].
+"""Maximum duration of a stretch, which is the part of a turn that is checked for disturbances as a unit [s].
 
-The whole turn of a slow controller would rarely be undisturbed.
+A whole turn of a slow controller is rarely undisturbed.
 """
 AGAIN = 4
-"""Maximum number of additional replays after disturbed blocks."""
+"""Maximum number of additional replays because of disturbed blocks."""
 PATIENCE = 0.5
-"""Time limit, as a multiple of the duration of the requested replays."""
+"""Maximum duration of the additional replays, as a multiple of the duration of the requested replays."""
 
 
 class Replay(Protocol):
-    """A recorded drive that can be repeated from its start any number of times."""
+    """Recorded run that can be repeated from its start any number of times."""
 
     @property
     def ticks(self) -> int:
@@ -41,27 +41,27 @@ class Replay(Protocol):
         ...
 
     def restart(self) -> None:
-        """Restart before the first tick."""
+        """Return to the start, before the first tick."""
         ...
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Run the ticks `first` to `last` - 1; return times (ticks, 2) of the whole step and of the solve [s].
+        """Run ticks `first` to `last` - 1; return times (ticks, 2) of the steps and of their solves [s].
 
-        None if the replay has failed; it then takes no more turns.
+        Returns None if the replay has failed; it then has no further turns.
         """
         ...
 
 
 @dataclass(frozen=True)
 class TurnTimes:
-    """Times of one replay.
+    """Step times of a replay.
 
     Attributes
     ----------
     times
-        (repetitions, ticks, 2) times of the whole step and of the solve [s]; NaN if missing, and for cold ticks.
+        (repetitions, ticks, 2) times of the step and of its solve [s]; NaN if missing and at ticks with cold caches.
     clean
-        (repetitions, ticks) True if the stretch of the tick was undisturbed.
+        (repetitions, ticks) whether the stretch of the tick was undisturbed.
     """
 
     times: FloatArray
@@ -69,22 +69,22 @@ class TurnTimes:
 
     @property
     def share(self) -> float:
-        """Share of clean ticks over all repetitions."""
+        """Share of undisturbed ticks in all repetitions."""
         return float(self.clean.mean())
 
     @property
     def only_clean(self) -> FloatArray:
-        """The times with NaN for disturbed ticks."""
+        """Times, with NaN for disturbed ticks."""
         return np.where(self.clean[..., None], self.times, np.nan)
 
     @property
     def selected(self) -> FloatArray:
-        """The times with NaN for disturbed ticks; all times if no tick is clean."""
+        """Times, with NaN for disturbed ticks; if all ticks are disturbed, all times."""
         return self.only_clean if self.clean.any() else self.times
 
 
 class _Measured(NamedTuple):
-    """One turn."""
+    """Measurement of a stretch."""
 
     times: FloatArray
     effort: Effort
@@ -92,7 +92,7 @@ class _Measured(NamedTuple):
 
 @dataclass(eq=False)
 class _Track:
-    """Replay, and its results so far by the first tick of the stretch."""
+    """Replay and its results so far, by first tick of the stretch."""
 
     replay: Replay
     repetitions: int
@@ -101,12 +101,12 @@ class _Track:
     stretch: int = 0
 
     def stretches(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Split a turn into stretches; the first turn is one stretch."""
+        """Split a turn into stretches; the first turn is a single stretch."""
         size = self.stretch if first and self.stretch else last - first
         return [(start, min(start + size, last)) for start in range(first, last, size)]
 
-    def take(self, first: int, last: int) -> None:
-        """Take a turn."""
+    def run_turn(self, first: int, last: int) -> None:
+        """Run and measure a turn."""
         for start, end in self.stretches(first, last):
             result = self.replay.run(start, end)
             if result is None:
@@ -122,7 +122,7 @@ class _Track:
         return [turn for turn in self.blocks.get(block, []) if turn.effort.undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
-        """Return the tick after the last turn with a stretch that lacks clean measurements; 0 if there is none."""
+        """Return the end of the last turn that lacks undisturbed measurements; 0 if there is no such turn."""
         if self.failed:
             return 0
         ticks = self.replay.ticks
@@ -136,13 +136,13 @@ class _Track:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
-            # Disturbed measurements fill in for missing undisturbed ones, and are not marked clean.
-            good = self.clean(first, best)
-            bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
-            chosen = (good + bad)[: self.repetitions]
-            for row, measured in enumerate(chosen):
-                place = slice(first, first + len(measured.times))
-                times[row, place], clean[row, place] = measured.times, row < len(good)
+            # Disturbed measurements take the place of missing undisturbed ones, but are not marked as clean.
+            undisturbed = self.clean(first, best)
+            disturbed = [turn for turn in turns if not turn.effort.undisturbed(best)]
+            used = (undisturbed + disturbed)[: self.repetitions]
+            for row, measured in enumerate(used):
+                stretch = slice(first, first + len(measured.times))
+                times[row, stretch], clean[row, stretch] = measured.times, row < len(undisturbed)
                 if first % block == 0:
                     times[row, first : first + COLD] = np.nan
         return TurnTimes(times, clean)
@@ -155,18 +155,18 @@ def take_turns(
     block: int = BLOCK,
     on_replay: Callable[[], None] = lambda: None,
 ) -> tuple[list[list[TurnTimes]], float]:
-    """Repeat all replays until every block has its undisturbed measurements, within the limits `AGAIN` and `PATIENCE`.
+    """Repeat all replays until every block has enough undisturbed measurements or `AGAIN` or `PATIENCE` is reached.
 
     Parameters
     ----------
     groups
-        Groups of replays; the replays of a group are compared with each other and take turns.
+        Groups of replays; the replays of a group are compared with each other and alternate.
     repetitions
         Requested number of undisturbed measurements of each block.
     block
         Number of ticks in a turn.
     on_replay
-        Function that is called for each replay of the first pass.
+        Function that is called after each replay of the first pass.
 
     Returns
     -------
@@ -177,10 +177,10 @@ def take_turns(
     """
     tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
     best = np.inf
-    began, deadline = perf_counter(), np.inf
-    for again in range(repetitions + AGAIN):
-        if again == repetitions:
-            deadline = began + (1.0 + PATIENCE) * (perf_counter() - began)
+    start, deadline = perf_counter(), np.inf
+    for pass_number in range(repetitions + AGAIN):
+        if pass_number == repetitions:
+            deadline = start + (1.0 + PATIENCE) * (perf_counter() - start)
         for group in tracks:
             if perf_counter() > deadline:
                 break
@@ -188,19 +188,19 @@ def take_turns(
             best = min(
                 [best, *(turn.effort.pace for track in group for turns in track.blocks.values() for turn in turns)]
             )
-            for _ in group if again == 0 else []:
+            for _ in group if pass_number == 0 else []:
                 on_replay()
     return [[track.result(best, block) for track in group] for group in tracks], float(best)
 
 
 def _run_pass(group: list[_Track], best: float, block: int) -> None:
-    """Run one pass of a group: each replay runs all turns up to its last block that lacks clean measurements."""
+    """Run one pass of a group: each replay runs all turns up to its last block that lacks undisturbed measurements."""
     ends = {id(track): track.end(best, block) for track in group}
     for track in group:
         track.replay.restart()
     for turn, first in enumerate(range(0, max(ends.values(), default=0), block)):
-        # The first replay of a turn alternates.
+        # Each turn starts with another replay.
         for track in itertools.islice(itertools.cycle(group), turn % len(group), turn % len(group) + len(group)):
             last = min(first + block, ends[id(track)])
             if not track.failed and first < last:
-                track.take(first, last)
+                track.run_turn(first, last)

@@ -1,4 +1,4 @@
-"""Recorder of the ticks of the closed loop."""
+"""Recording of the ticks of the closed loop."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Recorder:
     ticks
         Maximum number of ticks.
     keep_plans
-        Whether to store the plan of the controller at each tick.
+        True to store the plan of the controller at each tick.
     """
 
     def __init__(self, ticks: int, *, keep_plans: bool) -> None:
@@ -54,13 +54,13 @@ class Recorder:
         self._measurements.append(measurement)
 
     def record_step(self, step: ControlStep, command: FloatArray) -> None:
-        """Record the controller's step and its `command` (2,)."""
+        """Record the step of the controller and its `command` (2,)."""
         k = len(self._reports)
         self._command[k] = command
         self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
         if step.solver is not None:
             self._iterations[k] = step.solver.iterations
-        # `getattr`, as a check for the protocol `EstimatingStep` takes longer than the step.
+        # A check for the protocol `EstimatingStep` would take longer than the step.
         estimate: MotionEstimate | None = getattr(step, "estimate", None)
         if estimate is not None:
             self._estimates[k, :3], self._estimates[k, 3:] = estimate.pose, estimate.twist
@@ -70,36 +70,36 @@ class Recorder:
             self._plans.append(step.plan)
 
     def record_work(self, plant: Plant, *, lost: bool) -> None:
-        """Record the motor work of the sample; none if the robot was `lost` in it."""
+        """Record the motor work of the sample; `NOTHING` if the robot was `lost` during the sample."""
         self._work.append(NOTHING if lost else motor_work(plant))
 
     def run(self, plant: Plant, reference: Reference, *, ended: str) -> Run:
-        """Return the recorded run along `reference`; `ended` is the reason for an early end, or empty."""
-        driven = slice(len(self._reports))
-        time = self._time[driven]
+        """Return the recorded run along `reference`; `ended` is the reason for an early end, otherwise empty."""
+        recorded = slice(len(self._reports))
+        time = self._time[recorded]
         expected = reference.sample(time)
         torque, wheel_speed, mechanical, square = stack(self._work)
         return Run(
             reference=reference,
             sample_time=plant.sample_time,
             time=time,
-            true_pose=self._true_pose[driven],
-            true_twist=self._true_twist[driven],
+            true_pose=self._true_pose[recorded],
+            true_twist=self._true_twist[recorded],
             reference_pose=expected.pose,
             reference_twist=expected.twist,
             reference_arc_length=expected.arc_length,
-            command=self._command[driven],
-            step_time=self._step_time[driven],
-            solve_time=self._solve_time[driven],
-            solver_iterations=self._iterations[driven],
+            command=self._command[recorded],
+            step_time=self._step_time[recorded],
+            solve_time=self._solve_time[recorded],
+            solver_iterations=self._iterations[recorded],
             modes=tuple(report.mode for report in self._reports),
             messages=tuple(report.message for report in self._reports),
             states=tuple(report.state for report in self._reports),
             measurements=tuple(self._measurements),
             solver_statuses=tuple(report.solver_status for report in self._reports),
             solver_methods=tuple(report.solver_path for report in self._reports),
-            estimates=self._estimates[driven],
-            estimate_deviations=self._deviations[driven],
+            estimates=self._estimates[recorded],
+            estimate_deviations=self._deviations[recorded],
             plans=_stack_plans(self._plans),
             motor_torque=torque,
             motor_speed=wheel_speed,
@@ -132,7 +132,7 @@ class _StepReport(NamedTuple):
 
 
 def _stack_plans(plans: Sequence[FloatArray | None]) -> FloatArray:
-    """Stack the plans of n ticks as (n, N + 1, 3), NaN for missing plans; (n, 0, 3) if all are missing."""
+    """Stack the plans of n ticks as (n, N + 1, 3) with NaN for missing plans; (n, 0, 3) without plans."""
     poses = next((len(plan) for plan in plans if plan is not None), 0)
     missing = np.full((poses, 3), np.nan)
     return np.array([missing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)

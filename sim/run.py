@@ -1,4 +1,4 @@
-"""Results of one closed-loop run."""
+"""Results of a closed-loop run."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ NO_SOLVER = "none"
 
 @dataclass(frozen=True, repr=False)
 class Run(ReadOnlyArrays):
-    """Record of one closed-loop run of n ticks.
+    """Record of a closed-loop run of n ticks.
 
-    Row k belongs to the time of tick k, before the command of that tick acts. `print(run)` shows the statistics.
+    Row k belongs to the time of tick k, before the command of this tick is effective. `print(run)` shows the
+    statistics.
 
     Attributes
     ----------
     reference
-        The trajectory that was tracked.
+        Tracked trajectory.
     sample_time
         Time between two ticks [s].
     time
@@ -50,42 +51,42 @@ class Run(ReadOnlyArrays):
     reference_pose, reference_twist, reference_arc_length
         (n, 3) pose, (n, 2) twist and (n,) arc length [m] of the reference.
     command
-        (n, 2) v [m/s], omega [rad/s] sent at the tick.
+        (n, 2) sent command v [m/s], omega [rad/s].
     step_time
-        (n,) duration of the controller's step [s].
+        (n,) computation time of the controller's step [s].
     modes, messages
-        Mode of the controller at each tick, and the reason.
+        Mode of the controller at each tick, and the reason for it.
     states
-        The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
+        Modes, with `LATE` instead of `TRACKING` while the robot lags behind its reference.
     measurements
-        Measurements of the controller at each tick; sufficient to replay the run without the plant.
+        Measurements of the controller at each tick, from which the run can be replayed without the plant.
     disturbance
-        Start of the first disturbance of the plant, and end of the last one that ends [s], infinity if none of them
+        Start of the first disturbance, and end of the last disturbance with an end [s], infinity if no disturbance
         ends; None if there is no disturbance.
     ended
-        Reason for an early end of the run, in one line; empty if it did not end early.
+        Reason for an early end of the run in one line; empty if the run did not end early.
     solver_statuses
         Status of the controller's solver at each tick; empty strings for a controller without a solver.
     solver_methods
         Method of the solver at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
     solve_time, solver_iterations
-        (n,) part of the step for formulating and solving the problem [s], and iterations of the solver; NaN if no
-        problem was solved.
+        (n,) time for formulating and solving the problem [s], and iterations of the solver; NaN if no problem was
+        solved.
     estimates
-        (n, 5) estimate x [m], y [m], theta [rad], v [m/s], omega [rad/s] that the command is based on; NaN if the
-        controller has no estimate or does not report it.
+        (n, 5) estimate x [m], y [m], theta [rad], v [m/s], omega [rad/s] on which the command is based; NaN if the
+        controller does not report an estimate.
     estimate_deviations
         (n, 5) standard deviations of the estimates.
     plans
-        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, one per sample, the first at the tick
-        itself; in REUSED_PLAN those of the last valid plan, which started earlier. NaN at ticks without a plan;
-        N + 1 = 0 for a controller without prediction. No rows unless `simulate(..., keep_plans=True)`.
+        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, one per sample, starting at the tick; in
+        mode REUSED_PLAN those of the last valid plan, which started earlier. NaN at ticks without a plan; N + 1 = 0 for
+        a controller without prediction. Empty unless `keep_plans=True` was passed to `simulate`.
     motor_torque, motor_speed, motor_power, motor_square
-        (n, 4) true means of each motor from this tick to the next: torque at the wheel [N m], wheel speed [rad/s],
-        mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right. NaN for a
-        plant without motors.
+        (n, 4) true means of each motor until the next tick: torque at the wheel [N m], wheel speed [rad/s], mechanical
+        power [W], and square of the torque [N^2 m^2]. The order is front left, front right, rear left, rear right. NaN
+        for a plant without motors.
     scalars
-        (n, S) scalars reported by the controller, in the order of `models.step_scalars`; NaN if not reported.
+        (n, S) scalars that the controller reports, in the order of `models.step_scalars`; NaN for missing scalars.
     parts
         Records of simulator parts and plants of other packages, by registered name.
     """
@@ -139,7 +140,7 @@ class Run(ReadOnlyArrays):
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(n,) mask of the ticks that the statistics cover: from 0 to the end of the reference."""
+        """(n,) mask of the ticks that the statistics cover, from time 0 to the end of the reference."""
         return np.asarray(self.time <= self.reference.duration + TIME_TOLERANCE)
 
     @cached_property
@@ -150,7 +151,7 @@ class Run(ReadOnlyArrays):
 
     @cached_property
     def metrics(self) -> Metrics:
-        """Statistics from t = 0 to the end of the reference."""
+        """Statistics from time 0 to the end of the reference."""
         return compute_metrics(self)
 
     @cached_property
@@ -169,7 +170,7 @@ class Run(ReadOnlyArrays):
 
     @property
     def wheel_speeds(self) -> FloatArray:
-        """(n, 4) measured wheel speeds [rad/s], front left, front right, rear left, rear right; NaN if none is new."""
+        """(n, 4) measured wheel speeds [rad/s], in the order of the wheels; NaN at ticks without a new reading."""
         return self._measured([m.wheel_speeds for m in self.measurements], 4)
 
     @property
@@ -179,21 +180,21 @@ class Run(ReadOnlyArrays):
 
     @property
     def measured_pose(self) -> FloatArray:
-        """(n, 3) pose that arrived at the tick, x [m], y [m], theta [rad]; NaN at ticks without a new pose."""
+        """(n, 3) received pose x [m], y [m], theta [rad]; NaN at ticks without a new pose."""
         return self._measured([m.pose for m in self.measurements], 3)
 
     @property
     def measured_pose_time(self) -> FloatArray:
-        """(n,) time of validity of the pose that arrived [s]; NaN at ticks without a new pose."""
+        """(n,) time of validity of the received pose [s]; NaN at ticks without a new pose."""
         times = [None if m.pose is None else replace(m.pose, value=m.pose.time) for m in self.measurements]
         return self._measured(times, 1)[:, 0]
 
     @property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """All time series by name, (n,) each: numbers with unit suffix, NaN if missing, and strings.
+        """Time series (n,) by name: numbers with a unit suffix, NaN if missing, and strings.
 
-        `v_ref`, `omega_ref`: the sent command; `pose_t`: time of validity of the pose that arrived; `sd`: standard
-        deviation of an estimate; other names as the attributes of `Run`.
+        `v_ref` and `omega_ref` are the sent command, `pose_t` is the time of validity of the received pose, and `sd` is
+        the standard deviation of an estimate. Other names correspond to the attributes of `Run`.
         """
         body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
         uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
@@ -242,7 +243,7 @@ class Run(ReadOnlyArrays):
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
 
     def to_dataframe(self) -> DataFrame:
-        """Convert the run to a pandas table, one row per tick, with the names of `columns`.
+        """Convert the run to a pandas DataFrame with one row per tick and the names of `columns`.
 
         Raises
         ------
@@ -255,7 +256,7 @@ class Run(ReadOnlyArrays):
     def plot(self) -> Figure:
         """Plot path, errors and commands in a matplotlib figure.
 
-        The figure belongs to pyplot: `matplotlib.pyplot.show()` shows it, `run.plot().savefig("run.png")` saves it.
+        `matplotlib.pyplot.show()` shows the figure, `run.plot().savefig("run.png")` saves it.
 
         Raises
         ------
@@ -277,9 +278,9 @@ class Run(ReadOnlyArrays):
         )
 
     def with_step_time(self, step_time: ArrayLike, solve_time: ArrayLike | None = None) -> Self:
-        """Return the run with times (n,) [s] of a separate timing pass; ticks with NaN are excluded from statistics.
+        """Return the run with times (n,) [s] of a separate timing pass; statistics exclude ticks with NaN.
 
-        Raises ValueError for another length.
+        Raises ValueError if the length differs.
         """
         times = [
             np.asarray(series, dtype=float)

@@ -1,4 +1,4 @@
-"""Figure of one run: path, errors and commands."""
+"""Figure of a run: path, errors and commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _REFERENCE: dict[str, Any] = {"color": "0.6", "linewidth": 3.0, "label": "refere
 
 
 def plot_run(run: Any) -> Figure:  # noqa: ANN401 - a Run; importing its module would be circular
-    """Plot path and reference, position and heading error, and commands with the reference twist, over time."""
+    """Plot path and reference, and over time the position and heading errors and the commands."""
     try:
         import matplotlib.pyplot as plt  # noqa: PLC0415 - loads slowly
     except ImportError as error:
@@ -40,7 +40,7 @@ def plot_run(run: Any) -> Figure:  # noqa: ANN401 - a Run; importing its module 
     return figure
 
 
-def _draw(axes: Any, run: Any, label: str, **lines: np.ndarray[Any, Any]) -> None:  # noqa: ANN401 - has no types
+def _draw(axes: Any, run: Any, label: str, **lines: np.ndarray[Any, Any]) -> None:  # noqa: ANN401 - axes of matplotlib
     for name, values in lines.items():
         axes.plot(run.time, values, label=name)
     axes.set(ylabel=label)

@@ -1,1 +1,1 @@
-"""Comparison by `diffdrive-mpc bench`: controllers, models and settings on trajectories, and horizons."""
+"""Comparison of controllers, models, settings and horizons by `diffdrive-mpc bench`."""

@@ -1,4 +1,4 @@
-"""The figures of the comparison: an overview, the swept quantities, the step times, and single runs."""
+"""Figures of the comparison: overview, sweeps, step times and single runs."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 _VISIBLE = 0.12
-"""Maximum error of a magnified path in a figure, in units of the path's extent."""
+"""Maximum error of a magnified path in a figure, relative to the extent of the path [-]."""
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _CHARTS_IN_A_ROW = 3
 _TICKS_OF_A_RUN = 2000
 
 
 def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
-    """Return every figure by file name, the overview first; runs of the first seed have a figure each."""
+    """Return the figures by file name, starting with the overview; each run of the first seed has a figure."""
     swept = charts(results)
     first = [name for name in ("speed.png", "dead-time.png") if name in swept]
     overview = [*_error_charts(results.main), error_chart(results.main), step_time_chart(results.main)]
@@ -47,7 +47,7 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
 
 
 def _error_charts(main: DataFrame) -> list[Chart]:
-    """Return a chart of position error over time per trajectory for the best MPC and peer, all with one y range."""
+    """Return a chart of position error over time for each trajectory, with the best MPC and peer and equal y ranges."""
     compared = by(main, COMPARED)
     styles, ours = list(compared), predictive(compared)
     peers = {name: rows for name, rows in compared.items() if name not in ours}
@@ -71,7 +71,7 @@ def _error_charts(main: DataFrame) -> list[Chart]:
 
 
 def magnification(run: Run) -> float:
-    """Return the factor 1, 2, 5, ... that makes the maximum position error visible."""
+    """Return the factor 1, 2, 5, ... with which the maximum position error is visible."""
     error = np.linalg.norm((run.true_pose - run.reference_pose)[run.counted, :2], axis=1).max()
     limit = _VISIBLE * float(np.ptp(run.reference_pose[:, :2], axis=0).max()) / max(float(error), 1e-9)
     return max([1.0, *(factor for factor in _MAGNIFICATIONS if factor <= limit)])
@@ -83,7 +83,7 @@ def magnify(run: Run, factor: float) -> FloatArray:
 
 
 def draw_case(run: Run, title: str, path: Path) -> None:
-    """Draw `run` into the PNG file `path`, with its position error magnified if it is too small to see."""
+    """Draw `run` into the PNG file `path`; a position error that is too small to see is magnified."""
     views, factor = run_series(run, "run", points=_TICKS_OF_A_RUN), magnification(run)
     more = [_in_plane(f"driven, error x {factor:g}", magnify(run, factor), 6)] if factor > 1 else []
 

@@ -1,4 +1,4 @@
-"""Ranking of controllers, and pairs without a significant difference."""
+"""Ranking of controllers with the significance of differences."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
 RESAMPLES, CERTAINTY = 2000, 95.0
-"""Number of resamples of the bootstrap, and the confidence of its interval [%]."""
+"""Number of bootstrap samples, and confidence level of the interval [%]."""
 RULE = (
     "Two controllers differ significantly if the mean difference of their position RMSE, paired by trajectory "
-    f"and seed, has one sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of these differences."
+    f"and seed, has the same sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of the differences."
 )
 
 
 @dataclass(frozen=True)
 class Rank:
-    """One controller in the ranking.
+    """Controller in the ranking.
 
     Attributes
     ----------
     name
         Name of the controller.
     rmse, spread
-        Mean position RMSE, and the standard deviation over seeds of its mean over trajectories [m].
+        Mean position RMSE, and standard deviation over seeds of the mean over trajectories [m].
     behind
-        (2,) interval of the mean difference from the next better controller [m]; NaN for the best one.
+        (2,) interval of the mean difference from the next better controller [m]; NaN for the best controller.
     """
 
     name: str
@@ -41,19 +41,19 @@ class Rank:
 
     @property
     def is_significant(self) -> bool:
-        """True if the controller is significantly worse than the next better one."""
+        """True if the controller is significantly worse than the next better controller."""
         return bool(self.behind[0] > 0)
 
 
 def interval(differences: FloatArray) -> FloatArray:
-    """Compute a bootstrap interval (2,) of the mean of paired `differences` (n,), with a fixed seed."""
+    """Compute a bootstrap interval (2,) of the mean of paired `differences` (n,) with a fixed seed."""
     draws = np.random.default_rng(0).integers(len(differences), size=(RESAMPLES, len(differences)))
     tail = (100.0 - CERTAINTY) / 2
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))
 
 
 def order(rows: DataFrame) -> list[Rank]:
-    """Sort controllers by mean position RMSE, the best first; omit a controller with a run that has no RMSE."""
+    """Sort controllers by ascending mean position RMSE; controllers with a run without RMSE are omitted."""
     errors = _errors(rows).dropna(axis=1)
     means = errors.mean().sort_values(kind="stable")
     spreads = errors.groupby("seed").mean().std(ddof=0)
@@ -63,7 +63,7 @@ def order(rows: DataFrame) -> list[Rank]:
 
 
 def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[str]]:
-    """Return pairs whose order differs between two sets of runs: significant in both sets, and all other pairs."""
+    """Return pairs whose order differs between two sets of runs: pairs significant in both sets, and other pairs."""
     sets = _errors(main), _errors(others)
     certain: list[str] = []
     uncertain: list[str] = []
@@ -76,16 +76,18 @@ def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[
 
 
 def order_table(main: DataFrame, others: DataFrame) -> Table:
-    """Tabulate the ranking over the seeds of the tables, and over other seeds if those were run."""
+    """Tabulate the ranking over the seeds of the tables, and over other seeds if there are such runs."""
     rows = []
     for label, runs in (("these", main), ("others", others)):
-        for rank, place in enumerate(order(runs) if len(runs) else [], 1):
-            low, high = 1e3 * place.behind
-            behind = ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[place.is_significant])
-            errors = (number(1e3 * place.rmse, 2), number(1e3 * place.spread, 2))
-            rows.append((f"{runs['seed'].nunique()} ({label})", place.name, *errors, *behind))
-    columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "behind the one above [mm]", "significant")
-    note = f"{RULE} Spread: from seed to seed."
+        for rank, ranked in enumerate(order(runs) if len(runs) else [], 1):
+            low, high = 1e3 * ranked.behind
+            behind = (
+                ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[ranked.is_significant])
+            )
+            errors = (number(1e3 * ranked.rmse, 2), number(1e3 * ranked.spread, 2))
+            rows.append((f"{runs['seed'].nunique()} ({label})", ranked.name, *errors, *behind))
+    columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "difference from above [mm]", "significant")
+    note = f"{RULE} Spread: standard deviation over seeds."
     if len(others):
         certain, uncertain = reversed_pairs(main, others)
         if not certain + uncertain:

@@ -1,7 +1,7 @@
-"""Robots without shipped models: a random population, and two robots with slow dynamics.
+"""Robots without built-in models: a random population, and two robots with slow dynamics.
 
-Controllers of a random robot are configured with data that its user states, which are often wrong. For the two others,
-models were identified from three drives of each, and the peers were tuned on the robot with the same estimator.
+Controllers of a random robot are configured with the data of its user, which are often wrong. For the other two robots,
+models were identified from three drives each, and the peers were tuned on the robot with the same estimator.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from diffdrive_mpc.sim.plants.names import DRAWN, PHYSICS
 MODELS = Path(__file__).with_name("robots")
 """Identified models by robot and structure."""
 PATHS = Path(__file__).with_name("paths")
-"""Paths of these robots."""
+"""Paths of the other robots."""
 
 
 class Population(StrictModel):
-    """Seeds of random robots, with their controllers and paths."""
+    """Seeds, controllers and paths of the random robots."""
 
     robots: tuple[int, ...]
     trajectories: tuple[str, ...]
@@ -31,18 +31,18 @@ class Population(StrictModel):
 
 
 class KnownRobot(StrictModel):
-    """A robot of plant `mujoco` with identified models.
+    """Robot of plant `mujoco` with identified models.
 
     Attributes
     ----------
     models
-        Structures with files in `MODELS`; the peers' estimator uses the last one.
+        Structures with files in `MODELS`; the estimator of the peers uses the last model.
     settings
-        Configuration values that its user states, or that `identify` wrote.
+        Configuration values that the user states or `identify` has written.
     gains
         Gains of each peer.
     weights
-        Weights of the predictive controller, tuned by the same search as the gains.
+        Weights of the predictive controller, tuned by the search that also tuned the gains.
     """
 
     models: tuple[str, ...]
@@ -67,27 +67,27 @@ def other_robots() -> OtherRobots:
 
 
 def population_cases(*, whole: bool = False) -> tuple[Case, ...]:
-    """Return the cases of every controller on every random robot, along one trajectory per robot.
+    """Return the cases of all controllers on all random robots, with one trajectory per robot.
 
-    If `whole`, every robot drives every trajectory.
+    If `whole` is True, every robot drives all trajectories.
     """
-    stated = other_robots().population
-    paths = stated.trajectories
+    content = other_robots().population
+    paths = content.trajectories
     drives = [
         (trajectory, seed)
-        for i, seed in enumerate(stated.robots)
+        for i, seed in enumerate(content.robots)
         for trajectory in (paths if whole else (paths[i % len(paths)],))
     ]
     return tuple(
         replace(_driver(name), trajectory=trajectory, plant=f"{DRAWN}:{seed}", seed=seed)
-        for name, (trajectory, seed) in itertools.product(stated.controllers, drives)
+        for name, (trajectory, seed) in itertools.product(content.controllers, drives)
     )
 
 
 def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
-    """Return the cases of identified models and tuned peers on known robots; `seeds` replaces the file's seeds."""
-    stated, cases = other_robots(), []
-    for name, robot in stated.robots.items():
+    """Return the cases of identified models and tuned peers on known robots; `seeds` replaces those of the file."""
+    content, cases = other_robots(), []
+    for name, robot in content.robots.items():
         files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
         settings = tuple(robot.settings.items())
         weights = tuple((f"weights.{error}", value) for error, value in robot.weights.items())
@@ -101,12 +101,12 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
             )
             for peer, gains in robot.gains.items()
         ]
-        paths = [str(PATHS / f"{trajectory}.yaml") for trajectory in stated.trajectories]
-        for driver, path, seed in itertools.product(drivers, paths, seeds or stated.seeds):
+        paths = [str(PATHS / f"{trajectory}.yaml") for trajectory in content.trajectories]
+        for driver, path, seed in itertools.product(drivers, paths, seeds or content.seeds):
             cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=path, seed=seed))
     return tuple(cases)
 
 
 def _driver(name: str) -> Case:
-    """Return a case with the named peer, or with the named model in the predictive controller."""
+    """Return a case with the peer `name`, or with the model `name` in the predictive controller."""
     return Case(controller=name, model=NO_MODEL) if name in PEERS else Case(model=name)

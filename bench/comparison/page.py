@@ -1,4 +1,4 @@
-"""Page of `bench`: all runs as linked views, and its figures as charts with the same toggles."""
+"""HTML page of `bench` with all runs as linked views, and the figures as charts with the same toggles."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.table import number
 
 _TICKS = 28_000
-"""Maximum number of ticks of all runs together on the page, which limits its size."""
+"""Maximum total number of ticks of all runs on the page, which limits its size."""
 _TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
 
 def page_contents(results: ComparisonResults) -> Shown:
-    """Collect the contents of the page except tables and charts."""
+    """Collect the contents of the page without tables and charts."""
     drivers = by(results.main, COMPARED)
     names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
     cases = dict.fromkeys(rows["case"].iloc[0] for rows in drivers.values())
@@ -65,7 +65,7 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
         files["speed.png"] = _sweep(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
         delays = [round(1e3 * sample * case.late, 6) for case in results.dead_time["case"]]
-        axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
+        axis, title = "additional dead time of the plant [ms]", "Error against an unknown dead time"
         files["dead-time.png"] = _sweep(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):
         axis = f"horizon [steps of {1e3 * sample:.1f} ms]"
@@ -78,8 +78,8 @@ def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     ranked = sorted(complete(drivers), key=errors.__getitem__)
     listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
     others = ", ".join(name for name in drivers if name not in ranked)
-    done = total(main, "completed")
-    first = "All" if done == len(main) else f"{done} of"
+    completed = total(main, "completed")
+    first = "All" if completed == len(main) else f"{completed} of"
     return [
         f"{first} {len(main)} runs were completed. "
         f"Position RMSE [mm], mean over paths and seeds, in ascending order: {listed}."
@@ -90,27 +90,32 @@ def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
 def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -> list[KeyFigure]:
     """Return the key figures of the predictive controllers, and the minimum error of all controllers."""
     ours = predictive(drivers)
-    every = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
-    done, fallbacks = total(results.main, "completed"), total(every, "fallbacks")
-    times = step_times(every)
-    whose = ", ".join(ours)
+    predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
+    completed, fallbacks = total(results.main, "completed"), total(predictive_rows, "fallbacks")
+    times = step_times(predictive_rows)
+    controllers = ", ".join(ours)
     return [
         KeyFigure(
-            "completed", f"{done} of {len(results.main)}", "runs", "good" if done == len(results.main) else "bad"
+            "completed",
+            f"{completed} of {len(results.main)}",
+            "runs",
+            "good" if completed == len(results.main) else "bad",
         ),
-        _least_error(drivers),
+        _min_error(drivers),
         KeyFigure(
             "step time, median",
             f"{number(1e3 * time_percentile(times, 50), 2)} ms",
-            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {whose}",
+            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {controllers}",
         ),
-        KeyFigure("late steps", str(total(every, "deadline_misses")), f"of {times.size} timed steps; {whose}"),
-        KeyFigure("fallbacks", str(fallbacks), "ticks without a fresh plan", "good" if not fallbacks else "bad"),
+        KeyFigure(
+            "late steps", str(total(predictive_rows, "deadline_misses")), f"of {times.size} timed steps; {controllers}"
+        ),
+        KeyFigure("fallbacks", str(fallbacks), "ticks without a new plan", "good" if not fallbacks else "bad"),
     ]
 
 
-def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
-    """Return the minimum error of the controllers that completed every run; if a peer is best, also the best MPC."""
+def _min_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
+    """Return the minimum error of the controllers that completed all runs; if a peer is best, also the best MPC."""
     ranked = complete(drivers)
     errors = {name: mean(rows, "position_rmse_m") for name, rows in ranked.items()}
     shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
@@ -127,7 +132,7 @@ def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
 
 
 def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
-    """Return a view of every run in the style of its controller, predictive controllers first.
+    """Return views of all runs in the styles of their controllers, starting with predictive controllers.
 
     The number of points of a run decreases with the number of runs.
     """
@@ -155,18 +160,20 @@ def error_chart(main: DataFrame) -> Chart:
     paths = list(by(main, "trajectory"))
     series = []
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
-        driven = by(rows, "trajectory")
-        errors = [rounded(1e3 * mean(driven[path], "position_rmse_m")) if path in driven else None for path in paths]
+        path_rows = by(rows, "trajectory")
+        errors = [
+            rounded(1e3 * mean(path_rows[path], "position_rmse_m")) if path in path_rows else None for path in paths
+        ]
         series.append(Series(name, paths, errors, i, "bars", labels={"controller": name}))
     return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
 
 
 def step_time_chart(main: DataFrame) -> Chart:
-    """Chart the share of steps that took longer than a time."""
+    """Chart the share of steps that are longer than a time."""
     series = []
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
         times = 1e3 * step_times(rows)
-        if times.size:  # on a busy machine, all ticks of a short run may be disturbed
+        if times.size:  # on a busy computer, all ticks of a short run may be disturbed
             series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
     sample = 1e3 * main["run"].iloc[0].sample_time
     note = f"Whole step, from measurement to command. The sample time is {sample:.1f} ms."
@@ -198,15 +205,15 @@ def _errors(title: str) -> Figures:
 
 
 def _sweep(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, names: Sequence[str]) -> list[Chart]:
-    """Return charts of figures of the runs at each x, with the range over single seeds."""
+    """Return charts of `figures` over `x`, with the range over seeds."""
     rows, swept_charts = rows.assign(x=x), []
     for title, (unit, figure) in figures.items():
         series = []
         for name, part in by(rows, "driver").items():
             values = {float(value): rounded(figure(group)) for value, group in part.groupby("x")}
-            of_seeds = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
-            several = part["seed"].nunique() > 1 and of_seeds.notna().all()
-            low, high = (list(of_seeds.groupby(level=0).agg(end)) if several else () for end in ("min", "max"))
+            seed_values = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
+            has_range = part["seed"].nunique() > 1 and seed_values.notna().all()
+            low, high = (list(seed_values.groupby(level=0).agg(end)) if has_range else () for end in ("min", "max"))
             style, labels = _style(name, names), _labels(name, names)
             series.append(Series(name, [*values], [*values.values()], style, low=low, high=high, labels=labels))
         swept_charts.append(Chart(title, Axis(axis), Axis(unit, _scale(series)), series))
@@ -214,7 +221,7 @@ def _sweep(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
 
 
 def _labels(name: str, names: Sequence[str]) -> dict[str, str]:
-    """Return the label of the toggle that hides a series; empty if its controller has no toggle."""
+    """Return the label of the toggle that hides a series; empty if the controller has no toggle."""
     return {"controller": name} if name in names else {}
 
 
@@ -223,13 +230,13 @@ def _style(name: str, names: Sequence[str]) -> int:
 
 
 def _scale(series: Sequence[Series]) -> Division:
-    """Choose a logarithmic scale if a large value would hide the differences between the others."""
+    """Choose a logarithmic scale if a large value would hide the differences between the other values."""
     values = [value for line in series for value in line.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
 def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
-    """List the warnings of all runs; a repeated warning names its first run and the number of further runs."""
+    """Return the warnings of all runs; a repeated warning names its first run and the number of further runs."""
     groups: dict[tuple[str, str], list[Warned]] = {}
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
@@ -238,9 +245,9 @@ def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
                 groups.setdefault((name, run_warning.remedy), []).append(run_warning)
     warned = []
     for group in groups.values():
-        more = f" The same warning applies to {len(group) - 1} more of its runs." if len(group) > 1 else ""
+        more = f" The same warning applies to {len(group) - 1} more runs." if len(group) > 1 else ""
         warned.append(Warned(group[0].text + more, group[0].remedy))
     if len(warned) > _WARNINGS_SHOWN:
-        rest = Warned(f"And {len(warned) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
+        rest = Warned(f"{len(warned) - _WARNINGS_SHOWN} other kinds of warnings: see the tables.")
         return [*warned[:_WARNINGS_SHOWN], rest]
     return warned

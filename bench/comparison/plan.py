@@ -1,4 +1,4 @@
-"""Cases of the comparison."""
+"""Plan of the cases of the comparison."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from diffdrive_mpc.models.suggestions import not_among
 
 
 class ComparisonSettings(StrictModel):
-    """Settings of a comparison: the fields here, and the values of every dimension under its plural name."""
+    """Settings of a comparison; a subclass adds the values of each dimension under its plural name."""
 
     horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        (), description="horizons of the sweep [steps]; empty for no sweep"
+        (), description="horizons of the sweep [steps]; empty: no sweep"
     )
-    config: str | None = Field(None, description="controller configuration file that replaces the shipped ones")
+    config: str | None = Field(None, description="controller configuration file that replaces the built-in files")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
-    scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
-    osqp: bool = Field(True, description="whether OSQP at every tick is also compared")
-    beyond: bool = Field(False, description="whether further speeds, dead times and seeds are run, see `CasePlan`")
-    robots: bool = Field(False, description="whether further robots are run, see `other_robots`")
+    scaled: bool = Field(False, description="true to scale paths to the robot of the configuration")
+    osqp: bool = Field(True, description="true to also compare OSQP at every tick")
+    beyond: bool = Field(False, description="true to run further speeds, dead times and seeds, see `CasePlan`")
+    robots: bool = Field(False, description="true to run further robots, see `other_robots`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
         """Return the values of a dimension by its plural name."""
@@ -51,22 +51,22 @@ class ComparisonSettings(StrictModel):
 
     @property
     def ours(self) -> bool:
-        """True if the controllers include one that is no peer: it has a model and a configuration."""
+        """True if the controllers include the predictive controller, which has a model and a configuration."""
         return not set(self.values("controllers")) <= set(PEERS)
 
 
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
-"""Top speeds of the speed sweep [m/s]."""
+"""Maximum speeds of the speed sweep [m/s]."""
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
-"""Trajectories driven at these speeds, and their number of seeds."""
+"""Trajectories and number of seeds of the speed sweep."""
 SWEPT_TRAJECTORIES = ("s", "cane")
-"""Trajectories over which horizons are swept by default; the others give the same result."""
+"""Trajectories of the horizon sweep; results for other trajectories are similar."""
 LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
-"""Plant's dead time minus the configured dead time [samples], and the trajectory of these runs."""
+"""Dead time of the plant minus configured dead time [samples], and trajectory of the dead time sweep."""
 OTHER_SEEDS = (10, 11)
-"""Seeds over which the order of the controllers is checked again."""
+"""Additional seeds for a check of the ranking of the controllers."""
 ROBOT_SEEDS = tuple(range(0, 40, 2))
-"""Seeds of robots with known dynamics in a sweep."""
+"""Seeds of the runs with `KnownRobot` in a sweep."""
 
 _DIMENSIONS: dict[str, Any] = {
     entry.several: (Annotated[tuple[entry.kind, ...], Field(min_length=1)], entry.compared)  # type: ignore[name-defined]
@@ -76,7 +76,7 @@ _WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings
 
 
 def default_settings() -> ComparisonSettings:
-    """Return the settings of `bench` without options."""
+    """Return the default settings of `bench`."""
     return _WithDimensions()
 
 
@@ -90,29 +90,33 @@ def read_options(
     scaled: bool = False,
     sweeps: bool = False,
 ) -> ComparisonSettings:
-    """Read the settings from the options of the command.
+    """Convert the options of the command to settings.
 
     Parameters
     ----------
     values
-        Text of the option of each dimension, by the plural of the dimension's name; None if it was not passed.
+        Text of the option of each dimension by plural name; None if the option was not passed.
     horizons, config, settings, quick, scaled, sweeps
-        Options of the command as the user passed them.
+        Other options of the command.
 
     Raises ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
-    stated = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
-    options: dict[str, object] = {entry.several: entry.read(text, entry.list_option) for entry, text in stated.items()}
+    requested = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
+    options: dict[str, object] = {
+        entry.several: entry.read(text, entry.list_option) for entry, text in requested.items()
+    }
     if "controllers" not in options and (config is not None or settings or "models" in options):
-        options["controllers"] = ("mpc",)  # these options apply to the predictive controller only
+        options["controllers"] = ("mpc",)  # these options apply only to the predictive controller
     if sweeps and (quick or config or settings or scaled or set(options) - {"controllers", "models", "seeds"}):
-        raise ConfigError("--sweeps: combine it with --controllers, --models, --seeds and --horizons only, or omit it")
+        raise ConfigError("--sweeps: combine it only with --controllers, --models, --seeds and --horizons")
     options["osqp"] = not (config or settings or {"controllers", "models"} & set(options))
-    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options})
-    if not chosen.ours:
+    chosen_settings = default.model_copy(
+        update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options}
+    )
+    if not chosen_settings.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
-            name = chosen.values("controllers")[0]
+            name = chosen_settings.values("controllers")[0]
             raise ConfigError(f"the controller '{name}' takes no --models, --config, --set or --horizons")
         options["horizons"] = ()
     elif horizons is not None:
@@ -125,7 +129,7 @@ def read_options(
     options["robots"] = not (quick or scaled or settings or set(options) - {"osqp", "beyond", "horizons"})
     if quick:
         options.setdefault("seeds", default.values("seeds")[:1])
-    return chosen.model_copy(update=options)
+    return chosen_settings.model_copy(update=options)
 
 
 def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
@@ -138,21 +142,21 @@ def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class CasePlan:
-    """Cases of a comparison. A case may belong to several parts; it is run once.
+    """Cases of a comparison; a case that belongs to several parts is run only once.
 
     Attributes
     ----------
     main
-        Every combination of controllers, models, settings and the other dimensions.
+        All combinations of controllers, models, settings and the other dimensions.
     horizon
-        Models x horizons x trajectories, with the first value of every other dimension; see `SWEPT_TRAJECTORIES`.
+        All combinations of models, horizons and `SWEPT_TRAJECTORIES`, with the first value of the other dimensions.
     speed, dead_time
-        Every controller at other top speeds; on plants with a longer or shorter dead time than configured. A controller
-        without a configurable dead time is run on plants with a longer one only.
+        All controllers with other maximum speeds, and on plants with a longer or shorter dead time than configured. A
+        controller without a configurable dead time is run only on plants with a longer dead time.
     other_seeds
-        `main` over other seeds.
+        Cases of `main` with other seeds.
     population, dynamics
-        Other robots, see `other_robots`.
+        Cases with other robots, see `other_robots`.
     """
 
     main: tuple[Case, ...]
@@ -165,23 +169,23 @@ class CasePlan:
 
     @property
     def all(self) -> tuple[Case, ...]:
-        """Every case whose whole run is stored once, in order."""
+        """Cases whose whole runs are stored, without repetition, in order."""
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
 
     @property
     def timed(self) -> tuple[Case, ...]:
-        """Cases whose steps are timed: those with the first seed, because step times do not depend on the seed."""
+        """Cases whose steps are timed; only the first seed, since step times do not depend on the seed."""
         return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
     def beyond(self) -> tuple[Case, ...]:
-        """Every case whose rows are stored without its run, once, in order."""
+        """Cases of which only rows are stored, without repetition, in order."""
         cases = (*self.speed, *self.dead_time, *self.other_seeds, *self.population, *self.dynamics)
         return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
 
 
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
-    """List the cases; check that everything they name exists and can be used.
+    """List the cases, and check that their values exist and can be used.
 
     Raises ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
     would have the same name in tables and figures.
@@ -196,11 +200,11 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     )
     drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
     if any(controller_config(case.model, case.config, case.overrides).start_delay for case in drivers):
-        raise ConfigError("start_delay: bench runs do not delay the start; omit it, or use simulate")
+        raise ConfigError("start_delay: bench runs do not delay the start; remove it, or use simulate")
     peers = {
         name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
     }
-    # Trajectories and seeds vary fastest.
+    # Trajectories and seeds vary fastest in the list of cases.
     several = {dimension.name: settings.values(dimension.several) for dimension in DIMENSIONS if dimension.place}
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
@@ -238,7 +242,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_cases((*plan.all, *plan.beyond))
     if not settings.robots:
         return plan
-    # Cases of other robots are not checked: their files are shipped, and building a hundred robots takes seconds.
+    # Cases of other robots are not checked, since their files are built-in and the check takes several seconds.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
@@ -247,25 +251,25 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
 
 
 def _with_excess_delay(case: Case, ticks: int) -> Case:
-    """Return the case with `ticks` more dead time in the plant, or -`ticks` more in the configuration if negative."""
+    """Return the case with `ticks` additional dead time in the plant, or, if negative, in the configuration."""
     if ticks >= 0:
         return replace(case, late=ticks)
-    known = controller_config(case.model, case.config, case.overrides)
+    config = controller_config(case.model, case.config, case.overrides)
     for channel in ("v", "omega"):
-        stated = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
-        case = case.with_override(f"extra_dead_time.{channel}", round(stated, 6))
+        requested = getattr(config.extra_dead_time, channel) - ticks * config.sample_time
+        case = case.with_override(f"extra_dead_time.{channel}", round(requested, 6))
     return replace(case, late=ticks)
 
 
 def _at_horizon(case: Case, steps: int) -> Case:
-    """Return the case with a horizon of `steps`; the case itself if its horizon is equal, so that it runs once."""
+    """Return the case with a horizon of `steps`; an equal horizon returns the same case, so that it is run once."""
     return case if case.horizon == steps else case.with_override("horizon", steps)
 
 
 def _check_labels(settings: ComparisonSettings) -> None:
-    """Raise ConfigError if two files of a dimension have the same stem: tables and figures would merge them.
+    """Raise ConfigError if two files of a dimension have the same stem, since tables and figures would merge them.
 
-    Models and peers share one set of names. The comparison ignores case, because figure files use these names.
+    Models and peers share a set of names. The comparison ignores case, since figure files use these names.
     """
     dimensions = {dimension.several: settings.values(dimension.several) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)
@@ -273,9 +277,9 @@ def _check_labels(settings: ComparisonSettings) -> None:
     for dimension, names in dimensions.items():
         labels: dict[str, str] = {}
         for name in names:
-            namesake = labels.setdefault(label(name).casefold(), name)
-            if namesake != name:
+            other_name = labels.setdefault(label(name).casefold(), name)
+            if other_name != name:
                 raise ConfigError(
-                    f"{dimension}: '{namesake}' and '{name}' would both be '{label(name)}' in tables and figures; "
+                    f"{dimension}: '{other_name}' and '{name}' would both be '{label(name)}' in tables and figures; "
                     f"rename one file"
                 )

@@ -1,4 +1,4 @@
-"""Open-loop properties of models: FIT and pose drift on the plant, with the tracking error."""
+"""Open-loop properties of models (FIT and pose drift on the plant), compared with the tracking error."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 EXCITATION_SEEDS = (2001, 2002)
 """Seeds of random set-points and noise of the validation drives; no model is identified from these drives."""
 DRIFT_AFTER = 2.0
-"""Length of a free prediction of the pose [s]: about three horizons."""
+"""Duration of a free prediction of the pose [s], about three horizons."""
 _MIN_PAIRS = 5
 """Minimum number of pairs of model and plant for a meaningful rank correlation."""
 
 
 @dataclass(frozen=True)
 class Property:
-    """One model on one plant.
+    """Open-loop properties of a model on a plant.
 
     Attributes
     ----------
     case
         Model, configuration and plant.
     fit_v, fit_omega
-        FIT of a free run from the commands alone [%].
+        FIT of a free run that uses only the commands [%].
     drift
-        Root mean square of the position error after `DRIFT_AFTER` [m].
+        RMS of the position error after `DRIFT_AFTER` [m].
     """
 
     case: Case
@@ -51,7 +51,7 @@ class Property:
 
     @classmethod
     def measure(cls, case: Case) -> Property | None:
-        """Drive the plant of `case` open loop; return None if the model is no VelocityModel and cannot run freely."""
+        """Measure the properties on the plant of `case`; return None if the model is not a VelocityModel."""
         from diffdrive_mpc.models.identification.fit.poses import pose_drift  # noqa: PLC0415 - loads slowly
 
         config = controller_config(case.model, case.config, case.overrides)
@@ -71,14 +71,14 @@ class Property:
 
 
 def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambda: None) -> list[Property]:
-    """Measure every pair of model and plant among `cases` once."""
-    wanted = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
-    measured = run_tasks([partial(Property.measure, case) for case in wanted], jobs, on_done)
+    """Measure each pair of model and plant in `cases` once."""
+    pairs = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
+    measured = run_tasks([partial(Property.measure, case) for case in pairs], jobs, on_done)
     return [row for row in measured if row is not None]
 
 
 def _property_case(case: Case) -> Case:
-    """Return the case with defaults for values that do not affect the properties, and without solver settings."""
+    """Return the case with default values of dimensions and settings that do not affect the properties."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS
@@ -89,8 +89,8 @@ def _property_case(case: Case) -> Case:
 
 
 def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[str, object]]:
-    """Return the properties as plain values, each with the tracking error of that model on that plant."""
-    of_case = [_property_case(case) for case in runs["case"]]
+    """Return the properties as plain values, with the tracking error of each model on its plant."""
+    property_cases = [_property_case(case) for case in runs["case"]]
     return [
         {
             "model": measured.case.labels["model"],
@@ -98,7 +98,7 @@ def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[
             "fit_v_percent": measured.fit_v,
             "fit_omega_percent": measured.fit_omega,
             "drift_m": measured.drift,
-            "position_rmse_m": mean(runs[[case == measured.case for case in of_case]], "position_rmse_m"),
+            "position_rmse_m": mean(runs[[case == measured.case for case in property_cases]], "position_rmse_m"),
         }
         for measured in properties
     ]
@@ -125,14 +125,14 @@ def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
         "position RMSE [mm]",
     )
     note = (
-        "FIT and drift: free runs from the commands alone, dead time included, over "
+        "FIT and drift: free runs that use only the commands, including dead time, over "
         f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not included. {predicts(rows)}"
     )
     return Table("Which property of a model predicts tracking", columns, cells, text_columns=2, note=note)
 
 
 def predicts(rows: Sequence[dict[str, object]]) -> str:
-    """Describe the rank correlation of each property with the tracking error; report if there are too few points."""
+    """Describe the rank correlation of each property with the tracking error, or that there are too few pairs."""
     if len(rows) < _MIN_PAIRS:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
     from scipy.stats import spearmanr  # noqa: PLC0415 - loads slowly

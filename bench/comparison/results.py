@@ -1,4 +1,4 @@
-"""Results of a comparison, its rows in `bench.json`, and the description of its settings."""
+"""Results of a comparison, their rows in `bench.json`, and the description of the settings."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = (
-    "replays of the measurements of the first seed on one core, one BLAS thread, garbage collection off; controllers "
-    f"take turns every {BLOCK} ticks, the first of which is not timed; blocks that are disturbed according to counters "
-    f"or the yardstick are measured again, up to {AGAIN} times"
+    "replays of the measurements of the first seed on one core with one BLAS thread and without garbage collection; "
+    f"controllers alternate every {BLOCK} ticks, of which the first is not timed; blocks that are disturbed according "
+    f"to counters or the yardstick are measured again, up to {AGAIN} times"
 )
 
 
 BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
-"""Parts of the plan of which only rows are stored, without runs."""
+"""Parts of the plan of which only rows are stored."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class ComparisonResults:
     settings
         Settings of the comparison.
     main
-        Rows of the comparison from `bench.run_row.RunOutcome.row`, each with its run.
+        Rows of the comparison with their runs, see `bench.run_row.RunOutcome.row`.
     horizon
         Runs of the horizon sweep; `main` may contain some of them.
     timing
-        State of the machine during all timed runs.
+        State of the computer during all timed runs.
     properties
         Open-loop properties of the models on the plants.
     speed, dead_time, other_seeds, population, dynamics
@@ -67,7 +67,7 @@ class ComparisonResults:
 
     @property
     def all(self) -> DataFrame:
-        """Every row once, in order."""
+        """All rows without repetition, in order."""
         return concatenate(self.main, self.horizon)
 
     @property
@@ -80,7 +80,7 @@ class ComparisonResults:
         ]
 
     def rows(self) -> list[Row]:
-        """Return every run as plain values; a missing value is None."""
+        """Return all runs as plain values; missing values are None."""
         swept, smoothed = any(self.settings.settings), bool((self.all["drawn_max_m"] > 0.0).any())
         rows = self.all.to_dict("records")
         return [json_row(row, self.silent, with_settings=swept, with_drawn=smoothed) for row in rows]
@@ -100,15 +100,15 @@ _RECOVERY = tuple(member.name for member in fields(Recovery))
 
 
 def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False) -> Row:
-    """Convert one run to plain values.
+    """Convert a run to plain values.
 
     Parameters
     ----------
     row
         Row of the run.
     silent
-        Dimensions to omit. Unless they include "scenario", the row also contains the reason of an early end, start and
-        end of the disturbance [s], and the statistics of the recovery.
+        Dimensions to omit. If they do not include "scenario", the row also contains the reason for an early end, start
+        and end of the disturbance [s], and the recovery metrics.
     with_settings
         True to add the swept configuration values under "set".
     with_drawn
@@ -127,7 +127,7 @@ def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, w
 
 
 def beyond_row(row: Row, silent: Container[str]) -> Row:
-    """Convert a run without timing to plain values; `late_s` is the plant's delay beyond the configured one."""
+    """Convert a run without timing to plain values; `late_s` is the delay of the plant minus the configured delay."""
     case = row["case"]
     sample_time = controller_config(Case().model).sample_time
     values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
@@ -142,7 +142,7 @@ def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
 
 
 def complete(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
-    """Return the groups that completed every run; only their errors are comparable."""
+    """Return the groups with only completed runs, whose errors are comparable."""
     return {name: rows for name, rows in compared.items() if rows["completed"].all()}
 
 
@@ -152,7 +152,7 @@ def best_of(compared: Mapping[str, DataFrame]) -> str:
 
 
 def incomplete(results: ComparisonResults) -> str | None:
-    """Describe incomplete runs of the predictive controller in one line; None if all are complete."""
+    """Describe the incomplete runs of the predictive controller in one line; None if all runs are complete."""
     rows = results.all
     ours = rows[~rows["controller"].isin(PEERS)]
     failed = ours[~ours["completed"].astype(bool)]
@@ -174,7 +174,7 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     settings
         Settings of the comparison.
     timing
-        State of the machine during all timed runs.
+        State of the computer during all timed runs.
     """
     options: dict[str, object] = {dimension.several: labels_of(settings, dimension.several) for dimension in DIMENSIONS}
     if not settings.ours:
@@ -194,25 +194,25 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
 
 
 def labels_of(settings: ComparisonSettings, dimension: str) -> list[object]:
-    """Return the values of a dimension by its plural name, without parts that identify the machine."""
+    """Return the values of a dimension by its plural name; paths are reduced to their stems."""
     return [label(value) if isinstance(value, str) else value for value in settings.values(dimension)]
 
 
 def chosen_configuration(settings: ComparisonSettings) -> str:
-    """Describe the configuration file and changed values as one phrase; empty for shipped values."""
+    """Describe the configuration file and changed values as a phrase; empty for built-in values."""
     parts = [] if settings.config is None else [f"file {Path(settings.config).stem}"]
     parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept_values(settings).items()]
     return "; ".join(parts)
 
 
 def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
-    """List every configuration value of each model's controller, for each combination of swept values."""
+    """List the configuration values of the controller of each model for each combination of swept values."""
     return [
         {
             "model": label(model),
             "set": dict(overrides),
             "values": controller_config(model, settings.config, overrides).model_dump(mode="json")
-            | {"model": label(model)},  # a path would identify the machine
+            | {"model": label(model)},  # only the stem of a path
         }
         for model in settings.values("models")
         for overrides in settings.settings
@@ -220,10 +220,10 @@ def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
 
 
 def _swept_values(settings: ComparisonSettings) -> dict[str, list[object]]:
-    """Collect the swept values by dotted key, each once."""
+    """Collect the distinct swept values by dotted key."""
     values: dict[str, list[object]] = {}
     for key, value in (pair for overrides in settings.settings for pair in overrides):
-        known = values.setdefault(key, [])
-        if value not in known:
-            known.append(value)
+        collected = values.setdefault(key, [])
+        if value not in collected:
+            collected.append(value)
     return values

@@ -1,4 +1,4 @@
-"""The comparison as a study: run in parallel for the motion, then serially for the step times."""
+"""Comparison as a study: parallel runs for the motion, followed by serial runs for the step times."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         self.settings = settings
 
     def plan(self) -> CasePlan:
-        """Plan the cases; raise ConfigError or ValueError if one of them cannot be run."""
+        """Plan the cases; raise ConfigError or ValueError if a case cannot be run."""
         return plan_cases(self.settings)
 
     def cases(self, plan: CasePlan) -> Iterable[Case]:
-        """Select the cases to check against their robots: all of them, unless plants are compared."""
+        """Select the cases whose configuration is checked against the robot."""
         return [case for case in plan.all if case.config is not None]
 
     def driven(self, plan: CasePlan) -> Iterable[Case]:
@@ -52,10 +52,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         return plan.all
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
-        """Run every case, and time the controllers' steps; raise NotReproducibleError if a replay differs."""
+        """Run all cases and time the steps of the controllers; raise NotReproducibleError if a replay differs."""
         cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
         bar.start_stage(f"running, {jobs} at a time", len(cases))
-        # Cases of tables and figures keep the whole run, others only their row.
+        # Whole runs are stored only for cases of tables and figures.
         driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
         recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
         bar.start_stage("timing, in turns", len(timed_cases))
@@ -71,11 +71,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **beyond)
         if not self.settings.beyond:
             return results
-        # In one process: another pool takes longer to start.
+        # Starting another process pool would take longer than this computation.
         return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
-        """Report the overview figures above the tables, and the runs of the first seed below them."""
+        """Report with the overview figures above and the runs of the first seed below the tables."""
         from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
         named = [

@@ -1,4 +1,4 @@
-"""Tables of the comparison: `tables.yaml` defines them, and this module computes their named cells."""
+"""Tables of the comparison, which `tables.yaml` defines, and functions for their named cells."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 
 _PATHS_ON_SCREEN = 4
-"""Maximum number of columns of single paths in a terminal of 80 columns."""
+"""Maximum number of path columns in a terminal of 80 characters."""
 
 
 @cache
@@ -31,12 +31,12 @@ def table_specs() -> dict[str, TableSpec]:
 
 
 def step_times(rows: DataFrame) -> FloatArray:
-    """Collect the finite times of the whole step [s] at counted ticks of all runs."""
+    """Collect the finite step times [s] at counted ticks of all runs."""
     return _times([run.step_time[run.counted] for run in rows["run"]])
 
 
 def solve_times(rows: DataFrame) -> FloatArray:
-    """Collect the finite times of linearising, condensing and solving [s] at counted ticks of all runs."""
+    """Collect the finite solve times [s], including linearisation and condensing, at counted ticks of all runs."""
     return _times([run.solve_time[run.counted] for run in rows["run"]])
 
 
@@ -58,7 +58,7 @@ def disturbed_share(rows: DataFrame) -> float:
 
 
 def _time(name: str, percent: float, digits: int = 2) -> Cell:
-    """Format a percentile of times [ms], with an asterisk if some of them are disturbed."""
+    """Format a percentile of times [ms], with an asterisk if some times are disturbed."""
 
     def time_cell(rows: DataFrame) -> str:
         times = step_times(rows) if name == "step" else solve_times(rows)
@@ -82,11 +82,11 @@ CELLS: dict[str, Cell] = {
     **{f"{name}_p{percent}": _time(name, percent) for name in ("solve", "step") for percent in (50, 99)},
     **{f"{name}_p{percent}_3": _time(name, percent, 3) for name in ("solve", "step") for percent in (50, 95, 99, 100)},
 }
-"""Cells by the name that `tables.yaml` uses for them."""
+"""Cells by their names in `tables.yaml`."""
 
 
 def report_tables(results: ComparisonResults) -> list[Table]:
-    """Build every table of a report in order; omit tables of horizons and scenarios that were not run."""
+    """Build the tables of a report in order; tables without runs are omitted."""
     main, several = results.main, len(by(results.main, COMPARED)) > 1
     tables = [make(main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
     if several:
@@ -106,17 +106,17 @@ def report_tables(results: ComparisonResults) -> list[Table]:
 
 
 def summary_table(rows: DataFrame) -> Table:
-    """Tabulate tracking and cost, one row for each controller."""
+    """Tabulate tracking error and computation time with a row for each controller."""
     return table_specs()["summary"].table(rows, CELLS, _disturbed_note(rows))
 
 
 def error_table(rows: DataFrame) -> Table:
-    """Tabulate position and heading errors by trajectory: the statistics of Guffanti et al. 2025, Table 2."""
+    """Tabulate position and heading errors by trajectory, with the statistics of Guffanti et al. 2025, Table 2."""
     return table_specs()["errors"].table(rows)
 
 
 def path_table(rows: DataFrame) -> Table:
-    """Tabulate errors against the path rather than the timed reference, by trajectory."""
+    """Tabulate errors relative to the path, instead of the timed reference, by trajectory."""
     spec = table_specs()["path"]
     columns, note = dict(spec.columns), spec.note
     if (rows["drawn_max_m"] > 0.0).any():
@@ -137,42 +137,46 @@ def scenario_table(rows: DataFrame) -> Table:
 
 
 def other_robot_tables(results: ComparisonResults) -> list[Table]:
-    """Return tables of other robots, if they were driven: see `bench.comparison.other_robots`."""
-    parts = {"population": (results.population, ""), "dynamics": (results.dynamics, _ahead(results.dynamics))}
+    """Return the tables of other robots for which there are runs, see `bench.comparison.other_robots`."""
+    parts = {"population": (results.population, ""), "dynamics": (results.dynamics, _advantage_note(results.dynamics))}
     return [table_specs()[name].table(rows, note=note) for name, (rows, note) in parts.items() if len(rows)]
 
 
-def _ahead(rows: DataFrame) -> str:
-    """Describe the advantage of the best identified model over the best peer on each robot and path, paired by seed."""
-    leads, delays = [], model_name("two_delays")
+def _advantage_note(rows: DataFrame) -> str:
+    """Describe the paired advantage of the best identified model over the best peer on each robot and path."""
+    advantages, delays = [], model_name("two_delays")
     for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
         ranked = complete(by(part, "driver"))
         peers = {name: runs for name, runs in ranked.items() if name in PEERS}
         models = {name: runs for name, runs in ranked.items() if name not in peers and name != delays}
         if models and peers:
-            ours, theirs = best_of(models), best_of(peers)
-            before, now = (ranked[name].sort_values("seed")["position_rmse_m"].to_numpy() for name in (theirs, ours))
+            best_model, best_peer = best_of(models), best_of(peers)
+            before, now = (
+                ranked[name].sort_values("seed")["position_rmse_m"].to_numpy() for name in (best_peer, best_model)
+            )
             low, high = 100.0 * interval(before - now) / before.mean()
             share = 100.0 * (1.0 - now.mean() / before.mean())
-            leads.append(f"{ours} {share:.0f} % ({low:.0f} to {high:.0f}) ahead of {theirs} ({label(robot)}, {path})")
-    return f" With a paired bootstrap interval of {CERTAINTY:g} %: {'; '.join(leads)}." if leads else ""
+            advantages.append(
+                f"{best_model} {share:.0f} % ({low:.0f} to {high:.0f}) ahead of {best_peer} ({label(robot)}, {path})"
+            )
+    return f" With a paired bootstrap interval of {CERTAINTY:g} %: {'; '.join(advantages)}." if advantages else ""
 
 
 def error_parts_table(rows: DataFrame) -> Table:
-    """Split errors along and across the path into the part that repeats with every seed and the part that differs."""
+    """Tabulate the parts of the errors along and across the path that are equal for all seeds and that differ."""
     columns = {
         f"{direction} the path, {part} [m]": partial(error_part, component=i, repeats=part == "repeats")
         for i, direction in enumerate(("along", "across"))
         for part in ("repeats", "noise")
     }
     note = "RMS over time, means over trajectories. Repeats: the mean over seeds at each time; noise: the rest."
-    return grouped_table("What the error consists of", rows, {"controller": COMPARED}, columns, note)
+    return grouped_table("Parts of the error", rows, {"controller": COMPARED}, columns, note)
 
 
 def error_part(rows: DataFrame, *, component: int, repeats: bool) -> str:
-    """Return the RMS [m] of the part of the error that repeats with every seed, or of the rest.
+    """Return the RMS [m] of the part of the error that is equal for all seeds, or of the rest.
 
-    `component` 0 is the error along the reference, 1 the error across it.
+    `component` is 0 for the error along the reference and 1 for the error across the reference.
     """
     parts = []
     for group in by(rows, "trajectory").values():
@@ -190,12 +194,12 @@ def error_part(rows: DataFrame, *, component: int, repeats: bool) -> str:
 
 
 def time_table(rows: DataFrame) -> Table:
-    """Tabulate percentiles of the times of the solve and of the whole step over all ticks of a controller."""
+    """Tabulate percentiles of solve and step times over all ticks of a controller."""
     return table_specs()["times"].table(rows, CELLS, _disturbed_note(rows))
 
 
 def solver_table(rows: DataFrame) -> Table:
-    """Tabulate solver methods and iterations; omit controllers without a solver."""
+    """Tabulate solver methods and iterations of controllers with a solver."""
     solving = [part for part in by(rows, COMPARED).values() if math.isfinite(mean(part, "iterations_mean"))]
     solved = rows[rows.index.isin([index for part in solving for index in part.index])]
     return table_specs()["solver"].table(solved)
@@ -209,7 +213,7 @@ def horizon_table(rows: DataFrame) -> Table:
 
 
 def screen_table(rows: DataFrame) -> Table:
-    """Tabulate a comparison for the terminal: a row for each controller, in 80 columns."""
+    """Tabulate a comparison for the terminal with a row for each controller, in 80 characters."""
     paths = list(by(rows, "trajectory"))
     error = cell("mean position_rmse_m mm")
     columns = {path: _on_path(path) for path in paths} if 1 < len(paths) <= _PATHS_ON_SCREEN else {}
@@ -228,9 +232,9 @@ def screen_table(rows: DataFrame) -> Table:
 
 
 def side_by_side_table(rows: DataFrame) -> Table:
-    """Tabulate position RMSE, a row for each trajectory and a column for each controller."""
+    """Tabulate position RMSE with a row for each trajectory and a column for each controller."""
     drivers = by(rows, COMPARED)
-    cells = {name: _of_rows(part) for name, part in drivers.items()}
+    cells = {name: _rmse_cell(part) for name, part in drivers.items()}
     note = "Position RMSE [mm], means over seeds; incomplete runs count up to their end."
     return grouped_table("Path by path", rows, {"trajectory": "trajectory"}, cells, note, mean=True)
 
@@ -240,8 +244,8 @@ def _on_path(path: str) -> Cell:
     return lambda rows: error(rows[rows["trajectory"] == path])
 
 
-def _of_rows(subset: DataFrame) -> Cell:
-    """Return a cell for the position RMSE of the rows that a group shares with `subset`."""
+def _rmse_cell(subset: DataFrame) -> Cell:
+    """Return a cell for the position RMSE of the rows that are in both a group and `subset`."""
     error = cell("mean position_rmse_m mm")
     return lambda rows: error(rows[rows.index.isin(subset.index)])
 
@@ -253,12 +257,12 @@ def _disturbed_note(rows: DataFrame) -> str:
         return ""
     finite = np.array([np.isfinite(run.step_time).mean() for run in rows["run"]])
     left_out = not (finite > values(rows, "clean_share")).any()
-    rest = "and are omitted" if left_out else "for one controller all of them, so none are omitted"
+    rest = "and are omitted" if left_out else "for one controller all ticks, so no ticks are omitted"
     return f" *: other programs ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
 
 
 def _where(rows: DataFrame) -> str:
-    """Describe the fixed dimensions of the horizon sweep, which uses only the first value of each."""
+    """Describe the fixed dimensions of the horizon sweep, of which only the first values are used."""
     case = rows["case"].iloc[0]
     labels = {dimension: case.labels[dimension.name] for dimension in DIMENSIONS if dimension.place}
     parts = [f"{entry.name} {text}" for entry, text in labels.items() if not (entry.silent and text == entry.default)]

@@ -1,1 +1,1 @@
-"""Reports as one HTML page that needs no network: contents from the commands, and the engine that draws them."""
+"""Reports as a single HTML page that needs no network: their contents, and the scripts that draw them."""

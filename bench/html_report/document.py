@@ -1,4 +1,4 @@
-"""A page as one HTML file that contains its content as JSON, style, scripts and the plotting library."""
+"""A page as a single HTML file that includes the content as JSON, the style, the scripts and the plotting library."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def write_page(page: Page, path: Path) -> None:
 
 
 def page_text(page: Page) -> str:
-    """Render the page as HTML; the same page gives the same text."""
+    """Render the page as HTML; the result depends on the page only."""
     parts = {
         "title": _escaped_title(page.title),
         "style": _file("page.css"),
@@ -38,7 +38,7 @@ def page_text(page: Page) -> str:
 
 
 def content(page: Page) -> dict[str, Any]:
-    """Collect the data for the script: the page as plain values, and the common style of the figures."""
+    """Collect the data of the scripts: the page as plain values, and the common style of the figures."""
     shown: dict[str, Any] = plain(replace(page.shown, views=[_view(view) for view in page.shown.views]))
     tables = [
         {
@@ -51,20 +51,20 @@ def content(page: Page) -> dict[str, Any]:
         for table in page.tables
     ]
     look = {"colours": PALETTE, "dashes": DASHES}
-    whole: dict[str, Any] = plain(
+    page_values: dict[str, Any] = plain(
         {"command": page.command, "title": page.title, "tables": tables, "origin": page.origin, "look": look}
     )
-    return shown | whole
+    return shown | page_values
 
 
 def json_text(values: Mapping[str, object]) -> str:
-    """Format JSON that cannot end the script element around it."""
+    """Format `values` as JSON that cannot close the surrounding script element."""
     text = json.dumps(values, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def picture(path: Path) -> str:
-    """Encode a PNG file as a data address."""
+    """Encode a PNG file as a data URL."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
 
 
@@ -72,7 +72,7 @@ def _escaped_title(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def _view(view: View) -> Any:  # noqa: ANN401 - a picture, or plain values of other views
+def _view(view: View) -> Any:  # noqa: ANN401 - a picture, or the plain values of another view
     if isinstance(view, EmbeddedPicture):
         return view
     if isinstance(view, RunViews):

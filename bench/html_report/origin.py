@@ -1,4 +1,4 @@
-"""Origin of a run: command, software versions and machine."""
+"""Origin of a run: command, software versions and computer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Origin:
-    """Build the origin of a report.
+    """Describe the origin of a report.
 
     Parameters
     ----------
@@ -40,22 +40,23 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
     return Origin(command_line(), facts)
 
 
-# The configuration of a case, as a page shows it.
+# Configuration of a case, formatted for a page.
 
 
 def case_config(case: Case) -> ControllerConfig | None:
-    """Return the configuration of a case's controller; None for a peer, which has none."""
+    """Return the configuration of a case's controller; None for a peer, which has no configuration."""
     return None if case.controller in PEERS else controller_config(case.model, case.config, case.overrides)
 
 
 def configuration(case: Case) -> list[ConfigurationView]:
-    """Return a view of the configuration of a case with every value; the model is named without folders."""
+    """Return a view of all values of the configuration of a case; the model is stated without folders."""
     config = case_config(case)
     if config is None:
         return []
-    named = config.model_copy(update={"model": label(config.model)})
+    without_folders = config.model_copy(update={"model": label(config.model)})
     return [
         ConfigurationView(
-            f"Configuration of {driver_name(case)}, every value with its meaning (YAML)", commented_yaml(named)
+            f"Configuration of {driver_name(case)} with explanations (YAML)",
+            commented_yaml(without_folders),
         )
     ]

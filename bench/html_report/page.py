@@ -1,4 +1,4 @@
-"""Contents of a report in plain values; the engine in `template/` draws them."""
+"""Contents of a report as plain values, which the scripts in `template/` draw."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import TextTable
 
 Labels = Mapping[str, str]
-"""Values of the toggles that show or hide an element, by the toggle's name."""
+"""Values of the toggles that show or hide an element, by name of the toggle."""
 
 
 Division = Literal["linear", "log", "category"]
@@ -23,7 +23,7 @@ Division = Literal["linear", "log", "category"]
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A prominent value of the summary; `state` rates it, or is empty."""
+    """Prominent value of the summary; `state` rates the value, or is empty."""
 
     label: str
     value: str
@@ -33,7 +33,7 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class Warned:
-    """Text of a warning, and its remedy."""
+    """Text of a warning and its remedy."""
 
     text: str
     remedy: str = ""
@@ -41,18 +41,18 @@ class Warned:
 
 @dataclass(frozen=True)
 class Toggle:
-    """Group of buttons that show and hide elements.
+    """Group of buttons, each of which shows or hides elements.
 
     Attributes
     ----------
     name
         Name of the quantity.
     values
-        Values of the quantity; each has a button.
+        Values of the quantity, one button each.
     shown
-        Values that are selected when the page opens.
+        Values that are selected when the page is opened.
     styled
-        True if value i is drawn in style i.
+        Whether value i is drawn in style i.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Toggle:
 
 @dataclass(frozen=True)
 class Axis:
-    """Axis of a chart: its title with the unit, and its scale."""
+    """Axis of a chart: title with unit, scale, and range."""
 
     title: str
     type: Division = "linear"
@@ -72,7 +72,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Series:
-    """Series that a chart draws in one style.
+    """Points of a chart that are drawn in one style.
 
     Attributes
     ----------
@@ -81,17 +81,17 @@ class Series:
     x, y
         Coordinates of the points.
     style
-        Index of colour, line style and marker.
+        Index of the colour, the line style and the marker.
     kind
-        Kind of the drawing; rows are horizontal bars, named by `y`; steps hold each y until the next x.
+        Kind of drawing: `rows` are horizontal bars that are labelled by `y`; `steps` keep each y up to the next x.
     low, high
-        Ends of an interval about each y; empty for no interval.
+        Bounds of an interval that contains each y; empty for no intervals.
     text
-        Text of the tooltip at each point; empty for the coordinates.
+        Text of the tooltip at each point; if empty, the tooltip shows the coordinates.
     labels
-        Values of the toggles that hide the series.
+        Values of the toggles that show or hide the series.
     group
-        Name of a run; series of one group have their points at the same ticks.
+        Name of the run; all series of a group have points at the same ticks.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """Labelled line across a chart at a value of y, or of x if `upright`."""
+    """Labelled horizontal line at a value of y; if `upright`, vertical line at a value of x."""
 
     value: float
     text: str
@@ -117,7 +117,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Chart:
-    """Series over two axes.
+    """Series in a coordinate system.
 
     A `broad` chart has the width of the page; `height` is in pixels; `equal` gives x and y the same scale.
     """
@@ -145,7 +145,7 @@ class GridAxis:
 
 @dataclass(frozen=True)
 class GridMap:
-    """Map of a value [unit] over x and y, with a row for each y; cells in `crossed` are marked by a cross."""
+    """Map of a value [unit] over x and y, with a row for each y; a cell for which `crossed` is true shows a cross."""
 
     title: str
     x: GridAxis
@@ -160,7 +160,7 @@ class GridMap:
 
 @dataclass(frozen=True)
 class EmbeddedPicture:
-    """Picture embedded in the page; `source` is a data address, see `document.picture`."""
+    """Picture embedded in the page; `source` is a data URL, see `document.picture`."""
 
     title: str
     source: str
@@ -171,7 +171,7 @@ class EmbeddedPicture:
 
 @dataclass(frozen=True)
 class RunSeries:
-    """Series of a closed-loop run: in the plane, and over time by the title of the pane."""
+    """Series of a closed-loop run: in the plane, and over time by title of the pane."""
 
     name: str
     plane: Sequence[Series]
@@ -179,7 +179,7 @@ class RunSeries:
     marks: Mapping[str, Sequence[Mark]] = field(default_factory=dict)
 
     def in_style(self, style: int) -> RunSeries:
-        """Return the run drawn in another style."""
+        """Return a copy of the run with all series but the references in `style`."""
         plane = _in_style(self.plane, style)
         return replace(self, plane=plane, panes={title: _in_style(pane, style) for title, pane in self.panes.items()})
 
@@ -190,7 +190,7 @@ def _in_style(series: Sequence[Series], style: int) -> list[Series]:
 
 @dataclass(frozen=True)
 class RunViews:
-    """Linked charts of closed-loop runs, see `run_series.run_series`."""
+    """Linked charts of closed-loop runs; see `run_series.run_series`."""
 
     runs: Sequence[RunSeries]
     note: str = ""
@@ -198,7 +198,7 @@ class RunViews:
 
     @property
     def plane(self) -> Chart:
-        """Paths in the plane."""
+        """Chart of the paths in the plane."""
         series = _references_once(entry for run in self.runs for entry in run.plane)
         return Chart("Path in the plane", Axis("x [m]"), Axis("y [m]"), series, height=460, equal=True)
 
@@ -219,7 +219,7 @@ class RunViews:
 
 
 def _references_once(series: Iterable[Series]) -> list[Series]:
-    """Drop a reference if an earlier one has the same name and labels: runs on one path share their reference."""
+    """Drop references that repeat the name and labels of an earlier one: runs on one path share the reference."""
     entries: dict[object, Series] = {}
     for entry in series:
         is_reference = entry.kind == "reference"
@@ -232,38 +232,38 @@ View = Chart | GridMap | EmbeddedPicture | RunViews
 
 @dataclass(frozen=True)
 class ConfigurationView:
-    """Text of a configuration as it was used."""
+    """Text of a configuration that was used."""
 
     name: str
     text: str
 
     @classmethod
     def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[ConfigurationView]:
-        """Return views of the existing files in a folder; `files` are titles by file name."""
+        """Return views of those `files` that exist in a folder; `files` are titles by file name."""
         paths = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
         return [cls(title, path.read_text(encoding="utf-8")) for title, path in paths.items() if path.is_file()]
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Contents of a report that depend on its command; tables, definitions and origin are separate.
+    """Contents of a report other than its tables and its origin.
 
     Attributes
     ----------
     summary, notes
-        Sentences at the top: completion, quality and comparison; and explanations of terms in small letters.
+        Sentences at the top of the page (completion, quality and comparison), and explanations of terms in small type.
     key_figures
         Key figures of the summary.
     toggles
         Buttons that act on all views.
     views
-        Views in order; neighbouring charts are side by side.
+        Views in order; adjacent charts are placed side by side.
     warnings
-        Warnings, the most serious first.
+        Warnings in descending order of severity.
     configurations
         Configurations of the controllers.
     pictures
-        True if the page also includes the pictures of the Markdown report.
+        Whether the page also contains the pictures of the Markdown report.
     """
 
     summary: Sequence[str] = ()
@@ -277,12 +277,12 @@ class Shown:
 
 
 NOTHING = Shown()
-"""Empty contents, for a report with tables and pictures only."""
+"""Empty contents for a report with tables and pictures only."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a run: the exact command, and facts about version, machine and seeds as name and value."""
+    """Origin of a run: the exact command, and facts such as version, computer and seeds as name and value."""
 
     command: str
     facts: Sequence[tuple[str, str]]
@@ -290,7 +290,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report."""
+    """Complete report."""
 
     command: str
     title: str
@@ -299,26 +299,26 @@ class Page:
     origin: Origin
 
 
-# Values of charts are rounded, and their number is limited to the visible resolution.
+# Charts contain rounded values, at most as many as can be distinguished on a screen.
 
 
 _TAIL_POINTS = 120
 
 
 def from_zero(time: FloatArray) -> tuple[FloatArray, str]:
-    """Return times (n,) since the first one [s], and the title of their axis, which contains the first time."""
+    """Return the times (n,) relative to the first time [s], and the title of the axis, which states the first time."""
     start = float(time[0]) if len(time) else 0.0
     since = f" since {start:.2f} s on the log's clock" if start else ""
     return time - start, f"time [s]{since}"
 
 
 def rounded(value: float) -> float | None:
-    """Round a number to four significant digits; None if it is not finite."""
+    """Round a number to four significant digits; return None if the number is not finite."""
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
 def tail(values: Sequence[float] | FloatArray) -> tuple[list[float], list[float | None]]:
-    """Return sorted values and the share of larger values, sampled evenly over the logarithm of that share."""
+    """Return sorted values and the share of larger values, sampled evenly in the logarithm of the share."""
     ordered = np.sort(np.asarray(values, dtype=float))
     indices = np.unique(ordered.size - np.geomspace(1, ordered.size, _TAIL_POINTS).round().astype(int))
     return [float(f"{value:.4g}") for value in ordered[indices]], [rounded(1.0 - k / ordered.size) for k in indices]

@@ -1,4 +1,4 @@
-"""Charts of a page as figures of Plotly: plain values of `data` and `layout`."""
+"""Charts of a page as Plotly figures: `data` and `layout` as plain values."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _PATTERNS = ("", "/", ".", "x", "-")
 _PANE_HEIGHT = 150
 """Height of a pane of a run [pixels]."""
 _DENSE = 100
-"""Number of points of a series at and above which markers are small."""
+"""Minimum number of points of a series that is drawn with small markers."""
 _MODES = {"points": "markers", "both": "lines+markers"}
 
 
 def escape(text: str) -> str:
-    """Escape tags for Plotly. Quotes stay unescaped, because Plotly shows their entities as text."""
+    """Escape tags for Plotly, but not quotes, because Plotly shows their entities as text."""
     return html.escape(text, quote=False)
 
 
 def chart_figure(chart: Chart) -> dict[str, Any]:
-    """Return the figure of a chart."""
+    """Build the figure of a chart."""
     axes = {"xaxis": _axis(chart.x), "yaxis": _axis(chart.y)}
     if chart.equal:
         axes["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
@@ -52,7 +52,7 @@ def chart_figure(chart: Chart) -> dict[str, Any]:
 
 
 def map_figure(grid: GridMap) -> dict[str, Any]:
-    """Return the figure of a map, with logarithmic colours."""
+    """Build the figure of a map with a logarithmic colour scale."""
     values = np.array(grid.values, dtype=float)
     logarithms = np.log10(np.where(values > 0.0, values, np.nan))
     low, high = float(np.nanmin(logarithms)), float(np.nanmax(logarithms))
@@ -82,18 +82,18 @@ def map_figure(grid: GridMap) -> dict[str, Any]:
 
 
 def panes_figure(views: RunViews) -> dict[str, Any]:
-    """Return the charts over time of runs as a figure of panes with one time axis."""
+    """Build the figure of the charts over time: panes with a common time axis."""
     panes = views.panes
     names = ["y", *(f"y{number}" for number in range(2, len(panes) + 1))]
-    listed = list(zip(names, panes, strict=True))
-    axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in listed}
-    single = len(views.runs) == 1
-    drawn = [(name, series) for name, pane in listed for series in pane.series]
-    first = {series.name: index for index, (_, series) in reversed([*enumerate(drawn)])}
+    named = list(zip(names, panes, strict=True))
+    axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in named}
+    is_single = len(views.runs) == 1
+    pane_series = [(name, series) for name, pane in named for series in pane.series]
+    first = {series.name: index for index, (_, series) in reversed([*enumerate(pane_series)])}
     traces = [
-        # A name in several panes has one legend entry.
+        # A name that occurs in several panes has one legend entry.
         _trace(series) | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first[series.name] == index}
-        for index, (name, series) in enumerate(drawn)
+        for index, (name, series) in enumerate(pane_series)
     ]
     return {
         "data": traces,
@@ -104,17 +104,17 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
             "grid": {"rows": len(panes), "columns": 1, "subplots": [[f"x{name}"] for name in names], "ygap": 0.15}
             | {"xside": "bottom plot"},
             "height": _PANE_HEIGHT * len(panes),
-            "shapes": [_shape(mark, name) for name, pane in listed for mark in pane.marks],
-            "showlegend": single,
-            # One tooltip shows the values of all panes at one time.
-            "hovermode": "x unified" if single else "closest",
-            "hoversubplots": "axis" if single else "overlaying",
+            "shapes": [_shape(mark, name) for name, pane in named for mark in pane.marks],
+            "showlegend": is_single,
+            # One tooltip shows the values of all panes at the same time.
+            "hovermode": "x unified" if is_single else "closest",
+            "hoversubplots": "axis" if is_single else "overlaying",
         },
     }
 
 
 def run_figures(views: RunViews) -> dict[str, Any]:
-    """Return the figures of linked views: the plane, and the panes over time."""
+    """Build the figures of linked views: the plane and the panes over time."""
     plane = chart_figure(views.plane)
     plane["layout"] |= {"showlegend": len(views.runs) == 1}
     return {"plane": plane, "times": panes_figure(views), "runs": [run.name for run in views.runs]}

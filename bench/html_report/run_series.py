@@ -13,12 +13,12 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES
 
-HOW_TO_READ = "Point at either view: the other marks the same time"
-PEAKS = "Among neighbouring ticks, only the one with the largest position error is drawn"
+HOW_TO_READ = "Pointing at one view marks the same time in the other view"
+PEAKS = "Of every group of adjacent ticks, only the tick with the maximum position error is drawn"
 ERROR, HEADING, STEP, METHOD = "error [mm]", "heading error [mrad]", "step time [ms]", "solver or mode"
 TWIST = ("v [m/s]", "omega [rad/s]")
 _NEAR_LIMIT = 0.1
-"""Share of a limit that a command must exceed for the limit to be drawn: a distant limit would flatten the curves."""
+"""Share of a limit that a command must exceed for the limit to be drawn; a distant limit would compress the curves."""
 
 
 def run_series(
@@ -30,19 +30,20 @@ def run_series(
     style: int = 0,
     config: ControllerConfig | None = None,
 ) -> RunSeries:
-    """Return the series of a run.
+    """Build the series of a run.
 
     Parameters
     ----------
     run
         The run.
     name
-        Name in legends, if the run is compared.
+        Name in the legend of a run that is compared with others.
     points
         Maximum number of ticks.
     labels
-        Toggles of a run that is compared with others; the value of "path" names the shared reference. None for a single
-        run, which also shows estimate, poses, true twist, the error along the path, and the limits of `config`.
+        Toggles of a run that is compared with others; the runs with the same value of "path" share a reference. None
+        for a single run, which also shows the estimate, the poses, the true twist, the error along the path, and the
+        limits of `config`.
     style
         Index of the style of a compared run.
     config
@@ -91,7 +92,7 @@ def run_series(
 
 
 def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
-    """Return at most `points` ticks of a run, from each group of neighbours the one with the largest position error."""
+    """Return at most `points` ticks of a run: of every group of adjacent ticks that with the maximum position error."""
     count = len(run.time)
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)
@@ -105,12 +106,12 @@ def along_error(run: Run) -> FloatArray:
 
 
 def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
-    """Return numbers with decimal places; None if not finite."""
+    """Round numbers to `digits` decimal places; a number that is not finite becomes None."""
     return [float(value) if np.isfinite(value) else None for value in np.round(values, digits)]
 
 
 def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
-    """Return a step series with the solver's method at each tick, or the state at a fallback, late or finished tick."""
+    """Return a step series of the solver's method, or the state at a fallback, a missed deadline or the end."""
     special = {*FALLBACK_MODES, "FINISHED", "LATE"}
     words = [state if state in special else word for state, word in zip(run.states, run.solver_methods, strict=True)]
     changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]

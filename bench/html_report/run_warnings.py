@@ -1,4 +1,4 @@
-"""Warnings about a closed-loop run, each with its remedy."""
+"""Warnings about a closed-loop run and their remedies."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 
 _SAME = 1e-6
-"""Distance from its limit below which a command counts as at the limit [m/s, rad/s]."""
+"""Distance from the limit below which a command counts as at the limit [m/s, rad/s]."""
 _SHOWN = 3
 
 
 class Remedies(StrictModel):
-    """Thresholds of the warnings, and the remedy for each; see the file."""
+    """Thresholds and remedies of the warnings; see the file."""
 
     share_at_limit: float
     share_on_backend: float
@@ -39,12 +39,12 @@ class Remedies(StrictModel):
 
 @cache
 def remedies() -> Remedies:
-    """Load the shipped remedies."""
+    """Load the remedies of this package."""
     return load_checked(Remedies, Path(__file__).parent / "remedies.yaml")
 
 
 def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[Warned]:
-    """List the warnings about a run, the most serious first.
+    """List the warnings about a run in descending order of severity.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         Prefix of each warning if there are several runs.
     """
     remedies_of_kinds = remedies()
-    warned = [
+    sentences = [
         (_incomplete(run), remedies_of_kinds.not_completed),
         (_fallbacks(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
         (_fallbacks(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
@@ -66,8 +66,8 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         (_on_backend(run, config, remedies_of_kinds), remedies_of_kinds.backend),
         (_messages(run), remedies_of_kinds.messages),
     ]
-    before = f"{name}: " if name else ""
-    return [Warned(before + sentence, remedy) for sentence, remedy in warned if sentence]
+    prefix = f"{name}: " if name else ""
+    return [Warned(prefix + sentence, remedy) for sentence, remedy in sentences if sentence]
 
 
 def _incomplete(run: Run) -> str:
@@ -77,7 +77,7 @@ def _incomplete(run: Run) -> str:
 
 
 def _fallbacks(run: Run, modes: Sequence[str]) -> str:
-    """Describe the number of counted ticks in one of the `modes`, and the time of the first one."""
+    """Describe the number of counted ticks in one of the `modes`, and the time of the first of these ticks."""
     entered = [
         (mode, t)
         for mode, t, counted in zip(run.modes, run.time, run.counted, strict=True)
@@ -94,8 +94,8 @@ def _missed_deadlines(run: Run) -> str:
     misses = run.metrics.deadline_misses
     if not misses:
         return ""
-    worst, sample = 1e3 * run.metrics.step_time_max_s, 1e3 * run.sample_time
-    return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the longest {worst:.1f} ms."
+    max_time, sample = 1e3 * run.metrics.step_time_max_s, 1e3 * run.sample_time
+    return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the maximum was {max_time:.1f} ms."
 
 
 def _missing_poses(run: Run, remedy: Remedies) -> str:
@@ -103,14 +103,14 @@ def _missing_poses(run: Run, remedy: Remedies) -> str:
     if len(arrived) < 3:
         return "" if len(arrived) or not len(run.time) else "No pose arrived."
     pauses = np.diff([*arrived, run.time[-1]])
-    usual = float(np.median(pauses[:-1]))
-    long = pauses > remedy.pose_gap * usual
-    if not long.any():
+    median_pause = float(np.median(pauses[:-1]))
+    too_long = pauses > remedy.pose_gap * median_pause
+    if not too_long.any():
         return ""
-    first = arrived[np.flatnonzero(long)[0]]
+    first = arrived[np.flatnonzero(too_long)[0]]
     return (
-        f"Poses were missing {_times(int(long.sum()))}, for {pauses.max():.2f} s at most (usually one every "
-        f"{usual:.2f} s), first at {first:.2f} s."
+        f"Poses were missing {_times(int(too_long.sum()))}, for {pauses.max():.2f} s at most (usually one every "
+        f"{median_pause:.2f} s), first at {first:.2f} s."
     )
 
 
@@ -121,7 +121,7 @@ def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> st
     sides = (config.limits.v, config.limits.omega)
     limits = np.column_stack([sides_at(limit, column) for limit, column in zip(sides, command.T, strict=True)])
     command = np.abs(command)
-    # A path that demands the limit itself is driven at the limit without a warning.
+    # No warning for ticks at which the path itself demands the limit.
     shares = 100.0 * np.mean((command >= limits - _SAME) & (demanded < limits - _SAME), axis=0)
     sentences = [
         f"{name} at {share:.0f} %"
@@ -136,7 +136,7 @@ def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> st
 
 
 def _on_backend(run: Run, config: ControllerConfig | None, remedy: Remedies) -> str:
-    """Describe the share of ticks with a backend, unless the configuration chose it."""
+    """Describe the share of ticks solved by a backend, unless the configuration demands a backend."""
     if config is not None and config.solver.method != "auto":
         return ""
     share = SolverShares.of_run(run).method_backend_percent

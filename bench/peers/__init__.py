@@ -1,7 +1,7 @@
-"""Tracking controllers to compare the predictive controller with; docs/recipes.md shows how to add one.
+"""Tracking controllers with which the predictive controller is compared; docs/recipes.md shows how to add a peer.
 
-Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class whose constructor has no
-arguments.
+Packages register peers in the entry-point group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class whose constructor
+takes no arguments.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import FloatArray, TrackingController
 
 GAINS = Path(__file__).with_name("gains.yaml")
-"""File of gains of the laws in this folder by the name of the peer, as tuned by the study `peers`."""
+"""File with the gains of the laws in this folder, by name of the peer; tuned by the study `peers`."""
 _KINDS = {"pursuit": "PursuitLaw", "kanayama": "KanayamaLaw", "lqr": "LqrLaw"}
 LAWS = tuple(name + option for name in _KINDS for option in ("", "+slip"))
-"""Peers of this folder: a tracking law on the predictive controller's estimate, predicted over the robot's delay; with
-"+slip" it also compensates the estimated side-slip."""
+"""Peers of this folder: tracking laws that use the predictive controller's estimate, predicted over the robot's delay.
+A peer with "+slip" also compensates the estimated side-slip."""
 PEERS = (*LAWS, *plug_in_names("peers"))
-"""Names of all peers. A peer takes no model."""
+"""Names of all peers. Peers have no option for the model."""
 
 
 class TrackingLaw(NamedTuple):
-    """A tracking law as a peer."""
+    """Peer that consists of a tracking law and its gains."""
 
     kind: Any
-    """class, a `tracking_peer.Law`"""
+    """class that satisfies `tracking_peer.Law`"""
     gains: Path = GAINS
-    """file of gains by the name of the peer"""
+    """file of gains by name of the peer"""
 
 
 def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
-    """Return the law of a peer, or the class of a peer without a law; raise MissingPackageError if it is unknown."""
+    """Return the law of a peer, or the class of a peer without a law; raise MissingPackageError for an unknown peer."""
     if name not in LAWS:
         peer: TrackingLaw | Callable[[], TrackingController] = plug_in("peers", name)
         return peer
@@ -46,7 +46,7 @@ def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
 
 
 def takes_settings(name: str) -> bool:
-    """Return True if a peer takes configuration values: it acts on the predictive controller's estimate."""
+    """Return True if a peer accepts configuration values, because it uses the predictive controller's estimator."""
     return isinstance(find_peer(name), TrackingLaw)
 
 
@@ -60,25 +60,25 @@ def make_peer(
     name
         One of `PEERS`.
     overrides
-        Configuration values of the robot by dotted key, for a tracking law: its estimator then has the same data of the
-        robot as the predictive controller. Other peers are configured for the papers' robot only.
+        Configuration values of the robot by dotted key, for a peer with a tracking law: its estimator then has the
+        same parameters as that of the predictive controller. Other peers support the papers' robot only.
     gains
-        Gains that replace the shipped ones.
+        Gains that replace those of the file.
     """
     peer = find_peer(name)
     if not isinstance(peer, TrackingLaw):
         return peer()
     from diffdrive_mpc.bench.peers import tracking_peer  # noqa: PLC0415 - --help does not need it
 
-    chosen = tracking_peer.law_kind(name).gains(**gains) if gains else None
-    return tracking_peer.make_tracking_peer(name, chosen, overrides=overrides)
+    law_gains = tracking_peer.law_kind(name).gains(**gains) if gains else None
+    return tracking_peer.make_tracking_peer(name, law_gains, overrides=overrides)
 
 
 @dataclass(frozen=True, slots=True)
 class PeerStep:
-    """Decision of a peer at one tick; satisfies `models.interface.ControlStep`.
+    """Result of a peer at one tick; satisfies `models.interface.ControlStep`.
 
-    `solve_time` is the law's part of `step_time` [s]; estimate and prediction take the rest.
+    `solve_time` is the part of `step_time` that the law takes [s]; estimation and prediction take the rest.
     """
 
     command: FloatArray

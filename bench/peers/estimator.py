@@ -1,7 +1,7 @@
-"""Estimator of every peer: the predictive controller's estimate, predicted over the robot's delay.
+"""Estimator of all peers: the predictive controller's estimate, predicted over the robot's delay.
 
-A command takes effect one lag later, so a law that acts on the present pose acts too late. The commands already sent
-are known, and the velocity model predicts their effect.
+A command takes effect after a delay, so feedback of the current pose is late. The velocity model predicts the effect
+of the commands that have already been sent.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _HOLD = Hold("it only estimates")
 
 
 class HeldEstimator:
-    """The estimator of the predictive controller: the same compiled tick, held so that it does not solve.
+    """Estimator of the predictive controller: the same compiled tick on hold, so that it does not solve.
 
     Parameters
     ----------
@@ -37,87 +37,88 @@ class HeldEstimator:
 
     @property
     def model(self) -> VelocityModel:
-        """The velocity model, extra dead time included."""
+        """Velocity model with the extra dead time."""
         model = self._controller.model
         assert isinstance(model, VelocityModel)
         return model
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Restart with `reference` and `t0` [s] as `Controller.start` checks them."""
+        """Restart with `reference` and `t0` [s], which `Controller.start` checks."""
         self._controller.start(reference, t0)
 
     def step(self, t: float, measurement: Measurement) -> Estimate | None:
-        """Compute the estimate at the tick at `t` [s] from the new measurements; None before the first pose."""
+        """Compute the estimate for the tick at `t` [s] from the new measurements; return None before the first pose."""
         if measurement.sent is None and self._sent is not None:
             measurement = replace(measurement, sent=self._sent)
         return self._controller.step(t, measurement, _HOLD).estimate
 
     def sent(self, command: FloatArray) -> None:
-        """Store the command (2,) of this tick; the held controller would otherwise assume that it brakes."""
+        """Store the command (2,) of this tick; without it, a controller on hold assumes a braking command."""
         self._sent = (float(command[0]), float(command[1]))
 
 
 class PredictedMotion(NamedTuple):
-    """Predicted pose and motion of the robot."""
+    """Predicted pose and twist of the robot."""
 
     pose: FloatArray
     """(3,) x [m], y [m], theta [rad, unwrapped]."""
     twist: FloatArray
-    """(2,) v [m/s], omega [rad/s] of the body, slip included."""
+    """(2,) v [m/s], omega [rad/s] of the body, including slip."""
 
 
 class DelayPredictor:
-    """Predictor of an estimate over the commands already sent; the last one is held.
+    """Prediction of an estimate with the commands that have been sent; the last command is repeated.
 
     Parameters
     ----------
     model
-        The velocity model, dead time included.
+        Velocity model with its dead time.
     dt
         Sample time [s].
     lead
-        Prediction time [s]; it need not be a multiple of `dt`.
+        Prediction time [s], not necessarily a multiple of `dt`.
     """
 
     def __init__(self, model: VelocityModel, dt: float, lead: float) -> None:
         sampled = model.discretise(dt)
         self._memory = sampled.memory
         self._twist, self._move, self._sample_time = formula("twist"), formula("move"), dt
-        whole = int(np.floor(lead / dt + 1e-9))
-        self._durations = np.append(np.full(whole, dt), max(0.0, lead - whole * dt))
+        full_samples = int(np.floor(lead / dt + 1e-9))
+        self._durations = np.append(np.full(full_samples, dt), max(0.0, lead - full_samples * dt))
         self._share = self._durations[-1] / dt
-        # The outputs are linear in state and commands: the outputs of unit vectors are the columns of the matrix.
-        ticks, n = whole + 2, sampled.order
+        # The outputs are linear in state and commands, so the responses to unit vectors are the columns of their
+        # matrix.
+        ticks, n = full_samples + 2, sampled.order
         units = np.eye(2 * self._memory).reshape(-1, self._memory, 2)
-        states = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]
-        pasts = [sampled.simulate(np.tile(unit[-1], (ticks, 1)), past=unit).ravel() for unit in units]
-        self._outputs = np.column_stack(states + pasts)
+        state_responses = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]
+        command_responses = [sampled.simulate(np.tile(unit[-1], (ticks, 1)), past=unit).ravel() for unit in units]
+        self._outputs = np.column_stack(state_responses + command_responses)
         self._past = np.zeros((self._memory, 2))
 
     def reset(self) -> None:
-        """Forget the commands, for a robot at rest."""
+        """Reset all past commands to zero, as for a robot at rest."""
         self._past[:] = 0.0
 
     def sent(self, command: FloatArray) -> None:
-        """Enter the command (2,) of this tick."""
+        """Store the command (2,) of this tick."""
         self._past = np.vstack([self._past[1:], command])
 
     def predict(self, pose: FloatArray, state: FloatArray, slip: Slip) -> PredictedMotion:
-        """Predict the motion one lead later.
+        """Predict the motion at the end of the prediction time.
 
         Parameters
         ----------
         pose, state
-            (3,) pose and (n,) states of the velocity model now.
+            Current pose (3,) and state (n,) of the velocity model.
         slip
-            Slip between the model's twist and the body's.
+            Slip between the twist of the model and that of the body.
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
-        slips = slip.flat
-        twists = np.array(self._twist(outputs.T, slips)[0]).T
+        slip_values = slip.flat
+        twists = np.array(self._twist(outputs.T, slip_values)[0]).T
         acceleration = np.diff(twists[:, 0]) / self._sample_time
         theta = pose[2] + np.concatenate([[0.0], np.cumsum(0.5 * (twists[:-1, 1] + twists[1:, 1]) * self._durations)])
         middle = 0.5 * (outputs[:-1] + outputs[1:])
         rows = (values[None] for values in (theta[:-1], acceleration, self._durations))
-        moved = np.array(self._move(middle.T, slips, *rows)[0]).sum(axis=1)
-        return PredictedMotion(pose + moved, (1 - self._share) * twists[-2] + self._share * twists[-1])
+        displacement = np.array(self._move(middle.T, slip_values, *rows)[0]).sum(axis=1)
+        return PredictedMotion(pose + displacement, (1 - self._share) * twists[-2] + self._share * twists[-1])

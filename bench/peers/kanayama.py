@@ -1,4 +1,4 @@
-"""The nonlinear tracking law of Kanayama et al.
+"""Nonlinear tracking law of Kanayama et al.
 
 Source: Y. Kanayama, Y. Kimura, F. Miyazaki, T. Noguchi, "A stable tracking control method for an autonomous mobile
 robot", ICRA 1990.
@@ -18,20 +18,20 @@ class KanayamaGains(Gains):
 
     along: AboveZero = Field(description="gain of the error along the path [1/s]")
     across: AboveZero = Field(description="gain of the error across the path [1/m^2]")
-    heading: AboveZero = Field(description="gain of the sine of the heading error per distance [1/m]")
-    turn: NotNegative = Field(0.0, description="gain per time, for turns on the spot; not in the paper [1/s]")
+    heading: AboveZero = Field(description="gain of the sine of the heading error, per travelled distance [1/m]")
+    turn: NotNegative = Field(0.0, description="gain of the sine of the heading error at rest, not in the paper [1/s]")
 
 
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
     """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of `LawInput.error` (3,).
 
-    |v| multiplies the heading term, so that the law is also stable in reverse.
+    The heading term contains |v|, so that the law is also stable in reverse.
     """
     v, omega = feed_forward
     ahead, left, heading = error
-    turning = abs(v) * gains.heading + gains.turn
+    heading_gain = abs(v) * gains.heading + gains.turn
     return np.array(
-        [v * np.cos(heading) + gains.along * ahead, omega + v * gains.across * left + turning * np.sin(heading)]
+        [v * np.cos(heading) + gains.along * ahead, omega + v * gains.across * left + heading_gain * np.sin(heading)]
     )
 
 
@@ -41,12 +41,12 @@ class KanayamaLaw:
     gains = KanayamaGains
 
     def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
-        del robot  # the law needs no data of the robot besides the prediction
+        del robot  # the law needs no parameters of the robot
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
-        """Start to track `reference`; no preparation is needed."""
+        """Start to track `reference`; the law needs no preparation."""
 
-    def decide(self, sight: LawInput) -> FloatArray:
+    def decide(self, law_input: LawInput) -> FloatArray:
         """Compute the desired v [m/s] and omega [rad/s] (2,)."""
-        return kanayama_twist(self._gains, sight.feed_forward, sight.error)
+        return kanayama_twist(self._gains, law_input.feed_forward, law_input.error)

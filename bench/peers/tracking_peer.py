@@ -1,4 +1,4 @@
-"""Common parts of all peers: estimate, prediction and command limits around a tracking law."""
+"""Common parts of all peers with a tracking law: estimation, prediction and limits of the command."""
 
 from __future__ import annotations
 
@@ -25,50 +25,50 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import formula
 from diffdrive_mpc.mpc.problem.slip import Slip
 
-# Command limits of peers: range and slew, applied as the core does for the predictive controller.
+# Limits of a peer's command, which equal those of the predictive controller: range and slew rate.
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:
-    """Compute the maximum change (2,) of the command per tick within both sides of the slew [m/s, rad/s]."""
+    """Compute the maximum change (2,) of the command per tick, valid in both directions [m/s, rad/s]."""
     return np.array([limits.v_slew, limits.omega_slew]) * dt
 
 
 def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
-    """Return the nearest command (2,) inside the range, and reachable from `last` (2,) within the slew limits."""
+    """Return the nearest command (2,) within the range that can be reached from `last` (2,) within the slew limits."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
-    grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
-    return reached(last, np.clip(command, -lower, upper), grows, falls)
+    max_rise, max_fall = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
+    return reached(last, np.clip(command, -lower, upper), max_rise, max_fall)
 
 
 STANDING = 0.01
-"""Speed below which a reference counts as standing or turning on the spot [m/s]."""
+"""Maximum speed of a reference that counts as standing or turning on the spot [m/s]."""
 MODEL = "sm"
-"""Configuration and model of every peer: the one that separates dead time and lag."""
+"""Configuration and model of every peer with a tracking law: SM, which separates dead time and lag."""
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Gains(StrictModel):
-    """Tuned gains of a peer's law, and its lead."""
+    """Tuned parameters of a law: its prediction time and, in subclasses, its gains."""
 
-    lead: NotNegative = Field(0.0, description="prediction time of the pose that the law acts on [s]")
+    lead: NotNegative = Field(0.0, description="prediction time of the pose on which the law acts [s]")
 
 
 @dataclass(frozen=True, slots=True)
 class LawInput:
-    """Input of a law at one tick; all values belong to the time at which its command takes effect.
+    """Input of a law at one tick; all values refer to the time at which the command takes effect.
 
     Attributes
     ----------
     time
         Time since the start of the reference [s].
     motion
-        Predicted pose (3,) and twist (2,). With compensation of side-slip, the heading is the direction of travel.
+        Predicted pose (3,) and twist (2,); with compensation of side-slip, the heading is the direction of travel.
     reference
-        (3,) pose of the reference; its heading is unwrapped to within pi of the robot's heading.
+        Pose (3,) of the reference; its heading differs by at most pi from the robot's heading.
     feed_forward
-        (2,) twist of the reference, each channel ahead by its lag [m/s, rad/s].
+        Twist (2,) of the reference, each channel sampled one lag later [m/s, rad/s].
     """
 
     time: float
@@ -78,7 +78,7 @@ class LawInput:
 
     @property
     def error(self) -> FloatArray:
-        """(3,) from robot to reference in the robot's frame: ahead [m], to the left [m], turned left [rad]."""
+        """Pose (3,) of the reference in the robot's frame: ahead [m], to the left [m], heading [rad]."""
         gap = self.reference - self.motion.pose
         return np.array([*ahead_and_left(gap, self.motion.pose[2]), gap[2]])
 
@@ -92,9 +92,9 @@ class Delayed:
     sample_time
         Period of the ticks [s].
     time_constant
-        (2,) lag of v and omega behind their commands, without dead time [s].
+        Lag (2,) of v and omega behind their commands without dead time [s].
     limits
-        Range and slew of the command.
+        Range and slew limits of the command.
     """
 
     sample_time: float
@@ -103,38 +103,38 @@ class Delayed:
 
 
 class Law(Protocol):
-    """Tracking law: map from its input to the desired twist of the body.
+    """Tracking law, which maps its input to the desired twist of the body.
 
-    It is constructed from its gains and a `Delayed`; its attribute `gains` is the type of the gains.
+    A law is constructed from its gains and a `Delayed`; the class attribute `gains` is the type of the gains.
     """
 
     def start(self, reference: Reference) -> None:
         """Start to track `reference`."""
         ...
 
-    def decide(self, sight: LawInput) -> FloatArray:
+    def decide(self, law_input: LawInput) -> FloatArray:
         """Compute the desired v [m/s] and omega [rad/s] (2,) of the body."""
         ...
 
 
 class TrackingPeer:
-    """Peer with a tracking law: estimate, predict over the delay, apply the law, limit the command.
+    """Peer that estimates the state, predicts it over the delay, applies a tracking law and limits the command.
 
-    The feed-forward of the predictive controller converts the desired twist into a command: it inverts the model's gain
-    and the estimated slip. See `models.interface`.
+    The desired twist is converted into a command by the feed-forward of the predictive controller, which inverts the
+    gain of the model and the estimated slip. See `models.interface`.
 
     Parameters
     ----------
     law
         Tracking law.
     lead
-        Prediction time of the state that the law acts on [s].
+        Prediction time of the state on which the law acts [s].
     side_slip
-        True to compensate the estimated side-slip: the robot then turns into the curve, so that it travels along the
-        path.
+        Whether to compensate the estimated side-slip: the robot then points into the curve, so that its direction of
+        travel is along the path.
     config
-        Limits, estimator and velocity model; by default the shipped configuration of SM, the model with separate dead
-        time and lag.
+        Configuration of limits, estimator and velocity model; by default the built-in configuration of SM, the model
+        with separate dead time and lag.
     """
 
     def __init__(
@@ -151,22 +151,22 @@ class TrackingPeer:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Start to track `reference`, whose time 0 is `t0` [s]; raise ValueError if it is beyond the limits."""
+        """Start to track `reference`, whose time 0 is `t0` [s]; raise ValueError if `reference` exceeds the limits."""
         self._estimator.start(reference, t0)
         self._law.start(reference)
         self._reference, self._t0 = reference, t0
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
-        """Compute the command for the tick at `t` [s]; brake without a recent pose.
+        """Compute the command for the tick at `t` [s]; without a recent pose, brake.
 
         Raises RuntimeError if `start` was not called.
         """
-        began = time.perf_counter()
+        start = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
         estimate = self._estimator.step(t, measurement)
         since_start = self._since_start(t, estimate)
-        wish, mode, message, took = np.zeros(2), "TRACKING", "", 0.0
+        demanded, mode, message, law_time = np.zeros(2), "TRACKING", "", 0.0
         failure = self._config.failure
         if estimate is None or not estimate.pose_age <= max(failure.max_pose_age, failure.dead_reckoning):
             mode, message = "BRAKING", "no recent pose"
@@ -175,37 +175,37 @@ class TrackingPeer:
         else:
             slip = estimate.slip
             motion = self._predictor.predict(estimate.pose, estimate.state, slip)
-            sight = self._sight(self._reference, since_start, motion, slip if self._side_slip else Slip())
-            thinking = time.perf_counter()
-            twist, message = self._allowed(self._law.decide(sight), sight)
-            took = time.perf_counter() - thinking
+            law_input = self._law_input(self._reference, since_start, motion, slip if self._side_slip else Slip())
+            law_start = time.perf_counter()
+            twist, message = self._allowed(self._law.decide(law_input), law_input)
+            law_time = time.perf_counter() - law_start
             mode = "BRAKING" if message else mode
-            wish = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
-        command = nearest_command(wish, self._config.limits, self._config.sample_time, self._last)
+            demanded = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
+        command = nearest_command(demanded, self._config.limits, self._config.sample_time, self._last)
         self._estimator.sent(command)
         self._predictor.sent(command)
         self._last = command
-        return PeerStep(command, mode, message, time.perf_counter() - began, took)
+        return PeerStep(command, mode, message, time.perf_counter() - start, law_time)
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
         """Return the time since the start of the reference at `t` [s]; a subclass may use the estimate."""
         del estimate
         return t - self._t0
 
-    def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
-        """Limit the desired twist (2,) of the law; return it and the reason for a limit, or an empty text."""
-        del sight
+    def _allowed(self, twist: FloatArray, law_input: LawInput) -> tuple[FloatArray, str]:
+        """Limit the desired twist (2,) of the law; return the limited twist and the reason for the limit."""
+        del law_input
         return twist, ""
 
-    def _sight(self, reference: Reference, since_start: float, motion: PredictedMotion, slip: Slip) -> LawInput:
+    def _law_input(self, reference: Reference, since_start: float, motion: PredictedMotion, slip: Slip) -> LawInput:
         dt = self._config.sample_time
         sample = reference.sample(since_start + np.array([self._lead, *self._lag, self._lag[0] + dt]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         acceleration = (sample.twist[3, 0] - feed_forward[0]) / dt
         # A turn on the spot has no direction of travel.
-        crab = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
-        crab = crab if abs(feed_forward[0]) > STANDING else 0.0
-        travel = motion.pose - np.array([0.0, 0.0, crab])
+        side_slip_angle = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
+        side_slip_angle = side_slip_angle if abs(feed_forward[0]) > STANDING else 0.0
+        travel = motion.pose - np.array([0.0, 0.0, side_slip_angle])
         pose = sample.pose[0].copy()
         pose[2] = travel[2] + float(wrap_angle(pose[2] - travel[2]))
         return LawInput(since_start + self._lead, PredictedMotion(travel, motion.twist), pose, feed_forward)
@@ -217,10 +217,10 @@ def make_tracking_peer(
     config: ControllerConfig | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> TrackingPeer:
-    """Create the peer of a tracking law, with the shipped gains and configuration by default.
+    """Create the peer of a tracking law, by default with the built-in gains and configuration.
 
-    "NAME+slip" is the law NAME with compensation of side-slip and separate gains. `overrides` replace values of the
-    shipped configuration.
+    "NAME+slip" is the law NAME with compensation of side-slip and its own gains. `overrides` replace values of the
+    built-in configuration.
     """
     kind = law_kind(name)
     config = config or load_config(MODEL, dict(overrides or {}))
@@ -230,7 +230,7 @@ def make_tracking_peer(
 
 
 def law_data(config: ControllerConfig) -> Delayed:
-    """Return the parameters of the configuration's robot for a law."""
+    """Return the parameters that a law needs of the robot in a configuration."""
     model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 
@@ -241,7 +241,7 @@ def law_kind(name: str) -> Any:  # noqa: ANN401 - the type of the gains depends 
 
 
 def load_gains(name: str, path: Path | None = None) -> Gains:
-    """Read the gains of a peer from a file of gains by peer, by default the shipped one.
+    """Read the gains of a peer from a file, by default the file of its law.
 
     Raises ConfigError if the file is invalid.
     """
@@ -254,7 +254,7 @@ def load_gains(name: str, path: Path | None = None) -> Gains:
 def _law(name: str) -> TrackingLaw:
     peer = find_peer(name)
     if not isinstance(peer, TrackingLaw):
-        raise ConfigError(f"the peer '{name}' has no tracking law with gains")
+        raise ConfigError(f"the peer '{name}' does not have a tracking law with gains")
     return peer
 
 

@@ -1,6 +1,6 @@
-"""Drivetrain from commands to torques: link, firmware, motor drivers with velocity loops, and DC motors.
+"""Drivetrain from commands to wheel torques: link, firmware, motor drivers with velocity loops, and DC motors.
 
-`sim/core/twin.c` implements the behaviour; this module computes the parameters.
+`sim/core/twin.c` implements the drivetrain; this module computes its parameters.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from diffdrive_mpc.sim.plants.twin_parameters import Driver, Firmware, Motor
 
 
 class CommandShaper:
-    """Firmware: a first-order lag per channel, then set-points in whole pulses per second.
+    """Firmware with a first-order lag per channel, followed by set-points in whole pulses per second.
 
     Parameters
     ----------
     firmware
-        Time constants, gain and the firmware's track.
+        Time constants, gain and track of the firmware.
     robot
         Wheel radius and encoder.
     step
@@ -48,7 +48,7 @@ class CommandShaper:
         self.c.state = [0.0, 0.0]
 
     def set_points(self, command: FloatArray) -> FloatArray:
-        """Compute wheel set-points (4,) [rad/s] for the command (2,) that acts during this step."""
+        """Compute wheel set-points (4,) [rad/s] for the effective command (2,) during this step."""
         limited, wheels = np.array(command, dtype=float), np.empty(4)
         self._lib.twin_shape(self.c, address(limited), address(wheels))
         return wheels
@@ -57,18 +57,18 @@ class CommandShaper:
 class SpeedObserver:
     """Observer of the speeds of the four wheels from encoder counts, with a double pole.
 
-    Differences of counts would be too coarse: one count per control sample is 0.039 m/s.
+    Differences of counts would be too coarse, since one count per control sample is 0.039 m/s.
 
     Parameters
     ----------
     bandwidth
-        Magnitude of the double pole [rad/s].
+        Absolute value of the double pole [rad/s].
     pulse
         Angle of one count [rad].
     step
         Time between two calls [s].
     phase
-        (4,) position of each wheel within a count at angle zero, in counts, 0 to 1.
+        (4,) position of each wheel within a count at angle zero, from 0 to 1 [counts].
     """
 
     def __init__(self, bandwidth: float, pulse: float, step: float, phase: FloatArray) -> None:
@@ -89,14 +89,14 @@ class SpeedObserver:
         self._lib.twin_observe_rest(self.c)
 
     def update(self, angles: FloatArray) -> FloatArray:
-        """Update with the encoder counts at wheel `angles` (4,) [rad]; return the speeds (4,) [rad/s]."""
+        """Update the observer with the counts at wheel `angles` (4,) [rad]; return the speeds (4,) [rad/s]."""
         readings = np.array(angles, dtype=float)
         self._lib.twin_observe(self.c, address(readings))
         return self.speed
 
 
 class VelocityLoops:
-    """Velocity loop of each motor, feed-forward and PI with limited duty, and torque-speed line of the motor.
+    """Velocity loop of each motor (feed-forward and PI with limited duty), and torque-speed line of the motor.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class VelocityLoops:
             "proportional": driver.proportional_gain,
             "integral": step * driver.integral_gain,
             "no_load_speed": motor.no_load_speed,
-            # Below about one count per control sample, counts do not distinguish motion from rest.
+            # Below about one count per control sample, motion cannot be distinguished from rest.
             "rest_speed": pulse / step / 10,
             "stall_torque": [motor.stall_torque * share for share in motor.spread],
             "torque_limit": math.inf if driver.torque_limit is None else driver.torque_limit,
@@ -125,7 +125,7 @@ class VelocityLoops:
 
     @property
     def supply(self) -> float:
-        """Supply voltage over nominal [-]; unknown to the driver."""
+        """Ratio of supply voltage to nominal voltage [-], which the driver does not measure."""
         return float(self.c.supply)
 
     @supply.setter
@@ -159,7 +159,7 @@ class VelocityLoops:
         return torques
 
 
-# Link from the onboard computer to the firmware: range check, then dead time.
+# Link from the onboard computer to the firmware, with a range check followed by a dead time.
 
 
 _INITIAL_ROOM = 16
@@ -174,17 +174,17 @@ def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
     command
         (2,) v [m/s], omega [rad/s].
     limits
-        Maximum magnitudes.
+        Maximum absolute values.
 
     Returns
     -------
     FloatArray
-        (2,) the command, each channel clipped to its limit.
+        (2,) command with each channel clipped to its limit.
 
     Raises
     ------
     ValueError
-        If the command is not two finite numbers.
+        If the command does not consist of two finite numbers.
     """
     value = np.asarray(command, dtype=float)
     if value.shape == (2,):
@@ -199,7 +199,7 @@ def _clip(value: float, bound: float) -> float:
 
 
 class DelayLine:
-    """Delay of commands by a dead time; a command acts until the next one arrives.
+    """Delay of commands by a dead time; a command is effective until the next command arrives.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class DelayLine:
         self._make_room(_INITIAL_ROOM)
 
     def reset(self) -> None:
-        """Reset to zero commands, sent and arrived."""
+        """Reset to a zero command without pending commands."""
         self.c.first = self.c.count = 0
         self.c.acting = [0.0, 0.0]
 
@@ -228,16 +228,16 @@ class DelayLine:
             self._lib.twin_send(self.c, time, self._sent_address)
 
     def mean(self, start: float, end: float) -> FloatArray:
-        """Compute the mean (2,) of the arrived command over [start, end] [s]; intervals must be in order.
+        """Compute the mean (2,) of the effective command over [start, end] [s]; intervals must be in order.
 
-        With the mean, the dead time is exact even if it is not a multiple of the physics step.
+        The mean represents a dead time exactly even if it is not a multiple of the physics step.
         """
         mean = np.empty(2)
         self._lib.twin_arrived(self.c, start, end, address(mean))
         return mean
 
     def _make_room(self, room: int) -> None:
-        """Reserve memory for `room` pending commands; keep the commands that are already pending."""
+        """Reserve memory for `room` pending commands, and copy the commands that are already pending."""
         arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
         if count:
             places = (self.c.first + np.arange(count)) % self.c.room
@@ -247,17 +247,17 @@ class DelayLine:
         self.c.room, self.c.first = room, 0
 
 
-# Motor work of a plant in a sample: true torques, power, and squared torques, which heat the windings.
+# Motor work of a plant in a sample: torques, power, and squared torques, which heat the windings.
 
 
 WHEELS = 4
 
 
 class MotorWork(NamedTuple):
-    """Means over the physics steps of a sample, (4,) each: front left, front right, rear left, rear right."""
+    """Means over the physics steps of a sample, (4,) each, in the order of the wheels."""
 
     torque: FloatArray
-    """Torque at the wheels [N m]; positive drives forward."""
+    """Torque at the wheels [N m]; positive torque drives forward."""
     speed: FloatArray
     """Speed of the wheels [rad/s]."""
     power: FloatArray
@@ -282,5 +282,5 @@ def motor_work(plant: Plant) -> MotorWork:
 
 
 def stack(rows: Sequence[MotorWork]) -> FloatArray:
-    """Stack the fields of n samples as (4, n, 4)."""
+    """Stack the fields of n samples as an array (4, n, 4)."""
     return np.array(rows, dtype=float).reshape(len(rows), len(MotorWork._fields), WHEELS).swapaxes(0, 1)

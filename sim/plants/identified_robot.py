@@ -1,4 +1,4 @@
-"""Robot identified from a log, for simulation: model, sensors, and motion that the model does not explain."""
+"""Simulation of a robot that was identified from a log: model, sensors, and unexplained motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 ROBOT_FILE = "robot.yaml"
 SERIES = 60.0
-"""Duration of the motion drawn for a run, after which it repeats [s]."""
+"""Duration of the motion that is drawn for a run, after which the motion repeats [s]."""
 Model = VelocityModel | NonlinearModel
 _Deviations = tuple[NotNegative, NotNegative]
 _Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
@@ -30,7 +30,7 @@ _Interval = tuple[Annotated[int, Field(ge=1)], float, float, float]
 
 
 def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the squares (..., 6) of 1, v, omega, v omega and both rates, the features of the variance.
+    """Return the features of the variance (..., 6): squares of 1, v, omega, v omega and both rates.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class UnexplainedMotion:
-    """Motion of the body that neither the model explains nor the encoders measure.
+    """Motion of the body that the model does not explain and the encoders do not measure.
 
     Attributes
     ----------
     rows
-        (K, 3) multiples of the standard deviation for each sample, repeated periodically.
+        (K, 3) multiples of the standard deviation for each sample; they repeat periodically.
     variance
-        (3, 6) variance of forward and lateral speed [m/s] and yaw rate [rad/s] for each unit of `intensity_features`.
+        (3, 6) coefficients of `intensity_features` in the variances of forward speed, lateral speed and yaw rate.
     largest
-        (6,) maximum features of the log; the variance does not increase beyond them.
+        (6,) maximum features in the log, at which the variance is bounded.
     """
 
     rows: FloatArray
@@ -63,34 +63,34 @@ class UnexplainedMotion:
 
 
 class IdentifiedRobot(StrictModel):
-    """Content of `robot.yaml`, written by `identify` and read by `make_plant` as "model:FILE"."""
+    """Content of `robot.yaml`, which `identify` writes and `make_plant` reads for "model:FILE"."""
 
     model: str = Field(description="parameter file of the model, in the folder of this file")
-    slip: BodySlip = Field(description="slip on the surface of the log, at the pose point")
+    slip: BodySlip = Field(description="slip on the surface of the log, at the point of the poses")
     sensors: SensorSet = Field(description="sensors, with poses as in the log")
     sample_time: SampleTime = Field(description="sample time of the log and of `motion` [s]")
-    block_time: Positive = Field(description="duration of the blocks of motion drawn for a run [s]")
-    gain_deviation: _Deviations = Field(description="standard deviation of the gains of v and omega, relative [-]")
+    block_time: Positive = Field(description="duration of the blocks of motion that are drawn for a run [s]")
+    gain_deviation: _Deviations = Field(description="relative standard deviation of the gains of v and omega [-]")
     delay_deviation: _Deviations = Field(description="standard deviation of dead time plus lag of v and omega [s]")
     variance: tuple[_Variances, _Variances, _Variances] = Field(
         description="coefficients of the variance of unexplained forward speed, lateral speed and yaw rate, for 1, "
         "v^2, omega^2, (v omega)^2 and the squared rates of v and omega, SI units"
     )
-    largest: _Variances = Field(description="maxima of these six features in the log, which bound the variance")
+    largest: _Variances = Field(description="maxima of the six features in the log, which bound the variance")
     motion: list[list[_Interval]] = Field(
         min_length=1,
-        description="for each held-out record intervals of constant motion: samples, and forward speed, lateral speed "
-        "and yaw rate as multiples of their standard deviation [-]",
+        description="intervals of constant motion of each held-out record: number of samples, and forward speed, "
+        "lateral speed and yaw rate as multiples of their standard deviations [-]",
     )
 
     @property
     def records(self) -> list[FloatArray]:
-        """Multiples (K, 3) of each record, sample by sample."""
+        """Multiples (K, 3) of the standard deviations for each sample of each record."""
         tables = [np.array(record, dtype=float).reshape(-1, 4) for record in self.motion]
         return [np.repeat(table[:, 1:], table[:, 0].astype(int), axis=0) for table in tables]
 
     def drawn_model(self, model: Model, rng: np.random.Generator) -> Model:
-        """Draw gains and delays about those of a linear model; return a nonlinear model unchanged."""
+        """Draw gains and delays of a linear model around the identified values; return a nonlinear model unchanged."""
         gains, delays = 1.0 + rng.normal(0.0, self.gain_deviation), rng.normal(0.0, self.delay_deviation)
         if isinstance(model, NonlinearModel):
             return model
@@ -98,15 +98,15 @@ class IdentifiedRobot(StrictModel):
         return replace(model, C=gains[:, None] * model.C, dead_time=dead_time)
 
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
-        """Draw unexplained motion for a `ModelPlant` with sample time `sample_time` [s]."""
+        """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
         rows = drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
         return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
-    """Read a robot file; return None if there is no such file or it is of another kind.
+    """Read a robot file; return None if the file does not exist or is of another kind.
 
-    Raises ConfigError if the file is invalid, and `models.trust.UntrustedFileError` as `check_trusted`.
+    Raises ConfigError if the file is invalid, and `models.trust.UntrustedFileError` if it is not trusted.
     """
     if not is_file(path):
         return None
@@ -116,7 +116,7 @@ def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
 
 
 def intervals(rows: FloatArray) -> list[_Interval]:
-    """Return the intervals of constant motion in `rows` (K, 3), rounded as in `robot.yaml`."""
+    """Return the intervals of constant motion in `rows` (K, 3), with the rounding of `robot.yaml`."""
     rows = np.round(rows, 3)
     starts = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0.0).any(axis=1)])
     lengths = np.diff(np.r_[starts, len(rows)])
@@ -139,7 +139,7 @@ def drawn_motion(
     duration
         Duration of the result [s].
     rate
-        Sample times of the motion and of the result [s].
+        Sample times of the motion and the result [s].
     block_time
         Duration of a block [s].
     rng

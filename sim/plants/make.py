@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _MODEL_PREFIX = f"{MODEL}:"
 _IDENTIFIED = 57
-"""Key of the random stream of identified robots, separate from the noise of the same seed."""
+"""Key of the random stream of identified robots, which differs from that of the noise."""
 
 
 @checked_call()
@@ -56,41 +56,41 @@ def make_plant(
     name
         Name of the plant, or a velocity model.
 
-        * "mujoco": the physics; "mujoco:NAME": another robot, NAME shipped or the path of a robot file.
+        * "mujoco": robot of the papers in MuJoCo; "mujoco:NAME": a built-in robot or the path of a robot file.
         * "drawn:SEED": a robot of the market with its surface, slope, patches and motors.
-        * "model:NAME": a velocity model with the base effects of its file, NAME as for `models.load_model`.
-        * "model:NAME+SECONDS": with additional dead time, like `extra_dead_time`, for instance "model:sm+0.04". If
-          NAME+SECONDS is the path of a file, that file is used.
-        * "model:FOLDER/robot.yaml": the robot written by `identify`, with surface and sensors of the log; model and
-          unexplained motion are drawn from `seed`.
-        * "KIND:NAME", "KIND:NAME@PLANT": plants of other packages around one of these, see `sim.plants.plug_ins`:
-          "world:slalom" adds obstacles, "world:slalom@mujoco:heavy" adds them around another robot.
+        * "model:NAME": a velocity model with the base effects of its file; for NAME see `models.load_model`.
+        * "model:NAME+SECONDS": a velocity model with additional dead time, for instance "model:sm+0.04". If
+          NAME+SECONDS is the path of a file, this file is used.
+        * "model:FOLDER/robot.yaml": a robot that `identify` has written, with surface and sensors of the log; model
+          and unexplained motion are drawn from `seed`.
+        * "KIND:NAME", "KIND:NAME@PLANT": a plant of another package around one of the above plants, see
+          `sim.plants.plug_ins`; for instance, "world:slalom@mujoco:heavy" adds obstacles around the robot "heavy".
     surface
-        Name of a shipped surface or path of a surface file. The default surface of "mujoco:NAME" has the friction of
-        the robot file, if the file states it.
+        Name of a built-in surface or path of a surface file. The default surface of "mujoco:NAME" has the friction of
+        the robot file if this file contains a friction.
     sensors
-        Name of a shipped sensor set or path of a sensor file; the default of "mujoco:NAME" is that of the robot file.
+        Name of a built-in sensor set or path of a sensor file; the default of "mujoco:NAME" is that of the robot file.
     seed
-        Seed of the noise, not negative; runs with the same seed are bitwise equal.
+        Non-negative seed of the noise; runs with the same seed are bitwise equal.
     extra_dead_time
-        For "model:" plants: dead time in addition to that of the model and of `name` [s]. The dead time of the physics
-        is in the robot file.
+        Dead time of "model:" plants in addition to those of the model and of `name` [s]. The dead time of "mujoco"
+        plants is in the robot file.
     scenario
-        Name of a shipped scenario or path of a scenario file, the disturbances of a run. Random values are drawn from
-        `seed`, in a separate stream. "model:" plants support disturbances that do not need mass, wheels or motors.
+        Disturbances of the run: name of a built-in scenario or path of a scenario file. Random values are drawn from
+        `seed` in a separate stream. "model:" plants support disturbances that do not need mass, wheels or motors.
     sample_time
-        Time for which a command is held [s]; by default that of the robot. The physics has shorter steps.
+        Duration of a command [s]; by default that of the robot. The physics uses shorter steps.
     limits
-        For "model:" plants: limits to which commands are clipped; by default those of the robot of the papers.
+        Limits to which "model:" plants clip commands; by default those of the robot of the papers.
     scene
-        Geometry around the robot, for the physics only.
+        Geometry around the robot; only for "mujoco" plants.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If a name is unknown, a file is invalid, or the arguments do not match.
     models.velocity_model.ModelError
-        If a model, with its dead time, cannot describe a robot.
+        If a model with its dead time is invalid.
     models.errors.ArgumentError
         If an argument has a wrong type.
     models.errors.MissingPackageError
@@ -100,9 +100,9 @@ def make_plant(
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     model = None if isinstance(name, (str, Path)) else _checked_model(name)
     name = str(name) if model is None else f"{_MODEL_PREFIX}{model.name}"
-    around = split_plant(name)
-    if around is not None:
-        kind, argument, plant = around
+    wrapped = split_plant(name)
+    if wrapped is not None:
+        kind, argument, plant = wrapped
         return kind.make_plant(
             argument,
             plant,
@@ -141,7 +141,7 @@ def make_plant(
 
 
 class _Setting(NamedTuple):
-    """Arguments of a plant: names, for messages and defaults, and the loaded objects."""
+    """Arguments of a plant: names for messages and defaults, and the loaded objects."""
 
     name: str
     surface_name: str | Path
@@ -154,11 +154,11 @@ class _Setting(NamedTuple):
 
 
 def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | None) -> Plant:
-    """Build a robot in MuJoCo with the disturbances of the setting and the scene."""
+    """Build a robot in MuJoCo with the scene and the disturbances of the setting."""
     surface, disturbances = setting.surface, setting.disturbances
     if surface.friction is None:
         raise ConfigError(
-            f"surface '{setting.surface_name}' has no friction: it is for 'model:' plants; the physics needs friction"
+            f"surface '{setting.surface_name}' has no friction: use it with 'model:' plants; 'mujoco' needs friction"
         )
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
@@ -225,16 +225,16 @@ def _model_plant(
 
 
 def _near_plant(name: str) -> str:
-    """Format the end of the message about an unknown plant: the most similar name, if there is one."""
+    """Format the suggestion of a similar name in the message about an unknown plant; empty if there is none."""
     from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
 
     names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
-    near = difflib.get_close_matches(name.lower(), names, n=1)
-    return f"; did you mean '{names[near[0]]}'?" if near else ""
+    similar = difflib.get_close_matches(name.lower(), names, n=1)
+    return f"; did you mean '{names[similar[0]]}'?" if similar else ""
 
 
 def plant_body(name: str) -> tuple[Robot, TwinParameters]:
-    """Return robot and physical parameters of the plant `name`; those of the papers' robot for "model:NAME".
+    """Return robot and physical parameters of the plant `name`; for "model:NAME" those of the papers' robot.
 
     Raises ConfigError if the robot file is invalid.
     """
@@ -253,7 +253,7 @@ def _checked_model(model: object) -> VelocityModel | NonlinearModel:
 
 
 def physics_robot(name: str) -> Robot | None:
-    """Return the robot of a plant in the physics; None for "model:NAME".
+    """Return the robot of a "mujoco" or "drawn" plant; None for "model:NAME".
 
     Raises ConfigError if the robot file is invalid.
     """
@@ -265,14 +265,14 @@ def physics_robot(name: str) -> Robot | None:
 
 
 def plant_inside(name: str) -> str:
-    """Return PLANT of "KIND:NAME@PLANT", or other names unchanged. Raises MissingPackageError as `split_plant`."""
-    around = split_plant(name)
-    return name if around is None else around[2]
+    """Return PLANT of "KIND:NAME@PLANT", and other names unchanged; for errors see `split_plant`."""
+    wrapped = split_plant(name)
+    return name if wrapped is None else wrapped[2]
 
 
 @lru_cache(maxsize=16)
 def drawn_robot(name: str) -> DrawnRobot | None:
-    """Return the robot of a plant "drawn:SEED"; None for other plants. Raises ConfigError for an invalid seed."""
+    """Return the robot of a plant "drawn:SEED", None for other plants; raise ConfigError for an invalid seed."""
     kind, colon, seed = plant_inside(name).partition(":")
     if not colon or kind != DRAWN:
         return None
@@ -286,7 +286,7 @@ def drawn_robot(name: str) -> DrawnRobot | None:
 def simulated_robot(name: str) -> SimulatedRobot | None:
     """Return the robot of the plant "mujoco:NAME" or "drawn:SEED"; None for other plants.
 
-    Raises ConfigError if its file is invalid.
+    Raises ConfigError if the robot file is invalid.
     """
     drawn = drawn_robot(name)
     if drawn is not None:
@@ -297,14 +297,14 @@ def simulated_robot(name: str) -> SimulatedRobot | None:
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
     robot = load_robot()
-    # The link clips symmetrically.
+    # The limits of the link are symmetric.
     symmetric = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
     bounds = robot.limits.model_copy(update=symmetric)
     return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
 
 
 def _split_dead_time(text: str) -> tuple[str, float]:
-    """Split NAME or NAME+SECONDS into model and extra dead time [s]; the path of an existing file may have a plus."""
+    """Split NAME or NAME+SECONDS into model and extra dead time [s]; the path of a file may contain a plus."""
     model, plus, seconds = text.rpartition("+")
     if not plus or is_file(text):
         return text, 0.0
@@ -314,7 +314,7 @@ def _split_dead_time(text: str) -> tuple[str, float]:
         dead_time = math.nan
     if not (math.isfinite(dead_time) and dead_time >= 0):
         raise ConfigError(
-            f"plant 'model:{text}': '{seconds}' is no dead time; write model:NAME+SECONDS, such as model:sm+0.04, or "
-            "the path of a model file that exists"
+            f"plant 'model:{text}': '{seconds}' is not a dead time; write model:NAME+SECONDS, as model:sm+0.04, or "
+            "the path of an existing model file"
         )
     return model, dead_time

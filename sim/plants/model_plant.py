@@ -1,4 +1,4 @@
-"""Plant that moves as a velocity model: fast, with a closed-form solution."""
+"""Plant that moves according to a velocity model, with a fast closed-form solution."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 _NO_LIMIT = 1e6
-"""Limit that no command reaches; finite, so that ratios of limits are numbers."""
+"""Limit that no command reaches; it is finite, so that ratios of limits are finite."""
 
 
 class ModelPlant:
-    """Plant with velocity model, extra dead time, slip, and the sensors of the physics; see `sim.plants.plant.Plant`.
+    """Plant with velocity model, extra dead time, slip, and simulated sensors; see `sim.plants.plant.Plant`.
 
-    The model's v is that of the encoders, its omega that of the gyro on the surface of the identification. The twist of
-    a sample is the mean of the outputs at both ends, and the pose moves along the exact arc of this mean; with base
-    effects, this applies to each of several steps of a sample. Poses are those of the centre of rotation.
+    The model predicts v of the encoders and omega of the gyro on the surface of the identification. The twist of a
+    sample is the mean of the outputs at both ends, and the pose moves along the exact arc of this mean. With base
+    effects, a sample is divided into several such steps. Poses are those of the centre of rotation.
 
     Parameters
     ----------
     model
-        The velocity model.
+        Velocity model.
     slip
         Slip from the model's twist to the true twist.
     sensors
         Sensor parameters.
     seed
-        Seed of the noise, not negative.
+        Non-negative seed of the noise.
     extra_dead_time
         Dead time in addition to that of the model, for both channels [s].
     effects
-        Base effects; none by default.
+        Base effects; None for a base without effects.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        Additional motion of the body, which the encoders do not measure; None by default.
+        Unexplained motion of the body, which the encoders do not measure; None if there is no such motion.
     """
 
     def __init__(
@@ -66,15 +66,15 @@ class ModelPlant:
         disturbance: UnexplainedMotion | None = None,
     ) -> None:
         self._robot, self._name = robot or load_robot(), model.name
-        late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
-        self._slip, self._function = slip, _Function(late) if isinstance(late, NonlinearModel) else None
+        delayed = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
+        self._slip, self._function = slip, _Function(delayed) if isinstance(delayed, NonlinearModel) else None
         self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
-        self._c, self._alive = _plant_in_c(late, effects or BaseEffects(), slip, disturbance, self.sample_time)
+        self._c, self._memory = _plant_in_c(delayed, effects or BaseEffects(), slip, disturbance, self.sample_time)
         self._advance = load_twin()[1].velocity_plant_advance
-        self._look = load_twin()[1].velocity_plant_look
+        self._interpolate_pose = load_twin()[1].velocity_plant_look
         self._pose, self._twist, self._wheels = (view(part) for part in (self._c.pose, self._c.twist, self._c.wheels))
-        self._seen = np.zeros(3)
+        self._interpolated = np.zeros(3)
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
@@ -93,12 +93,12 @@ class ModelPlant:
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels."""
         return self._pose.copy()
 
     @property
     def true_twist(self) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] in the body frame."""
         return self._twist.copy()
 
     def reset(self, pose: ArrayLike) -> None:
@@ -115,17 +115,17 @@ class ModelPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and advance by one sample; raise ValueError unless it is two finite numbers."""
+        """Send `command` (2,) and advance by one sample; raise ValueError for an invalid command."""
         sent, before = clip_command(command, self._robot.limits).tolist(), self.time
         self._sent = (sent[0], sent[1])
         if self._function is not None:
             self._c.next = self._function.advance(sent)
         self._advance(self._c, sent)
         now = self.time
-        for look in self._sensors.poses_due(now):
-            if look != now:
-                self._look(self._c, before, look, address(self._seen))
-            self._sensors.see_pose(look, self._pose if look == now else self._seen)
+        for due in self._sensors.poses_due(now):
+            if due != now:
+                self._interpolate_pose(self._c, before, due, address(self._interpolated))
+            self._sensors.see_pose(due, self._pose if due == now else self._interpolated)
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(self._wheels))
         self._sensors.see_motion(now, wheel_speeds, self._c.yaw_rate)
 
@@ -159,20 +159,20 @@ def _plant_in_c(
     disturbance: UnexplainedMotion | None,
     sample_time: float,
 ) -> tuple[Any, list[Any]]:
-    """Return the plant of `sim/core/velocity_plant.h`, and the memory that it uses.
+    """Return the C structure of the plant, see `sim/core/velocity_plant.h`, and the memory that it uses.
 
-    Raises ModelError if a nonlinear model has another sample time, or effects are given for it.
+    Raises ModelError if a nonlinear model has another sample time or is combined with base effects.
     """
-    plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
+    has_no_effects = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
     c = load_twin()[0].new("velocity_plant *")
-    # The mean twist of a step is that of its ends, so the step is at most the sample time of the papers' robot.
-    c.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
+    # The mean twist of a step is computed from its ends, so the step is at most the sample time of the papers' robot.
+    c.steps = max(1 if has_no_effects else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
     matrices: dict[str, FloatArray] = {}
     if isinstance(model, NonlinearModel):
-        if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
+        if not (has_no_effects and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
             raise ModelError(
-                f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; as a plant of "
-                f"{sample_time} s take another model, or a sample_time of {model.dt} s"
+                f"model '{model.name}': it requires samples of {model.dt} s without effects of a base; for a plant "
+                f"with {sample_time} s use another model, or set sample_time to {model.dt} s"
             )
         c.steps = 1
     else:
@@ -206,7 +206,7 @@ def _plant_in_c(
 
 
 def _both_sides(limits: TwistRange | TwistSlew | None) -> FloatArray:
-    """Return the limits (2, 2) of v and omega: those of the first side, then those of the second."""
+    """Return the limits (2, 2) of v and omega; row 0 contains the first side, row 1 the second side."""
     channels: tuple[float | None, float | None] = (None, None) if limits is None else (limits.v, limits.omega)
     sides = [sides_of(math.inf if limit is None else limit) for limit in channels]
     return np.asarray(np.minimum(sides, _NO_LIMIT).T)

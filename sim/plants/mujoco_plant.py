@@ -1,4 +1,4 @@
-"""Physics plant: chassis in MuJoCo, with link, firmware, motor drivers and sensors."""
+"""Physics plant: chassis in MuJoCo with link, firmware, motor drivers and sensors."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, l
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 
-# Sensors use the spawn keys 0, 1, 2, ..., which never reach this key.
+# Spawn key of the random encoder phases; sensors use the keys 0, 1, 2, ..., which are always lower.
 _ENCODER_PHASE_KEY = 1_000
 
 
 class MujocoPlant:
-    """Digital twin of the papers' robot, or of other robots; see `sim.plants.plant.Plant`.
+    """Digital twin of the papers' robot or of another robot, see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
@@ -36,19 +36,19 @@ class MujocoPlant:
     sensors
         Sensor parameters.
     seed
-        Seed of the noise, not negative.
+        Non-negative seed of the noise.
     robot, twin, firmware
         Parameters of the robot; by default those of the papers' robot.
     base
-        Effects of the base on the commands; none by default.
+        Effects of the base on commands; None for a base without effects.
     scenario
-        Disturbances of chassis and motors; `sim.plants.disturbed_plant.DisturbedPlant` applies the others.
+        Disturbances of chassis and motors; `sim.plants.disturbed_plant.DisturbedPlant` applies all others.
     sideways
-        Ratio of friction across the rolling direction of the wheels to friction along it.
+        Ratio of friction across to friction along the rolling direction of the wheels [-].
     sample_time
-        Time for which a command is held [s]; by default that of `robot`. The physics step stays about the same.
+        Duration of a command [s]; by default that of `robot`. The physics step remains approximately the same.
     scene
-        Geometry around the robot.
+        Geometry around the robot; None if there is only the surface.
     parts
         Devices that observe the motors, by name.
     """
@@ -111,30 +111,30 @@ class MujocoPlant:
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels."""
         return self._chassis.pose
 
     @property
     def true_twist(self) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] in the body frame."""
         return self._chassis.twist
 
     @property
     def chassis(self) -> Chassis:
-        """Chassis in MuJoCo, for access to energy, contacts and true wheel speeds."""
+        """Chassis in MuJoCo, which provides energy, contacts and true wheel speeds."""
         return self._chassis
 
     @property
     def motors(self) -> FloatArray:
         """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] of the last sample; see `sim.plants.drivetrain`.
 
-        Front left, front right, rear left, rear right. The next sample overwrites them.
+        The order is front left, front right, rear left, rear right. The next sample overwrites the values.
         """
         return self._twin.motors
 
     @property
     def crossed(self) -> list[Span]:
-        """First and last time on each patch that the robot has reached since the last reset [s]."""
+        """First and last time on each patch that was reached since the last reset [s]."""
         return self._disturbances.crossed if self._disturbances else []
 
     def reset(self, pose: ArrayLike) -> None:
@@ -159,7 +159,7 @@ class MujocoPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and advance by one sample; errors as for `sim.plants.plant.Plant`."""
+        """Send `command` (2,) and advance by one sample; for errors see `sim.plants.plant.Plant`."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         if self._shaping is None:

@@ -1,4 +1,4 @@
-"""Names of plants, for the command line, without import of the simulator."""
+"""Names of plants, which the command line uses without an import of the simulator."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.plug_ins import PlantKind
 
 PHYSICS = "mujoco"
-"""Name of the physics plant, and prefix of other robots in it ("mujoco:NAME")."""
+"""Name of the physics plant, and prefix of other robots in the physics ("mujoco:NAME")."""
 DRAWN = "drawn"
 """Prefix of robots of the market ("drawn:SEED"), see `sim/plants/market.yaml`."""
 MODEL = "model"
@@ -19,14 +19,14 @@ BUILT_IN = (PHYSICS, DRAWN, MODEL)
 
 
 def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
-    """Split "KIND:NAME" or "KIND:NAME@PLANT" into kind, NAME and PLANT, by default the physics.
+    """Split "KIND:NAME" or "KIND:NAME@PLANT" into kind, NAME and PLANT; the default of PLANT is the physics.
 
     Returns None for built-in and unknown plants.
 
     Raises
     ------
     MissingPackageError
-        If the package of a known kind is not installed.
+        If the package of the kind is not installed.
     """
     kind, colon, rest = name.partition(":")
     if not colon or kind in BUILT_IN or kind not in {*plug_in_names("plants"), *known_packages().get("plants", {})}:

@@ -1,4 +1,4 @@
-"""Open-loop drives of a plant, with the papers' steps or random set-points as commands."""
+"""Open-loop drives of a plant with step commands of the papers or random set-points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
 class StepCommands(StrictModel):
-    """Parameters of steps from rest to a level and back to rest."""
+    """Parameters of steps from rest to a command level and back to rest."""
 
     wheel_levels: list[float]
     v_levels: list[float]
@@ -29,7 +29,7 @@ class StepCommands(StrictModel):
 
 
 class RandomCommands(StrictModel):
-    """Parameters of random set-points, each held for a random time."""
+    """Parameters of random set-points with random durations."""
 
     v_range: tuple[float, float]
     omega_range: tuple[float, float]
@@ -57,7 +57,7 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
     Parameters
     ----------
     kind
-        "wheels": straight motion at the pulse rates of the papers' experiments for MBM; "v", "omega": steps for SM.
+        "wheels": straight motion at the pulse rates of the papers' experiments for MBM; "v" and "omega": steps for SM.
     robot
         Robot with wheel radius, encoder and sample time; by default that of the papers.
     """
@@ -75,14 +75,14 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
 def random_commands(
     seed: int, smooth: bool = True, duration: float | None = None, sample_time: float | None = None
 ) -> FloatArray:
-    """Draw random set-points (K, 2), each held for a random time; the robot starts from rest.
+    """Draw random set-points (K, 2) with random durations, for a robot that starts from rest.
 
     Parameters
     ----------
     seed
-        Seed of set-points and hold times.
+        Seed of set-points and durations.
     smooth
-        Whether to average over the last half second; otherwise set-points change in steps.
+        True for the moving average over the last half second; otherwise set-points change in steps.
     duration, sample_time
         Duration and sample time [s]; by default from the parameter file and the robot.
     """
@@ -105,7 +105,7 @@ def random_commands(
 
 @dataclass(frozen=True, repr=False)
 class OpenLoopDrive(ReadOnlyArrays):
-    """Open-loop drive of K samples; row k was measured at `time[k]`, just before `command[k]` was sent.
+    """Open-loop drive of K samples; row k was measured at `time[k]`, immediately before `command[k]` was sent.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class OpenLoopDrive(ReadOnlyArrays):
     command
         (K, 2) v_ref [m/s], omega_ref [rad/s].
     wheel_speeds
-        (K, 4) measured wheel speeds, front left, front right, rear left, rear right [rad/s].
+        (K, 4) measured wheel speeds in the order front left, front right, rear left, rear right [rad/s].
     wheel_twist
         (K, 2) v [m/s], omega [rad/s] from the wheel speeds and the geometric track.
     yaw_rate
@@ -124,7 +124,8 @@ class OpenLoopDrive(ReadOnlyArrays):
     true_twist
         (K, 3) forward and lateral speed [m/s], yaw rate [rad/s].
     motor_torque, motor_speed, motor_power, motor_square
-        (K, 4) motor work of the sample that starts at `time`, see `sim.plants.drivetrain`; NaN without motors.
+        (K, 4) motor work of the sample that starts at `time`, see `sim.plants.drivetrain`; NaN for a plant without
+        motors.
     """
 
     time: FloatArray
@@ -141,17 +142,17 @@ class OpenLoopDrive(ReadOnlyArrays):
 
     @property
     def output(self) -> FloatArray:
-        """(K, 2) outputs of a velocity model: v [m/s] of the encoders, omega [rad/s] of the gyro."""
+        """(K, 2) outputs for a velocity model: v [m/s] of the encoders, omega [rad/s] of the gyro."""
         return np.column_stack([self.wheel_twist[:, 0], self.yaw_rate])
 
 
 def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0.0, 0.0)) -> OpenLoopDrive:
-    """Reset `plant` to `pose` (3,) and drive it with `commands` (K, 2), one per sample.
+    """Reset `plant` to `pose` (3,) and drive it with `commands` (K, 2), one row per sample.
 
     Raises
     ------
     ValueError
-        If the commands are not rows of two finite numbers, or encoders or gyro have no reading at a sample.
+        If a command does not consist of two finite numbers, or encoders or gyro have no reading at a sample.
     """
     rows = np.asarray(commands, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
@@ -165,7 +166,7 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
     for k, command in enumerate(rows):
         measurement = plant.measure()
         if measurement.wheel_speeds is None or measurement.wheel_twist is None or measurement.yaw_rate is None:
-            raise ValueError(f"no encoders or gyro at {plant.time:.3f} s: a drive needs them every sample")
+            raise ValueError(f"no encoders or gyro at {plant.time:.3f} s: use sensors with a reading per sample")
         time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         wheel_speeds[k], wheel_twist[k] = measurement.wheel_speeds.value, measurement.wheel_twist.value
         yaw_rate[k] = measurement.yaw_rate.value

@@ -1,4 +1,4 @@
-"""Interface of plants in the closed loop."""
+"""Interface of plants for the closed loop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 
 
 class RobotLostError(DiffdriveMpcError, ValueError):
-    """Error if the robot tips over or its motion diverges: one line with time, reason and remedy."""
+    """Error for a robot that tips over or whose motion diverges; one line with time, reason and remedy."""
 
 
 class Plant(Protocol):
-    """Simulated robot that advances by one control sample at a time.
+    """Simulated robot that advances sample by sample.
 
-    Plants with the same arguments and the same commands give bitwise equal results.
+    Results of plants with equal arguments and equal commands are bitwise equal.
     """
 
     @property
@@ -33,7 +33,7 @@ class Plant(Protocol):
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) true x [m], y [m], theta [rad, unwrapped] of the centre between the wheels, without delay."""
+        """(3,) true x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels, without delay."""
         ...
 
     @property
@@ -44,7 +44,7 @@ class Plant(Protocol):
     def reset(self, pose: ArrayLike) -> None:
         """Reset the robot to rest at `pose` (3,) at time 0, and restart the noise.
 
-        The robot is assumed to have been at rest before time 0: the first measurement already has a (delayed) pose.
+        The robot was at rest before time 0, so the first measurement already contains a delayed pose.
         """
         ...
 
@@ -58,7 +58,7 @@ class Plant(Protocol):
         Raises
         ------
         ValueError
-            If the command is not two finite numbers.
+            If the command does not consist of two finite numbers.
         RobotLostError
             If the robot tips over or its motion diverges.
         """
@@ -66,7 +66,7 @@ class Plant(Protocol):
 
 
 class PlantAround:
-    """Wrapper of a plant with the clock and the true motion of the inner plant."""
+    """Base class of wrappers of a plant, with the clock and the true motion of the inner plant."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -87,12 +87,12 @@ class PlantAround:
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels."""
         return self._plant.true_pose
 
     @property
     def true_twist(self) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] in the body frame."""
         return self._plant.true_twist
 
     @property

@@ -1,7 +1,7 @@
 """Plants and simulator parts of other packages, from the entry points of the group `diffdrive_mpc.plants`.
 
-An entry is a `PlantKind`, for plants called "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind`, which sensor files name
-under `parts:`. The entry of the same name in `diffdrive_mpc.columns`, a `RunColumns`, presents the records.
+An entry is a `PlantKind` for plants named "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind`, which sensor files list
+under `parts:`. The entry of the same name in `diffdrive_mpc.columns` is a `RunColumns`, which presents the records.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from diffdrive_mpc.sim.plants.plant import Plant
 
 
 class PlantKind(Protocol):
-    """Plants of one kind around other plants."""
+    """Kind of plants around other plants."""
 
     def make_plant(self, name: str, plant: str, **options: Any) -> Plant:  # noqa: ANN401 - see `make_plant`
-        """Build the plant `name` around the plant called `plant`, with the other options of `sim.make_plant`."""
+        """Build the plant `name` around the plant named `plant`; the options are those of `sim.make_plant`."""
         ...
 
     def settings(self, name: str, plant: str) -> Mapping[str, object]:
-        """Return configuration values of the predictive controller for the plant, by dotted key."""
+        """Return values of the controller's configuration for the plant by dotted key."""
         ...
 
     def reference(self, name: str, seed: int, limits: Any) -> Any:  # noqa: ANN401 - trajectories are types of `mpc`
-        """Return the trajectory of the plant within the limits of the robot; None if it has none."""
+        """Return the trajectory of the plant within the limits of the robot; None if it has no trajectory."""
         ...
 
 
@@ -52,7 +52,7 @@ class Scene(Protocol):
         ...
 
     def restart(self) -> None:
-        """Reset everything for a new run."""
+        """Reset the scene for a new run."""
         ...
 
     def step(self) -> None:
@@ -77,33 +77,33 @@ class SimulatorPart(Protocol):
         ...
 
     def take(self, motors: FloatArray) -> None:
-        """Record the motors of one sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
+        """Process the motor data of a sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
         ...
 
 
 class PartKind(Protocol):
-    """Simulator parts of one kind."""
+    """Kind of simulator parts."""
 
     def make_part(self, sensor: object, robot: object, seed: int) -> SimulatorPart:
-        """Build the part from the values under `parts:` in a sensor file and in a robot file."""
+        """Build a part from the values under `parts:` in a sensor file and in a robot file."""
         ...
 
 
 @runtime_checkable
 class Surrounded(Protocol):
-    """Plant whose surroundings the controller observes, and which can end a run."""
+    """Plant with surroundings that the controller observes; it can end a run."""
 
     @property
     def time_limit(self) -> float:
-        """Time by which the run ends [s]."""
+        """Time limit of the run [s]."""
         ...
 
     def show(self, controller: TrackingController) -> None:
-        """Pass the observations delivered by the current tick to the controller; called once per tick."""
+        """Pass the observations that are delivered at the current tick to the controller; called once per tick."""
         ...
 
     def is_over(self, goal: FloatArray) -> bool:
-        """Return True if the run is complete; called after the end of the reference at `goal`, a pose (3,)."""
+        """Return True if the run is complete; called after the end of the reference, whose end pose is `goal` (3,)."""
         ...
 
 
@@ -114,17 +114,17 @@ class RunColumns:
     """
 
     def series(self, run: Any) -> Mapping[str, FloatArray]:  # noqa: ANN401 - importing Run would be circular
-        """Return time series (n,) by name, for `Run.columns` and logs."""
+        """Return time series (n,) by name for `Run.columns` and logs."""
         del run
         return {}
 
     def row(self, run: Any) -> Mapping[str, object]:  # noqa: ANN401
-        """Return columns of the run's row in comparisons."""
+        """Return columns for the row of the run in comparisons."""
         del run
         return {}
 
     def summary(self, run: Any) -> str:  # noqa: ANN401
-        """Return a line for the summary of a run; may be empty."""
+        """Return a line for the summary of a run, or an empty string."""
         del run
         return ""
 
@@ -133,11 +133,11 @@ class RunColumns:
         del rows
 
     def draw(self, axes: Any, run: Any) -> None:  # noqa: ANN401 - axes of matplotlib
-        """Draw marks into the axes of the driven path."""
+        """Draw marks into the axes with the driven path."""
 
 
-def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - as above
-    """Return the `RunColumns` of the parts of a run, in order."""
+def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - importing Run would be circular
+    """Return the `RunColumns` of the parts of a run, in the order of the parts."""
     return [plug_in("columns", name) for name in run.parts]
 
 

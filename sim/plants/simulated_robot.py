@@ -1,4 +1,4 @@
-"""Robots of plant `mujoco`, defined by YAML files with the differences from the digital twin."""
+"""Robots of plant `mujoco`, defined in YAML files by their differences from the digital twin."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 ROBOTS = EntryFile("robot", Path(__file__).with_name("robots.yaml"))
 DEFAULT = "default"
-"""Name of the surface and of the sensor set that a robot file may replace."""
+"""Name of the surface and the sensor set that a robot file may replace."""
 
 
 class SimulatedRobot(StrictModel):
-    """All parameters of a robot in the physics; keys and units as in the files of the digital twin."""
+    """Parameters of a robot in the physics; keys and units are those of the files of the digital twin."""
 
     description: str = Field(min_length=1, description="description in one line")
     robot: Robot = Field(description="robot, as in models/parameters/robot.yaml")
     twin: TwinParameters = Field(description="physical parameters, as in sim/plants/parameters/twin.yaml")
     firmware: Firmware = Field(description="firmware, as in sim/plants/parameters/firmware.yaml")
-    base: BaseCommands | None = Field(default=None, description="limits and wheel commands inside the base")
+    base: BaseCommands | None = Field(default=None, description="limits and wheel commands of the base")
     friction: Positive | None = Field(
         default=None, description="sliding friction coefficient of the default surface of the robot"
     )
@@ -39,30 +39,32 @@ class SimulatedRobot(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _read_former_keys(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
-        """Read `drive` and `battery`, the keys of version 0.2, as keys of `parts.power`."""
-        moved = {key: data[key] for key in ("drive", "battery") if key in data} if isinstance(data, Mapping) else {}
-        if not moved:
+        """Convert `drive` and `battery`, the keys of version 0.2, to keys of `parts.power`."""
+        former = {key: data[key] for key in ("drive", "battery") if key in data} if isinstance(data, Mapping) else {}
+        if not former:
             return data
-        values = {key: value for key, value in data.items() if key not in moved}
-        return merge_mappings(values, {"parts": {"power": moved}})
+        values = {key: value for key, value in data.items() if key not in former}
+        return merge_mappings(values, {"parts": {"power": former}})
 
     @model_validator(mode="after")
     def _stands_on_its_wheels(self) -> SimulatedRobot:
         chassis, robot = self.twin.chassis, self.robot
         if not robot.mass > 4 * chassis.wheel_mass:
-            raise ValueError(f"robot.mass {robot.mass} kg: its wheels alone weigh {4 * chassis.wheel_mass:g} kg")
+            raise ValueError(
+                f"robot.mass {robot.mass} kg: must exceed that of the wheels, {4 * chassis.wheel_mass:g} kg"
+            )
         ahead, left = chassis.centre_of_mass
         middle = -chassis.wheel_base / 2 if chassis.castors else 0.0
         if not (abs(ahead - middle) < chassis.wheel_base / 2 and abs(left) < robot.track / 2):
             raise ValueError(
-                f"twin.chassis.centre_of_mass [{ahead}, {left}] m: it must lie between the wheels, "
-                f"{chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left at most, or it tips over"
+                f"twin.chassis.centre_of_mass [{ahead}, {left}] m: must lie between the wheels, "
+                f"at most {chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left"
             )
         return self
 
 
 def digital_twin() -> dict[str, object]:
-    """Load the default values of robot files: those of the robot of the papers."""
+    """Load the default values of robot files, which are those of the papers' robot."""
     parts = {
         "robot": load_robot(),
         "twin": load_twin_parameters(),
@@ -73,11 +75,11 @@ def digital_twin() -> dict[str, object]:
 
 
 def load_simulated_robot(name: str | Path) -> SimulatedRobot:
-    """Read a robot given by shipped name or path; missing values are those of the digital twin.
+    """Read a robot by built-in name or path; missing values are those of the digital twin.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such robot or its file is invalid.
+        If the robot does not exist or its file is invalid.
     """
     return ROBOTS.load(SimulatedRobot, name, digital_twin())

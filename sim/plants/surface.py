@@ -1,4 +1,4 @@
-"""Surfaces: friction for the physics, slip for velocity models."""
+"""Surfaces, with friction for the physics and slip for velocity models."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ SURFACES = EntryFile("surface", Path(__file__).with_name("surfaces.yaml"))
 class Polynomial(StrictModel):
     """Coefficients of `models.slip_laws.polynomial_twist`; lateral speed is positive to the left."""
 
-    a11: float = Field(description="forward speed by v_c [-]")
-    a12: float = Field(description="forward speed by w_c [m]")
-    a13: float = Field(description="forward speed by v_c w_c [s]")
-    a21: float = Field(description="lateral speed by v_c [-]")
-    a22: float = Field(description="lateral speed by w_c [m]")
-    a23: float = Field(description="lateral speed by v_c w_c [s]")
-    a31: float = Field(description="yaw rate by v_c [rad/m]")
-    a32: float = Field(description="yaw rate by w_c [-]")
-    a33: float = Field(description="yaw rate by v_c w_c [s/m]")
+    a11: float = Field(description="forward speed per v_c [-]")
+    a12: float = Field(description="forward speed per w_c [m]")
+    a13: float = Field(description="forward speed per v_c w_c [s]")
+    a21: float = Field(description="lateral speed per v_c [-]")
+    a22: float = Field(description="lateral speed per w_c [m]")
+    a23: float = Field(description="lateral speed per v_c w_c [s]")
+    a31: float = Field(description="yaw rate per v_c [rad/m]")
+    a32: float = Field(description="yaw rate per w_c [-]")
+    a33: float = Field(description="yaw rate per v_c w_c [s/m]")
 
     @property
     def coefficients(self) -> list[float]:
-        """The nine coefficients, row by row."""
+        """Nine coefficients, row by row."""
         return [getattr(self, name) for name in POLYNOMIAL]
 
 
 class VirtualTrack(StrictModel):
-    """Track that grows with the yaw rate, i = p1 |yaw rate| + p0: `models.slip_laws.virtual_track_yaw_rate`."""
+    """Track that grows with the yaw rate, i = p1 |yaw rate| + p0, see `models.slip_laws.virtual_track_yaw_rate`."""
 
     p0: Positive = Field(description="track at yaw rate zero [m]")
     p1: float = Field(description="growth of the track with the yaw rate [m s]")
@@ -46,13 +46,13 @@ class VirtualTrack(StrictModel):
 class BodySlip(StrictModel):
     """Conversion of the output (v, omega) of a velocity model to the motion of the body.
 
-    The gains are applied first; their result is the input (v_c, w_c) of an optional slip law of the papers.
+    The gains are applied first; the result is the input (v_c, w_c) of an optional slip law of the papers.
     """
 
-    yaw_gain: Positive = Field(description="true yaw rate over that of the velocity model")
-    wheel_yaw_gain: Positive = Field(description="true yaw rate over that of encoders and geometric track")
-    longitudinal_gain: Positive = Field(description="true forward speed over that of the encoders")
-    side_slip: NotNegative = Field(description="lateral speed, outward, over v * omega [s]")
+    yaw_gain: Positive = Field(description="ratio of true yaw rate to that of the velocity model")
+    wheel_yaw_gain: Positive = Field(description="ratio of true yaw rate to that of encoders and geometric track")
+    longitudinal_gain: Positive = Field(description="ratio of true forward speed to that of the encoders")
+    side_slip: NotNegative = Field(description="ratio of outward lateral speed to v * omega [s]")
     polynomial: Polynomial | None = Field(default=None, description="polynomial slip law of the surface")
     virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
 
@@ -69,25 +69,25 @@ class BodySlip(StrictModel):
         return np.array([v, lateral + self.sideways(v, omega), omega])
 
     def wheels(self, output: FloatArray) -> FloatArray:
-        """Compute v [m/s], omega [rad/s] (2,) from encoders and geometric track, which the slip laws do not affect."""
+        """Compute v [m/s], omega [rad/s] (2,) of encoders and geometric track, which slip laws do not affect."""
         return np.array(self.turned(*output.tolist()))
 
-    # These formulas also accept CasADi symbols, as arguments and as values of the fields.
+    # The following formulas also accept CasADi symbols as arguments and as values of the fields.
     def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
         """Compute forward speed [m/s] and yaw rate [rad/s] after the gains."""
         return self.longitudinal_gain * v, self.yaw_gain * omega
 
     def sideways(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - numbers or symbols
-        """Compute the lateral speed by side-slip, to the left [m/s]."""
+        """Compute the lateral speed to the left that is due to side-slip [m/s]."""
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """Compute the twist v [m/s], omega [rad/s] from encoders and geometric track."""
+        """Compute the twist v [m/s], omega [rad/s] of encoders and geometric track."""
         return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 
 class Surface(StrictModel):
-    """Parameters of one surface."""
+    """Parameters of a surface."""
 
     friction: Positive | None = Field(default=None, description="sliding friction coefficient of the tyres")
     sideways_friction: Positive | None = Field(
@@ -98,23 +98,23 @@ class Surface(StrictModel):
     @model_validator(mode="after")
     def _both_ways(self) -> Surface:
         if self.sideways_friction is not None and self.friction is None:
-            raise ValueError("sideways_friction: give also friction, along the rolling direction")
+            raise ValueError("sideways_friction: also give friction, which is along the rolling direction")
         return self
 
     @property
     def sideways(self) -> float:
-        """Ratio of sliding friction across the rolling direction to friction along it."""
+        """Ratio of sliding friction across to sliding friction along the rolling direction [-]."""
         return (
             1.0 if self.friction is None or self.sideways_friction is None else self.sideways_friction / self.friction
         )
 
 
 def load_surface(name: str | Path) -> Surface:
-    """Read a surface given by shipped name or path.
+    """Read a surface by built-in name or path.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such surface or its file is invalid.
+        If the surface does not exist or its file is invalid.
     """
     return SURFACES.load(Surface, name)

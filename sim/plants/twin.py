@@ -1,4 +1,4 @@
-"""Drivetrain and physics of one robot; a control sample of both is one call in C."""
+"""Drivetrain and physics of a robot, of which a call in C computes a whole control sample."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedO
 
 
 class Twin:
-    """Interface to `twin_advance` of `sim/core/twin.c`, and to its parts, for disturbances between them.
+    """Interface to `twin_advance` of `sim/core/twin.c`, and to its single steps for disturbances in between.
 
     Parameters
     ----------
     line, shaper, observer, loops, chassis
-        Parts of the plant.
+        Components of the plant.
     steps
-        Physics steps in a control sample.
+        Number of physics steps per control sample.
 
     Attributes
     ----------
     edges
-        (steps + 1,) start and end of each step of this control sample [s]; set by the caller.
+        (steps + 1,) start and end time of each step of the control sample [s]; set by the caller.
     poses
-        (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at these times.
+        (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at the times `edges`.
     motors
-        (steps, 2, 4) torque of each motor during each step [N m], and speed of its wheel at the end of the step
-        [rad/s]. Their product is the exact mean power, as the physics integrates the wheel angles with the new speed.
+        (steps, 2, 4) torque of each motor during each step [N m], and speed of the wheel at the end of the step
+        [rad/s]. Their product is the exact mean power, since the physics integrates the wheel angles with the new
+        speed.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class Twin:
     ) -> None:
         ffi, self._lib = load_twin()
         self._chassis, self._steps = chassis, steps
-        self._parts = line, shaper, observer, loops, chassis  # C reads them
+        self._parts = line, shaper, observer, loops, chassis  # keeps the structures alive, which C reads
         self.edges, self.poses, self._torques = np.zeros(steps + 1), np.zeros((steps + 1, 3)), np.zeros(4)
         self.motors = np.zeros((steps, 2, 4))
         self._c = ffi.new("twin *", [*(part.c for part in self._parts), address(self.motors)])

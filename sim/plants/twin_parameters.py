@@ -20,23 +20,23 @@ class ChassisParameters(StrictModel):
 
     wheel_base: Positive = Field(description="distance between front and rear axle [m]")
     body_size: tuple[Positive, Positive, Positive] = Field(description="length, width, height of the body [m]")
-    body_height: float = Field(description="centre of the body above the axles [m]")
-    wheel_mass: Positive = Field(description="mass of one wheel [kg]")
+    body_height: float = Field(description="height of the centre of the body above the axles [m]")
+    wheel_mass: Positive = Field(description="mass of a wheel [kg]")
     centre_of_mass: tuple[float, float] = Field(
         description="centre of mass of the robot, ahead and to the left of the centre between the wheels [m]"
     )
     rolling_radii: tuple[Positive, Positive] = Field(
         default=(1.0, 1.0),
-        description="true radius of left and right wheels over the radius in firmware and encoders [-]",
+        description="ratio of the true radius of left and right wheels to the radius in firmware and encoders [-]",
     )
     castors: bool = Field(
         default=False,
-        description="whether the rear wheels are castors, which carry load without lateral force; the front axle is "
-        "then at the centre of the frame, the centre of rotation",
+        description="true for rear castors, which carry load without lateral force; the front axle is then at the "
+        "origin of the body frame, which is the centre of rotation",
     )
     wheel_drag: NotNegative = Field(
         default=0.0,
-        description="friction torque of the drive train of each wheel, independent of speed [N m]",
+        description="speed-independent friction torque of the drive train of each wheel [N m]",
     )
 
 
@@ -47,16 +47,16 @@ class Tyre(StrictModel):
     contact_damping: Positive = Field(description="damping ratio normal to the surface [-]")
     impedance: float = Field(gt=0, lt=1, description="share of the constraint that is enforced at once [-]")
     creep_time: Positive = Field(description="time constant along the surface [s]")
-    creep_stiffness: Positive = Field(description="stiffness along the surface over stiffness normal to it [-]")
+    creep_stiffness: Positive = Field(description="ratio of tangential to normal stiffness [-]")
 
 
 class Motor(StrictModel):
-    """DC gear motor: torque falls linearly with speed."""
+    """DC gear motor, whose torque falls linearly with speed."""
 
     stall_torque: Positive = Field(description="torque at standstill and full duty [N m]")
     no_load_speed: Positive = Field(description="speed without load at full duty [rad/s]")
     rotor_inertia: Positive = Field(description="inertia of rotor and gear at the output shaft [kg m^2]")
-    spread: tuple[Positive, Positive, Positive, Positive] = Field(description="torque of each motor over nominal")
+    spread: tuple[Positive, Positive, Positive, Positive] = Field(description="ratio of torque to nominal torque")
 
 
 class Driver(StrictModel):
@@ -64,9 +64,9 @@ class Driver(StrictModel):
 
     proportional_gain: NotNegative = Field(description="duty per speed error [s/rad]")
     integral_gain: NotNegative = Field(description="duty per angle error [1/rad]")
-    observer_bandwidth: Positive = Field(description="double pole of the speed observer [rad/s]")
+    observer_bandwidth: Positive = Field(description="absolute value of the double pole of the speed observer [rad/s]")
     torque_limit: Positive | None = Field(
-        default=None, description="maximum motor torque by the driver's current limit [N m]; by default unlimited"
+        default=None, description="maximum motor torque due to the driver's current limit [N m]; default: unlimited"
     )
 
 
@@ -79,7 +79,7 @@ class Link(StrictModel):
 class TwinParameters(StrictModel):
     """Physical parameters in addition to the robot file."""
 
-    substeps: int = Field(ge=1, description="physics steps per control sample")
+    substeps: int = Field(ge=1, description="number of physics steps per control sample")
     chassis: ChassisParameters
     tyre: Tyre
     motor: Motor
@@ -90,7 +90,7 @@ class TwinParameters(StrictModel):
 class Firmware(StrictModel):
     """Calibrated parameters of the firmware: command shaping and conversion to wheel speeds."""
 
-    gain_v: Positive = Field(description="forward set-point over command")
+    gain_v: Positive = Field(description="ratio of forward set-point to command")
     lag_v: Positive = Field(description="time constant of the forward filter [s]")
     lag_omega: Positive = Field(description="time constant of the yaw filter [s]")
     track: Positive = Field(description="track that converts yaw rate to wheel speeds [m]")

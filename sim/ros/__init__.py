@@ -1,1 +1,1 @@
-"""Simulated robot as a ROS 2 node. Only this folder of `sim` imports rclpy."""
+"""ROS 2 node of the simulated robot. Only this folder of `sim` imports rclpy."""

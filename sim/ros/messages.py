@@ -1,4 +1,4 @@
-"""Conversion to ROS messages: SI units, frames and signs according to REP 103 and REP 105."""
+"""Conversion to ROS messages with units, frames and signs according to REP 103 and REP 105."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM, WHEELS
 
 _NANO = 10**9
-# Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
+# Rows of (x, y, yaw) and (x, yaw) in the 6 x 6 covariances of ROS over x, y, z, roll, pitch, yaw.
 _PLANE, _FORWARD = (0, 1, 5), (0, 5)
 
 
@@ -42,7 +42,7 @@ def clock(now: int) -> Any:  # noqa: ANN401
 
 
 def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
-    """Build nav_msgs/Odometry: pose (3,) in odom, twist of the encoders (2,) in base_link.
+    """Build nav_msgs/Odometry with the pose (3,) in odom and the twist (2,) of the encoders in base_link.
 
     By ROS convention, a covariance of zeros means unknown; the covariance of the accumulated pose is always unknown.
     """
@@ -64,7 +64,7 @@ def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
 
 
 def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
-    """Build geometry_msgs/PoseWithCovarianceStamped in map with the time of the measured pose as stamp [ns]."""
+    """Build geometry_msgs/PoseWithCovarianceStamped in map; `stamp` is the time of the measured pose [ns]."""
     message = PoseWithCovarianceStamped(header=_header(stamp, MAP))
     message.pose.pose = pose_message(pose.value)
     message.pose.covariance = _covariance(pose.covariance, _PLANE)
@@ -72,7 +72,7 @@ def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
 
 
 def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa: ANN401
-    """Build sensor_msgs/JointState: angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
+    """Build sensor_msgs/JointState with angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
     return JointState(
         header=_header(now, ""),
         name=list(WHEELS),
@@ -87,7 +87,7 @@ def true_pose(now: int, pose: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def true_twist(now: int, twist: ArrayLike) -> Any:  # noqa: ANN401
-    """Build geometry_msgs/TwistStamped in base_link: forward and lateral speed [m/s], yaw rate [rad/s] (3,)."""
+    """Build geometry_msgs/TwistStamped in base_link from forward and lateral speed [m/s], yaw rate [rad/s] (3,)."""
     forward, lateral, yaw_rate = (float(value) for value in np.asarray(twist))
     message = TwistStamped(header=_header(now, BASE), twist=twist_message((forward, yaw_rate)))
     message.twist.linear.y = lateral
@@ -111,7 +111,7 @@ def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def set_prefix(message: Any, prefix: str) -> None:  # noqa: ANN401
-    """Add `prefix` to the frames of a message, except the map, which all robots share."""
+    """Add `prefix` to the frames of a message except map, which all robots share."""
     if message.header.frame_id not in ("", MAP):
         message.header.frame_id = prefix + message.header.frame_id
     if getattr(message, "child_frame_id", ""):
@@ -123,19 +123,19 @@ def _header(stamp: int, frame: str) -> Any:  # noqa: ANN401
 
 
 def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> list[float]:
-    """Build a covariance (36,), row by row, with zeros for unknown entries."""
-    whole = np.zeros((6, 6))
+    """Build a covariance (36,) in row-major order, with zeros for unknown entries."""
+    matrix = np.zeros((6, 6))
     if known is not None:
-        whole[np.ix_(rows, rows)] = known
-    return [float(value) for value in whole.ravel()]
+        matrix[np.ix_(rows, rows)] = known
+    return [float(value) for value in matrix.ravel()]
 
 
-# Recording of messages to a rosbag2 with the package `rosbags`, without a ROS recorder.
+# Recording of messages in a rosbag2 with the package `rosbags`, without a ROS recorder.
 
 
 Storage = Literal["mcap", "sqlite3"]
 MessageRecorder = Callable[[str, Any, int], None]
-"""Called with topic, message and time of receipt [ns]."""
+"""Function that is called with topic, message and time of receipt [ns]."""
 
 _BAG_VERSION: Literal[9] = 9
 """Version of the bag metadata in Jazzy."""
@@ -143,7 +143,7 @@ _BAG_VERSION: Literal[9] = 9
 
 @contextmanager
 def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRecorder]:
-    """Open a new bag; it is closed and readable after any end of the context.
+    """Open a new bag, which is closed and readable at the end of the context, even after an error.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Run the simulated robot as a ROS 2 node until a signal."""
+"""Execution of the simulated robot as a ROS 2 node."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def run_robot(
 ) -> None:
     """Reset `plant` to `start`, and run it on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
 
-    Must be called from the main thread, which receives signals.
+    The function must be called from the main thread, which receives signals.
 
     Parameters
     ----------
     plant
-        The simulated robot.
+        Simulated robot.
     start
         (3,) x [m], y [m], theta [rad] in map.
     settings
@@ -52,13 +52,13 @@ def run_robot(
     sensors
         Sensor set of the plant, which defines the latency of poses.
     lock_step
-        Whether to publish /clock and wait for the command to each tick; otherwise the base runs in real time.
+        True to publish /clock and wait for the command of each tick; otherwise the base runs in real time.
     duration
         Duration on the robot's clock [s]; None for no limit.
     record, storage
-        Folder of a bag to record to, and its storage format.
+        Folder of a bag for the recording, and its storage format.
     ros_arguments
-        ROS arguments, starting with `--ros-args`.
+        ROS arguments, which start with `--ros-args`.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def run_robot(
         If the robot tips over or its motion diverges.
     """
     with ExitStack() as stack:
-        going = stack.enter_context(_run_until_end(plant, duration))
+        is_running = stack.enter_context(_run_until_end(plant, duration))
         node, spin = stack.enter_context(_ros_node(ros_arguments))
         recorder = None if record is None else stack.enter_context(bag_recorder(record, storage))
         clock: SteppedClock | WallClock = (
@@ -78,14 +78,14 @@ def run_robot(
         base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
         node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}")
         if isinstance(clock, SteppedClock):
-            drive_in_lock_step(base, clock, settings.lock_step, spin, going)
+            drive_in_lock_step(base, clock, settings.lock_step, spin, is_running)
         else:
-            drive_in_real_time(base, clock, settings.real_time, spin, going)
+            drive_in_real_time(base, clock, settings.real_time, spin, is_running)
 
 
 @contextmanager
 def _run_until_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns True while the run continues; a signal ends it between samples."""
+    """Yield a function that returns True while the run continues; a signal ends the run between samples."""
     ended = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
@@ -95,7 +95,7 @@ def _run_until_end(plant: Plant, duration: float | None) -> Iterator[Callable[[]
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     end_time = math.inf if duration is None else duration
     try:
-        # Tolerance of half a sample, as times are sums of sample times.
+        # The tolerance of half a sample covers rounding errors of sums of sample times.
         yield lambda: not ended and plant.time < end_time - 0.5 * plant.sample_time
     finally:
         for number, handler in before.items():
@@ -104,12 +104,12 @@ def _run_until_end(plant: Plant, duration: float | None) -> Iterator[Callable[[]
 
 @contextmanager
 def _ros_node(arguments: Sequence[str]) -> Iterator[tuple[Node, Callable[[float], None]]]:
-    """Yield a node, and a function that handles one of its messages."""
+    """Yield a node, and a function that handles at most one of its messages."""
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # base class of rclpy's errors, which are not public
-        words = " ".join(str(error).split())
-        raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
+    except RuntimeError as error:  # base class of the errors of rclpy, which are not public
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {reason}") from error
     try:
         node = rclpy.create_node(NODE_NAME)
         executor = SingleThreadedExecutor()

@@ -1,4 +1,4 @@
-"""Simulated mobile base: a plant with ROS topics."""
+"""Simulated mobile base, which is a plant with ROS topics."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ Seconds = Annotated[float, Field(gt=0, le=60)]
 
 
 class Every(StrictModel):
-    """Control samples between messages of a topic."""
+    """Number of control samples between messages of a topic."""
 
-    odometry: Ticks = Field(description="odom")
-    imu: Ticks = Field(description="imu")
-    joint_states: Ticks = Field(description="joint_states")
-    ground_truth: Ticks = Field(description="ground_truth/pose and ground_truth/twist")
+    odometry: Ticks = Field(description="interval of odom [samples]")
+    imu: Ticks = Field(description="interval of imu [samples]")
+    joint_states: Ticks = Field(description="interval of joint_states [samples]")
+    ground_truth: Ticks = Field(description="interval of ground_truth/pose and ground_truth/twist [samples]")
 
 
 class LockStep(StrictModel):
-    """Lock step of clock and commands."""
+    """Settings of the lock step of clock and commands."""
 
-    # Poses may be 2 s late: stamps of poses before the start must not be negative.
-    first_tick: int = Field(ge=200, le=1_000_000, description="control samples on /clock at the start")
+    # Poses may be 2 s late, and stamps of poses before the start must not be negative.
+    first_tick: int = Field(ge=200, le=1_000_000, description="number of control samples on /clock at the start")
     settling_time: Seconds = Field(description="real time without a new connection before the first tick [s]")
-    answer_timeout: Seconds = Field(description="real time to wait for the command to a tick [s]")
+    answer_timeout: Seconds = Field(description="maximum real time to wait for the command of a tick [s]")
     clock_repeat: Seconds = Field(description="real time after which an unanswered /clock is sent again [s]")
 
 
@@ -64,12 +64,12 @@ class RealTime(StrictModel):
 
 
 class BaseSettings(StrictModel):
-    """All settings of the simulated base."""
+    """Settings of the simulated base."""
 
-    stamped: bool = Field(description="commands are TwistStamped; false: Twist")
+    stamped: bool = Field(description="true: commands are TwistStamped; false: Twist")
     frame_prefix: str = Field("", description="prefix of all frames except map, such as r1/")
     transforms: Literal["none", "odom", "map"] = Field(
-        "none", description="odom: send odom -> base_link on /tf; map: also map -> odom, as an error-free localisation"
+        "none", description="odom: odom -> base_link on /tf; map: also map -> odom, like an error-free localisation"
     )
     command_timeout: Seconds = Field(description="robot time without a command after which the base stops [s]")
     odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="source of the pose in odom")
@@ -79,12 +79,12 @@ class BaseSettings(StrictModel):
 
 
 def load_base_settings(path: str | Path | None = None, changes: Mapping[str, object] | None = None) -> BaseSettings:
-    """Read base settings; by default the shipped settings.
+    """Read base settings; by default those of the package.
 
     Parameters
     ----------
     path
-        A YAML file with all settings.
+        YAML file with all settings.
     changes
         Values that replace those of the file, by dotted key such as "lock_step.answer_timeout"; None keeps the value.
 
@@ -102,14 +102,14 @@ def load_base_settings(path: str | Path | None = None, changes: Mapping[str, obj
     return check(BaseSettings, values, "base settings")
 
 
-# Received commands: the valid command, and the match of commands and ticks.
+# Received commands: valid command, and assignment of commands to ticks.
 
 
 STOP = (0.0, 0.0)
 
 
 class CommandInbox:
-    """Newest valid command, with timeout.
+    """Newest valid command with a timeout.
 
     Times are integer nanoseconds on the robot's clock.
 
@@ -118,7 +118,7 @@ class CommandInbox:
     timeout
         Time for which a command is valid, and maximum age of its stamp [ns].
     tolerance
-        Maximum difference between the stamp of a command and the tick that it answers [ns].
+        Maximum difference between the stamp of a command and the time of its tick [ns].
     """
 
     def __init__(self, timeout: int, tolerance: int) -> None:
@@ -128,17 +128,17 @@ class CommandInbox:
         self._stamp = 0
 
     def put(self, v: float, omega: float, stamp: int, now: int) -> str:
-        """Store a command v [m/s], omega [rad/s] that arrives at `now`, if it is valid.
+        """Store a valid command v [m/s], omega [rad/s] that arrives at `now`.
 
         Parameters
         ----------
         stamp
-            Stamp of the header; 0 if it is missing or unset.
+            Stamp of the header; 0 if the stamp is missing or not set.
 
         Returns
         -------
         str
-            Reason for a refusal, in one sentence; empty if the command is accepted.
+            Reason for a refusal; empty if the command is accepted.
         """
         if not (math.isfinite(v) and math.isfinite(omega)):
             return f"command v = {v}, omega = {omega} is not finite; it is ignored"
@@ -149,7 +149,7 @@ class CommandInbox:
         return ""
 
     def command(self, now: int) -> tuple[float, float]:
-        """Return the command in effect at `now`, v [m/s], omega [rad/s]; zero after the timeout."""
+        """Return the effective command v [m/s], omega [rad/s] at `now`; zero after the timeout."""
         return STOP if self.lapsed(now) or self._received is None else self._command
 
     def lapsed(self, now: int) -> bool:
@@ -157,13 +157,13 @@ class CommandInbox:
         return self._received is not None and now - self._received > self._timeout
 
     def answers(self, tick: int) -> bool:
-        """Return True if the newest command, by its stamp or else arrival time, answers the tick at time `tick`."""
+        """Return True if the newest command, by its stamp or arrival time, belongs to the tick at the time `tick`."""
         if self._received is None:
             return False
         return abs((self._stamp or self._received) - tick) <= self._tolerance
 
 
-# Reports of the controller's node, which allow an exact replay of recordings in real time.
+# Topics with reports of the controller's node, which allow an exact replay of real-time recordings.
 _CONTROLLER_TOPICS = (TICK, DRIVE)
 # Minimum time between repeated warnings [s].
 _WARN_EVERY = 1.0
@@ -174,12 +174,12 @@ _CHECK_EVERY = 0.5
 class BaseTopics(Protocol):
     """Interface of additional topics of the base.
 
-    Packages register factories, functions of node, plant and settings, in the group `diffdrive_mpc.plants`: under the
-    name `transforms`, and under the names in the attribute `base_topics` of a plant.
+    Packages register factories in the group `diffdrive_mpc.plants` under the name `transforms`, and under the names in
+    the attribute `base_topics` of a plant. A factory is a function of node, plant and settings.
     """
 
     def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
-        """Publish the messages due at a tick, and return them with their topics.
+        """Publish the messages that are due at a tick, and return them with their topics.
 
         Parameters
         ----------
@@ -188,40 +188,40 @@ class BaseTopics(Protocol):
         odometry
             (3,) pose in odom; None at ticks without odometry.
         plant
-            The simulated robot.
+            Simulated robot.
         """
         ...
 
 
 def _further_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[BaseTopics]:
-    """Create the topics required by settings and plant; raise MissingPackageError if a package is not installed."""
+    """Create the topics that settings and plant require; raise MissingPackageError if a package is not installed."""
     names = [] if settings.transforms == "none" else ["transforms"]
     names += getattr(plant, "base_topics", ())
     return [plug_in("plants", name)(node, plant, settings) for name in names]
 
 
 class SimulatedBase:
-    """Base that publishes the plant's sensor data and drives the plant with received commands.
+    """Base that publishes the sensor data of a plant and drives the plant with received commands.
 
-    Sensors are published with best-effort QoS; commands are received with reliable QoS and depth 1. `sim.ros.pace`
-    controls when samples pass.
+    Sensor data are published with best-effort QoS; commands are received with reliable QoS and depth 1. `sim.ros.pace`
+    controls the timing of samples.
 
     Parameters
     ----------
     node
         Node of the topics.
     plant
-        The simulated robot; it is reset.
+        Simulated robot, which is reset.
     start
-        (3,) start pose x [m], y [m], theta [rad], at rest.
+        (3,) start pose x [m], y [m], theta [rad].
     settings
-        Rates, timeout and command type.
+        Rates, timeouts and command type.
     pose_memory
         Maximum latency of the pose sensor in ticks.
     clock
         Function that returns the robot's time [ns].
     record
-        Recorder of all messages sent or received; None to record nothing.
+        Recorder of all sent and received messages; None to disable the recording.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class SimulatedBase:
 
     @property
     def observed(self) -> bool:
-        """True if the odometry has a subscriber."""
+        """True if odometry has a subscriber."""
         return bool(self._publishers["odom"].get_subscription_count() > 0)
 
     @property
@@ -283,7 +283,7 @@ class SimulatedBase:
 
     @property
     def command_topic(self) -> str:
-        """Full name of the topic of commands."""
+        """Full name of the command topic."""
         return str(self._commands.topic_name)
 
     def _check_senders(self) -> None:
@@ -296,21 +296,21 @@ class SimulatedBase:
         if senders and senders != self._rejected_senders:
             option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
             self.node.get_logger().warning(
-                f"{senders} publishes {unsupported} on {self.command_topic}, this robot listens to {supported}: "
+                f"{senders} publishes {unsupported} on {self.command_topic}, but this robot subscribes to {supported}: "
                 f"start the robot with {option}, or set the node's parameter stamped:={parameter}"
             )
         self._rejected_senders = senders
 
     def _subscribe_recorder(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
-        """Subscribe to `topic` of a controller to record its messages; the robot does not use them."""
-        # The topic of the controller in the robot's namespace.
+        """Subscribe to `topic` of a controller for the recording; the robot does not use the messages."""
+        # The controller is in the namespace of the robot.
         name = node.resolve_topic_name(topic.lstrip("/"))
         return node.create_subscription(
             String, name, lambda message: record(name, message, self._clock()), QoSProfile(depth=100)
         )
 
     def publish_sensors(self, now: int, origin: int) -> None:
-        """Publish the sensor data of this tick.
+        """Publish the sensor data of the current tick.
 
         Parameters
         ----------
@@ -345,7 +345,7 @@ class SimulatedBase:
                     self._record(topic, message, self._clock())
 
     def advance(self, now: int) -> None:
-        """Advance one sample with the command in effect at `now` [ns].
+        """Advance by one sample with the effective command at `now` [ns].
 
         Raises
         ------

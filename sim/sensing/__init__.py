@@ -1,1 +1,1 @@
-"""Sensors of the plants: rates, noise, bias and latency, and shipped sensor sets."""
+"""Sensors of the plants, with rates, noise, bias and latency, and built-in sensor sets."""

@@ -1,4 +1,4 @@
-"""Odometry pose of a base from wheels and gyro, with or without a pose sensor."""
+"""Odometry pose of a base from wheels and gyro, optionally with a pose sensor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 
 
 class Odometry:
-    """Integrator of the wheels' v and the gyro's yaw rate, with optional corrections by a pose sensor.
+    """Integrator of v of the wheels and yaw rate of the gyro, with optional corrections by a pose sensor.
 
     Parameters
     ----------
@@ -21,12 +21,12 @@ class Odometry:
     memory
         Maximum latency of the pose sensor in ticks.
     use_pose_sensor
-        Whether to propagate the newest pose of the sensor; otherwise poses are not used.
+        True to propagate the newest pose of the sensor; otherwise poses are not used.
     """
 
     def __init__(self, pose: ArrayLike, memory: int, *, use_pose_sensor: bool) -> None:
         start = np.array(pose, dtype=float)
-        self._summed = start
+        self._accumulated = start
         self._twist = np.zeros(2)
         self._time = 0.0
         self._past: deque[tuple[float, FloatArray]] = deque([(0.0, start)], maxlen=memory + 2)
@@ -36,7 +36,7 @@ class Odometry:
     def update(self, time: float, measurement: Measurement) -> FloatArray:
         """Advance to `time` [s] with the delivered measurements.
 
-        A sensor without a new reading keeps its last value.
+        For a sensor without a new reading, the last value is used.
 
         Returns
         -------
@@ -49,17 +49,17 @@ class Odometry:
         if measurement.yaw_rate is not None:
             twist[1] = measurement.yaw_rate.value
         mean = 0.5 * (self._twist + twist)
-        self._summed = integrate_pose(self._summed, mean[0], mean[1], time - self._time)
+        self._accumulated = integrate_pose(self._accumulated, mean[0], mean[1], time - self._time)
         self._time, self._twist = time, twist
-        self._past.append((time, self._summed))
+        self._past.append((time, self._accumulated))
         if not self._use_pose_sensor:
-            return self._summed
+            return self._accumulated
         if measurement.pose is not None:
             self._sensed = np.asarray(measurement.pose.value, dtype=float)
-            self._anchor = self._summed_at(measurement.pose.time)
-        return _transform(self._sensed, self._anchor, self._summed)
+            self._anchor = self._accumulated_at(measurement.pose.time)
+        return _transform(self._sensed, self._anchor, self._accumulated)
 
-    def _summed_at(self, time: float) -> FloatArray:
+    def _accumulated_at(self, time: float) -> FloatArray:
         """Compute the accumulated pose (3,) at a past time [s]; before the start, the robot was at rest."""
         times = np.array([past_time for past_time, _ in self._past])
         poses = np.array([pose for _, pose in self._past])
@@ -67,7 +67,7 @@ class Odometry:
 
 
 def _transform(pose: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Apply to `pose` (3,) the rigid motion from `before` to `after`."""
+    """Apply the rigid motion from `before` to `after` to `pose` (3,)."""
     turn = pose[2] - before[2]
     c, s = np.cos(turn), np.sin(turn)
     x, y = after[:2] - before[:2]

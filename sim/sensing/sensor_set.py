@@ -13,7 +13,7 @@ from diffdrive_mpc.models.named_file import EntryFile
 
 SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
-"""Standard deviation [m, rad or rad/s], with an upper bound against typing errors."""
+"""Standard deviation [m, rad or rad/s], with an upper bound that detects typing errors."""
 
 
 Scale = Annotated[float, Field(ge=-100, le=100)]
@@ -22,20 +22,20 @@ Scale = Annotated[float, Field(ge=-100, le=100)]
 class PoseSensor(StrictModel):
     """Pose sensor, such as SLAM or motion capture."""
 
-    # The number of pending poses is latency over period: bounds on both limit the memory.
+    # The number of pending poses is latency over period; bounds on both limit the memory.
     period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
     latency: float = Field(ge=0, le=2, description="time from validity to delivery of a pose [s]")
-    position_sd: Deviation = Field(description="standard deviation of x and of y [m]")
+    position_sd: Deviation = Field(description="standard deviation of x and y [m]")
     heading_sd: Deviation = Field(description="standard deviation of theta [rad]")
     stated_position_sd: Deviation | None = Field(
-        default=None, description="position_sd stated in the covariance of poses [m]; null: the true value"
+        default=None, description="standard deviation in the covariance of poses [m]; null: the true value"
     )
-    loss: float = Field(default=0.0, ge=0, lt=1, description="share of poses that are lost, drawn independently [-]")
+    loss: float = Field(default=0.0, ge=0, lt=1, description="probability that a pose is lost [-]")
     stamped_on_arrival: bool = Field(
-        default=False, description="whether the stamp is the time of delivery instead of validity"
+        default=False, description="true if the stamp is the time of delivery instead of validity"
     )
-    turned: float = Field(default=0.0, ge=-7, le=7, description="angle by which theta is ahead of the robot [rad]")
-    mirrored: bool = Field(default=False, description="whether the sign of y, but not of theta, is inverted")
+    turned: float = Field(default=0.0, ge=-7, le=7, description="theta of poses minus theta of the robot [rad]")
+    mirrored: bool = Field(default=False, description="true if the sign of y, but not that of theta, is inverted")
     theta_sign: Literal[1, -1] = Field(default=1, description="-1: theta is positive clockwise [-]")
 
 
@@ -44,23 +44,27 @@ class Gyro(StrictModel):
 
     noise_sd: Deviation = Field(description="standard deviation of the white noise of a sample [rad/s]")
     bias_sd: Deviation = Field(
-        description="standard deviation of the bias over seeds; the bias is constant in a run [rad/s]"
+        description="standard deviation of the bias over seeds; the bias is constant during a run [rad/s]"
     )
-    scale: Scale = Field(default=1.0, description="reading over yaw rate; negative: mounted upside down [-]")
-    largest: float = Field(default=1e3, gt=0, le=1e3, description="magnitude at which readings are clipped [rad/s]")
+    scale: Scale = Field(default=1.0, description="ratio of reading to yaw rate; negative: mounted upside down [-]")
+    largest: float = Field(
+        default=1e3, gt=0, le=1e3, description="absolute value at which readings are clipped [rad/s]"
+    )
 
 
 class Encoders(StrictModel):
     """Speed estimates of the motor drivers."""
 
-    speed_sd: Deviation = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
-    left: Scale = Field(default=1.0, description="reading over speed of the left wheels; negative: reversed [-]")
-    right: Scale = Field(default=1.0, description="reading over speed of the right wheels; negative: reversed [-]")
-    swapped: bool = Field(default=False, description="whether the sides are exchanged")
+    speed_sd: Deviation = Field(description="standard deviation of the speed estimate of a wheel [rad/s]; 0: exact")
+    left: Scale = Field(default=1.0, description="ratio of reading to speed of the left wheels; negative: reversed [-]")
+    right: Scale = Field(
+        default=1.0, description="ratio of reading to speed of the right wheels; negative: reversed [-]"
+    )
+    swapped: bool = Field(default=False, description="true if the sides are exchanged")
 
 
 class SensorSet(StrictModel):
-    """All sensors of one robot."""
+    """Sensors of a robot."""
 
     pose: PoseSensor
     gyro: Gyro
@@ -72,7 +76,7 @@ class SensorSet(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _read_former_key(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
-        """Read `power`, the key of version 0.2, as `parts.power`."""
+        """Convert `power`, the key of version 0.2, to `parts.power`."""
         if not isinstance(data, Mapping) or "power" not in data:
             return data
         values = {key: value for key, value in data.items() if key != "power"}
@@ -80,12 +84,12 @@ class SensorSet(StrictModel):
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:
-    """Read a sensor set given by shipped name or path; missing values are those of the default set.
+    """Read a sensor set by built-in name or path; missing values are those of the default set.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such set or its file is invalid.
+        If the set does not exist or its file is invalid.
     """
     default = SENSOR_SETS.load(SensorSet, "default")
     return SENSOR_SETS.load(SensorSet, name, default.model_dump())

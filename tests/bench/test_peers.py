@@ -227,5 +227,5 @@ def test_registered_peer_is_created_without_arguments(monkeypatch: pytest.Monkey
     monkeypatch.setattr("diffdrive_mpc.bench.peers.plug_in", lambda group, name: FeedForward)
     assert isinstance(make_peer("mine", {"horizon": 3}), FeedForward)
     assert not takes_settings("mine") and takes_settings("pursuit+slip")
-    with pytest.raises(ConfigError, match="the peer 'mine' has no tracking law"):
+    with pytest.raises(ConfigError, match="the peer 'mine' does not have a tracking law"):
         load_gains("mine")

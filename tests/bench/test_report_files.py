@@ -323,7 +323,7 @@ def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == "bench report.html"
     assert (tmp_path / "tracking.html").read_text(encoding="utf-8") == "tracking report.html"
     with (
-        pytest.raises(ConfigError, match=r"'bench.md' is a result of `bench`; give another folder"),
+        pytest.raises(ConfigError, match=r"'bench.md' is a result of `bench`; choose another folder"),
         staged(tmp_path, files=("bench.md",), owner="twin"),
     ):
         raise AssertionError("the command must be refused")
@@ -387,7 +387,7 @@ def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_p
         if shared:
             _write(tmp_path, "bench", "second", shared=True)
         else:
-            with pytest.raises(ConfigError, match="another command is writing to it"):
+            with pytest.raises(ConfigError, match="another command is writing to this folder"):
                 _write(tmp_path, "tracking", "second")
     finally:
         process.kill()

@@ -103,7 +103,7 @@ def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
     advance = plant.advance
 
     def advance_until_named(command):
-        warnings.extend(line for line in capfd.readouterr().err.splitlines() if "listens to" in line)
+        warnings.extend(line for line in capfd.readouterr().err.splitlines() if "subscribes to" in line)
         if warnings:
             signal.raise_signal(signal.SIGINT)
         advance(command)
@@ -113,7 +113,7 @@ def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
         base = settings(stamped=True, answer_timeout=0.05)
         run_robot(plant, (0.0, 0.0, 0.0), base, load_sensor_set("default"), duration=BOUND)
     (line,) = warnings
-    assert "driver publishes Twist on /cmd_vel, this robot listens to TwistStamped" in line
+    assert "driver publishes Twist on /cmd_vel, but this robot subscribes to TwistStamped" in line
     assert "--unstamped, or set the node's parameter stamped:=true" in line
 
 

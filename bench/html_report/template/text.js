@@ -1,5 +1,5 @@
 "use strict";
-// Text of the page. All content is inserted as text, never as markup.
+// Writes the text of the page. Content is always inserted as text, never as markup.
 const content = JSON.parse(document.getElementById("content").textContent);
 const byId = (id) => document.getElementById(id);
 

@@ -1,5 +1,6 @@
 "use strict";
-// Draws the figures of the page. Toggles hide traces in all figures; pointing at a run marks its tick in the linked figure.
+// Draws the figures of the page. Toggles show and hide traces in all figures; pointing at a run marks the tick in the
+// linked figure.
 const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
 const DASHES = { solid: "", dash: "6 3", dashdot: "6 2 2 2", dot: "2 2", longdash: "10 3", longdashdot: "10 2 2 2" };
 const shown = Object.fromEntries(content.toggles.map((toggle) => [toggle.name, new Set(toggle.shown)]));
