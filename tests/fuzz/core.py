@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -89,7 +90,7 @@ def drive(core: Path, seed: int, count: int) -> int:
     options: dict[str, Any] = {"capture_output": True, "text": True, "env": os.environ | settings}
     done = subprocess.run(words, check=False, preexec_fn=_without_bounds, **options)
     if done.returncode:
-        raise FaultError(f"core: {done.stderr[-1500:]}")
+        raise FaultError(f"core: case {re.split('^case ', done.stderr, flags=re.MULTILINE)[-1][:2000]}")
     return int(done.stdout)
 
 
