@@ -118,7 +118,9 @@ class Sandwich(NamedTuple):
         return self._replace(white=slope @ self.white @ slope.T, blocks=blocks)
 
 
-def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
+def sandwich(
+    jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], prior: FloatArray | float = 0.0
+) -> Sandwich:
     """Estimate the covariance of the parameters at the optimum of a weighted least-squares problem.
 
     Parameters
@@ -127,6 +129,8 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
         For each experiment (K, p, q) derivatives of the weighted residuals, initial states projected out.
     errors
         For each experiment (K, p) weighted residuals, NaN where they do not count.
+    prior
+        (q,) information on each parameter before the data, such as that of its range.
     """
     count = jacobians[0].shape[2]
     rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
@@ -136,10 +140,13 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     ]
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     shaped = information / np.outer(spread, spread)
-    bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
+    before = np.diag(np.broadcast_to(prior, count))
+    known = shaped + before / np.outer(spread, spread)
+    bread = np.linalg.pinv(known, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
     used = sum(int(np.isfinite(error).sum()) for error in errors)
     long_run, freedom = long_run_covariance(scores)
     white = student_factor(freedom) ** 2 * bread @ long_run @ bread * used / max(used - count, 1)
+    white += bread @ before @ bread
     counts = estimator_settings().scatter.blocks
     blocks = {number: bread @ block_covariance(scores, number) @ bread for number in counts}
     return Sandwich(white, blocks, effective_samples(errors), float(np.linalg.cond(shaped)))
