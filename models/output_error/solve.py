@@ -272,5 +272,8 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     free = np.flatnonzero(has_effect & ~(is_at_bound & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
-    estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
+    # A uniform distribution over its range is known of a parameter that the data do not tell.
+    prior = 12.0 / np.subtract(*layout.bounds)[free] ** 2
+    parts = np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts)
+    estimate = sandwich(*parts, prior)
     return estimate.derived(np.eye(len(parameters))[:, free])

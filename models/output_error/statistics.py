@@ -118,7 +118,9 @@ class Sandwich(NamedTuple):
         return self._replace(white=slope @ self.white @ slope.T, blocks=blocks)
 
 
-def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
+def sandwich(
+    jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], prior: FloatArray | float = 0.0
+) -> Sandwich:
     """Estimate the covariance of the parameters at the optimum of a weighted least-squares problem.
 
     Parameters
@@ -127,6 +129,8 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
         (K, p, q) derivatives of the weighted residuals of each experiment, with initial states projected out.
     errors
         (K, p) weighted residuals of each experiment; NaN for samples that do not count.
+    prior
+        (q,) information on each parameter before the data, such as that of its range.
     """
     count = jacobians[0].shape[2]
     rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
@@ -136,10 +140,13 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     ]
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information / np.outer(spread, spread)
-    bread = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
+    before = np.diag(np.broadcast_to(prior, count))
+    known = scaled + before / np.outer(spread, spread)
+    bread = np.linalg.pinv(known, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
     reading_count = sum(int(np.isfinite(error).sum()) for error in errors)
     long_run, freedom = long_run_covariance(scores)
     white = student_factor(freedom) ** 2 * bread @ long_run @ bread * reading_count / max(reading_count - count, 1)
+    white += bread @ before @ bread
     counts = estimator_settings().scatter.blocks
     blocks = {number: bread @ block_covariance(scores, number) @ bread for number in counts}
     return Sandwich(white, blocks, effective_samples(errors), float(np.linalg.cond(scaled)))

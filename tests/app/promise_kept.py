@@ -98,7 +98,7 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
     (estimate,) = fitted.identified.fits
     rng = np.random.default_rng(seed)
     for _ in count():
-        system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
+        system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.sandwich.covariance))
         disturbance = robot.disturbance(config.sample_time, rng)
         try:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
