@@ -85,8 +85,8 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
         training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
         network = train(kind, training, validation, settings).network
         twists = simulate_records(network, drives, "gyro")
-        for drive, motion, twist in zip(drives, motions, twists, strict=True):
-            motion[name] = _motion(drive, twist - network.at_rest)
+        for record, motion, twist in zip(drives, motions, twists, strict=True):
+            motion[name] = _motion(record, twist - network.at_rest)
         predictions[name] = tuple(
             FreeDrive(
                 _velocity(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
