@@ -79,7 +79,8 @@ class ProgressBar:
     def start_stage(self, text: str, total: int, done: int = 0) -> None:
         """Start another stage, of which `done` steps are already finished."""
         self._progress.update(self._task, description=text, completed=done, total=total)
-        self._progress.refresh()
+        self._drawn = 0.0
+        self._draw()
 
     def _draw(self) -> None:
         now = time.monotonic()

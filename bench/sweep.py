@@ -124,7 +124,7 @@ def sweep(
     calls = [partial(task.row, timed=jobs == 1) for task in tasks]
     if on_done is not None:
         return pandas.DataFrame(run_tasks(calls, jobs, on_done))
-    with ProgressBar("sweep", len(tasks)) as bar:
+    with ProgressBar("sweep", len(tasks), lines=True) as bar:
         return pandas.DataFrame(run_tasks(calls, jobs, bar.advance))
 
 

@@ -250,11 +250,12 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         # Each sentence needs a search for similar keys: limit the number of sentences.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MAX_MISTAKES]]
+        more = len(details) - len(sentences)
         for missing in [sentence for sentence in sentences if sentence.endswith(" is missing")]:
             # A misspelt key is one mistake.
             if any(f"did you mean {missing.split()[1]}?" in sentence for sentence in sentences):
                 sentences.remove(missing)
-        raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error
+        raise ConfigError(mistakes(where, sentences, more)) from error
 
 
 def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:

@@ -99,7 +99,8 @@ def _identify_into(
     start = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, ROBOT_FILE, *(f"{package}.yaml" for package in writers), REPORT)
     table = None
-    with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
+    folders = staged(out, files=files, folders=(FOLDER,), owner="identify")
+    with folders as folder, ProgressBar("reading", 1, lines=True) as bar:
         verdict = _trial_verdict(_identify(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
         if writers and (force or not verdict.identification.refusal):

@@ -10,4 +10,7 @@ def test_pipe_gets_a_line_per_period(capsys, monkeypatch):
         for _ in range(25):
             now[0] += 1.0
             bar.advance()
-    assert capsys.readouterr().err.splitlines() == ["driving: 10 of 40", "driving: 20 of 40"]
+        now[0] += 10.0
+        bar.start_stage("drawing", 3)
+    lines = ["driving: 10 of 40", "driving: 20 of 40", "drawing: 0 of 3"]
+    assert capsys.readouterr().err.splitlines() == lines

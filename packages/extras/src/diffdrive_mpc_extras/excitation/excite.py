@@ -185,7 +185,7 @@ def excite_into(
     console = output_console()
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        with ProgressBar("looking for the drive") as bar:
+        with ProgressBar("looking for the drive", lines=True) as bar:
             excitation = excite_model(config, room, seed=seed, on_drive=bar.show, **options)
             drive = excitation.on(plant, seed, out)
             if log is not None:

@@ -38,7 +38,7 @@ def compare(
     from diffdrive_mpc_extras.model_comparison.model_comparison import ModelComparison, compare_models  # noqa: PLC0415
 
     settings = identification_settings()
-    with ProgressBar("comparison (minutes)") as bar:
+    with ProgressBar("comparison (minutes)", lines=True) as bar:
         data = read_data(
             logs,
             [],

@@ -81,7 +81,7 @@ def drive_many(
     jobs = jobs or available_cores()
     if on_done is not None:
         return pandas.DataFrame(run_tasks(tasks, jobs, on_done))
-    with ProgressBar("drives", len(tasks)) as bar:
+    with ProgressBar("drives", len(tasks), lines=True) as bar:
         return pandas.DataFrame(run_tasks(tasks, jobs, bar.advance))
 
 
