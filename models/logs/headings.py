@@ -169,15 +169,15 @@ def _smoothed(part: _Positions, parameters: FloatArray) -> FloatArray:
     spread = np.sqrt(np.diff(part.rows) * part.dt)
     # The third difference of white noise has 20 times its variance, in each of two axes.
     noise = 1e-4 + float(np.std(np.diff(part.measured, 3))) / np.sqrt(40.0)
-    one = sparse.identity(count, format="csr")
-    change, mean = one[1:] - one[:-1], 0.5 * (one[1:] + one[:-1])
+    unit = sparse.identity(count, format="csr")
+    change, mean = unit[1:] - unit[:-1], 0.5 * (unit[1:] + unit[:-1])
     moved, turned = (sparse.diags(1.0 / (size * spread)) for size in _DISTURBANCES)
     place, walk = part.measured, np.unwrap(np.angle(_aligned(part, path, _WINDOWS[1])[2]))
     for _ in range(_STEPS):
         moves = steps * np.exp(1j * (mean @ walk))
         rows = [
-            [one / noise, None, None],
-            [None, one / noise, None],
+            [unit / noise, None, None],
+            [None, unit / noise, None],
             [moved @ change, None, moved @ sparse.diags(moves.imag) @ mean],
             [None, moved @ change, -moved @ sparse.diags(moves.real) @ mean],
             [None, None, turned @ change],

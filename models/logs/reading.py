@@ -84,7 +84,8 @@ def read_log(
     unused = [Finding("unused value", "note", stated, words) for words in (loaded.unused() if loaded else ())]
     findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
-    if any(len(signal.value.T) == len("xy") for part in raw.stretches for name, signal in part.measured.items() if name == "pose"):
+    poses = [stretch.measured["pose"].value for stretch in raw.stretches if "pose" in stretch.measured]
+    if poses and poses[0].shape[1] == len("xy"):
         records, notes = with_headings(raw.name, records)
         findings += notes
     streams = streams_of(records, settings)

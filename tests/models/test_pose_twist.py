@@ -86,8 +86,8 @@ def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading,
     for channel, gain, delay in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
         file = getattr(result.content.channels, channel)
         assert file.gain == pytest.approx(gain, rel=gain_error)
-        found = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
-        assert found == pytest.approx(delay, abs=late)
+        late_by = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
+        assert late_by == pytest.approx(delay, abs=late)
     assert "yaw rate of the wheels" not in result.report.markdown()
     lacking = "a controller needs a gyro or encoders"
     for text in (result.configuration.text(), result.report.markdown()):
@@ -96,9 +96,7 @@ def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading,
 
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_heading_from_positions_is_true_heading(tmp_path, with_gyro):
-    (true,), (computed,) = (
-        read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False)
-    )
+    (true,), (computed,) = (read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False))
     off = np.angle(np.exp(1j * (computed.pose[:, 2] - true.pose[:, 2])))
     assert np.sqrt(np.mean(off**2)) < 0.05
 
