@@ -273,7 +273,7 @@ def _is_finally_at_rest(run: Run) -> NDArray[np.bool_]:
 
 
 def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
-    """Compute the distance (n,) of the true position from the reference section from -`near[0]` to `near[1]` [s] [m]."""
+    """Compute the distance (n,) of the true position from the reference around now, by `near` [s] [m]."""
     times = np.arange(-near[0], run.time[-1] + near[1], 0.05)
     places = run.reference.sample(times).pose[:, :2]
     first = np.searchsorted(times, run.time - near[0])
