@@ -19,11 +19,11 @@ from diffdrive_mpc_extras.planner.inputs import (
     arc_straight,
     arc_straight_arc,
     make_inputs,
-    placed,
+    move_poses,
     rates_of,
     sharpest_radius,
 )
-from diffdrive_mpc_extras.planner.result import driven
+from diffdrive_mpc_extras.planner.result import integrate_commands
 from diffdrive_mpc_extras.planner.search import PlanSearch
 from diffdrive_mpc_extras.planner.settings import load_plan_settings
 from diffdrive_mpc_extras.turn_costs import (
@@ -143,7 +143,7 @@ def inputs_of(costs, commands, minimise="energy"):
 def ends_of(inputs, words, poses):
     ends = poses[words.start]
     for piece in range(3):
-        ends = placed(ends, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
+        ends = move_poses(ends, inputs.displacements(words.inputs[:, piece], words.times[:, piece]))
     return ends
 
 
@@ -160,7 +160,7 @@ def test_every_way_of_three_pieces_ends_where_it_should():
     inputs = make_inputs(costs, "energy", SPEED, SETTINGS, reverse=True, spot=False)
     rng = np.random.default_rng(1)
     poses, goal = rng.uniform(-4, 4, (5, 3)), np.array([2.0, 1.0, 0.5])
-    few = inputs.chosen(np.array([0, 1, 2, 9, 10, 23, 24, 30, 31]))
+    few = inputs.select(np.array([0, 1, 2, 9, 10, 23, 24, 30, 31]))
     for words in (arc_straight_arc(few, poses, goal), arc_arc_arc(few, poses, goal)):
         assert len(words.costs) > 100
         off = ends_of(few, words, poses) - goal
@@ -218,7 +218,7 @@ def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
         for rival in plans.values():
             assert best.amount(objective) <= rival.amount(objective) * 1.0005
         assert best.status == "polished"
-        assert driven(costs, best.commands, ORIGIN, best.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
+        assert integrate_commands(costs, best.commands, ORIGIN, best.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
         sample = best.trajectory.sample([0.0, best.duration])
         assert sample.pose == pytest.approx(np.array([ORIGIN, goal]), abs=1e-7)
         assert best.energy == pytest.approx(costs.power(best.commands).sum() * best.sample_time)
@@ -235,10 +235,10 @@ def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
 def test_the_plan_does_not_depend_on_the_frame(x, y, turn):
     costs, goal = load_turn_costs("fsu_bot-carpet"), np.array([5.0, 2.0, 0.5])
     start = np.array([x, y, turn])
-    moved = plan(costs, start, placed(start, goal))
+    moved = plan(costs, start, move_poses(start, goal))
     usual = plan(costs, ORIGIN, goal)
     assert moved.energy == pytest.approx(usual.energy, rel=2e-3)
-    assert moved.poses[-1][:2] == pytest.approx(placed(start, goal)[:2], abs=1e-6)
+    assert moved.poses[-1][:2] == pytest.approx(move_poses(start, goal)[:2], abs=1e-6)
 
 
 def test_it_keeps_clear_of_what_stands_there():
@@ -252,7 +252,7 @@ def test_it_keeps_clear_of_what_stands_there():
     corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     ring = np.concatenate([a + side * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
     for pose in result.poses[::5]:
-        points = placed(np.tile(pose, (len(ring), 1)), np.column_stack([ring, np.zeros(len(ring))]))[:, :2]
+        points = move_poses(np.tile(pose, (len(ring), 1)), np.column_stack([ring, np.zeros(len(ring))]))[:, :2]
         for disc in discs:
             assert np.hypot(*(points - (disc.x, disc.y)).T).min() - disc.radius >= SETTINGS.motion.margin - 1e-3
         beyond = np.maximum(np.maximum(box.min(0) - points, points - box.max(0)), 0)

@@ -58,7 +58,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
 ) -> None:
     out, words = proven
     report = (out / "prove.md").read_text(encoding="utf-8")
-    for part in ("How often", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
+    for part in ("Outcomes", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
         assert f"## {part}\n" in report
     assert "0 of 20 runs had an unsafe command: with 95 % confidence fewer than 13.9 %" in report
     assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
@@ -81,8 +81,8 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     # A repeated proof drives nothing, and says the same.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
     call(*words)
-    body = report.partition("## How often")[2]
-    assert (out / "prove.md").read_text(encoding="utf-8").partition("## How often")[2] == body
+    body = report.partition("## Outcomes")[2]
+    assert (out / "prove.md").read_text(encoding="utf-8").partition("## Outcomes")[2] == body
 
 
 def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:

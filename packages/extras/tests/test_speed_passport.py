@@ -18,7 +18,7 @@ from diffdrive_mpc.mpc.trajectories.random_spline import random_splines
 from diffdrive_mpc_extras.campaign.campaign_file import Campaign
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, drive_all
 from diffdrive_mpc_extras.campaign.rates import Rate
-from diffdrive_mpc_extras.proof.passport import PASSPORT, Key, SpeedSearch, largest_lateral, measure, members
+from diffdrive_mpc_extras.proof.passport import PASSPORT, Key, SpeedSearch, max_lateral, measure, members
 from diffdrive_mpc_extras.proof.proof_file import load_proof
 
 SHIPPED = load_proof(None)
@@ -115,7 +115,7 @@ def held_out(
             [definition.with_factors({"model": "ssm"}) for definition in campaign.definitions()], place, bar
         )
     assert not [run.row["error"] for run in outcomes if run.row["error"]]
-    return Rate.of_runs(sum(largest_lateral(run) <= tolerance for run in outcomes), runs)
+    return Rate.of_runs(sum(max_lateral(run) <= tolerance for run in outcomes), runs)
 
 
 def drawn(name: str) -> dict[str, object]:
@@ -156,7 +156,7 @@ def test_paths_timed_by_the_shipped_plan_stay_inside(tmp_path: Path) -> None:
     ("words", "line"),
     [
         (["--tolerance", "1cm"], "--tolerance '1cm': give lengths in m with commas between them"),
-        (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each has to be above zero"),
+        (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each must be above zero"),
     ],
 )
 def test_a_mistake_is_one_line(words: list[str], line: str, tmp_path: Path) -> None:

@@ -154,7 +154,7 @@ def _controller(pool: Pool, choices: dict[str, Any]) -> dict[str, Any]:
 def _proportional(
     base: Constants, model: str, rest: dict[str, Any], name: str, power: float
 ) -> Iterator[tuple[int, list[int], FloatArray]]:
-    """Yield the fields that a choice changes, indices, and values divided by the power of the choice's value."""
+    """Yield the fields that a choice changes, the indices, and the values divided by the power of its value."""
     values = values_of(name)
     variants = [numbers.controller(numbers.configuration(model, rest | {name: value})) for value in values]
     for field, constants in enumerate(zip(*(varied.fields.values() for varied in variants), strict=True)):

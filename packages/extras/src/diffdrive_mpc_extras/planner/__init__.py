@@ -1,4 +1,4 @@
-"""References from pose to pose that take the least energy, time or distance: search, polish, proof."""
+"""Planning of references from pose to pose with minimum energy, time or distance: search, optimisation, check."""
 
 from typing import TYPE_CHECKING
 
@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from diffdrive_mpc_extras.planner.planner import plan as plan
     from diffdrive_mpc_extras.planner.planner import plan_each as plan_each
 
-# Lazy: `diffdrive-mpc --help` imports this package for the help of its command.
+# Lazy import, because `diffdrive-mpc --help` imports this package.
 __getattr__ = on_first_use(__name__, {"plan": "planner", "plan_each": "planner"})

@@ -1,4 +1,4 @@
-"""Clearance of the robot: exact distances, a map of them for the search, half-planes for the polish."""
+"""Clearance of the robot: exact distances, a map for the search, and the checks of a request."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from diffdrive_mpc_extras.turn_costs import TurnCosts
 from diffdrive_mpc_extras.turn_costs.vehicle import Vehicle
 
 # Largest ratio of a way over eight neighbours to the straight one.
-_EIGHT = 1.0824
+_GRID_DETOUR = 1.0824
 
 
 def outline(vehicle: Vehicle) -> Footprint:
-    """Return the rectangle over wheels and tyres."""
+    """Return the rectangle that contains the wheels and tyres."""
     return Footprint.rectangle(
         vehicle.wheel_base + 2 * vehicle.wheel_radius, vehicle.track + vehicle.patch_width, ahead=0.0
     )
 
 
 def covering_discs(footprint: Footprint) -> FloatArray:
-    """Cover a footprint by discs (k, 3) x, y, radius [m] of one radius in a row along the longer side."""
+    """Cover a footprint by equal discs (k, 3) x, y, radius [m] in a row along the longer side."""
     low, high = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
     size, middle = high - low, 0.5 * (low + high)
     axis = int(size[1] > size[0])
@@ -50,14 +50,14 @@ class Clearance:
     Parameters
     ----------
     surroundings
-        Polygons and discs; moving discs are used at their present place.
+        Polygons and discs; moving discs are used at their present position.
     footprint
         Footprint of the robot.
 
     Raises
     ------
     mpc.free_space.SurroundingsError
-        If one of them cannot be used.
+        If an obstacle is invalid.
     """
 
     def __init__(self, surroundings: Surroundings, footprint: Footprint) -> None:
@@ -75,27 +75,27 @@ class Clearance:
 
     @property
     def corners(self) -> FloatArray:
-        """(k, 2) of everything [m]."""
+        """(k, 2) corners of all obstacles and their bounding boxes [m]."""
         reach = self._discs[:, 2:]
         parts = [*self._polygons, self._discs[:, :2] - reach, self._discs[:, :2] + reach]
         return np.concatenate(parts)
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute signed distances (n, k) [m] of points (n, 2) from obstacles, and unit vectors (n, k, 2) away."""
-        gaps, away = [], []
+        gaps, normals = [], []
         for x, y, radius in self._discs:
             gap = points - (x, y)
             far = np.hypot(*gap.T)
             gaps.append(far - radius)
-            away.append(gap / np.maximum(far, 1e-12)[:, None])
+            normals.append(gap / np.maximum(far, 1e-12)[:, None])
         for corners in self._polygons:
-            gap, unit = _from_polygon(points, corners)
+            gap, unit = _polygon_distance(points, corners)
             gaps.append(gap)
-            away.append(unit)
-        return np.stack(gaps, axis=1), np.stack(away, axis=1)
+            normals.append(unit)
+        return np.stack(gaps, axis=1), np.stack(normals, axis=1)
 
     def centres(self, poses: FloatArray) -> FloatArray:
-        """Compute middles (..., k, 2) of the robot's discs at poses (..., 3) [m]."""
+        """Compute centres (..., k, 2) of the robot's discs at poses (..., 3) [m]."""
         c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
         x, y = self.robot[:, 0], self.robot[:, 1]
         return np.stack([poses[..., 0, None] + c * x - s * y, poses[..., 1, None] + s * x + c * y], axis=-1)
@@ -110,32 +110,32 @@ class Clearance:
 
 
 class ClearanceMap:
-    """Clearance over a rectangle, looked up by the nearest cell and rounded to the safe side.
+    """Conservative clearance over a rectangle, by the nearest cell.
 
     Parameters
     ----------
     clearance
         Exact distances.
     points
-        (n, 2) that have to be inside.
+        (n, 2) points that must be inside the map.
     room, cell
-        Distance that the map extends beyond them and the obstacles, and the edge of its cells [m].
+        Margin of the map around points and obstacles, and edge length of its cells [m].
     """
 
     def __init__(self, clearance: Clearance, points: FloatArray, room: float, cell: float) -> None:
-        every = np.concatenate([points, clearance.corners])
-        low, high = every.min(axis=0) - room, every.max(axis=0) + room
+        extent = np.concatenate([points, clearance.corners])
+        low, high = extent.min(axis=0) - room, extent.max(axis=0) + room
         self._low, self._cell = low, max(cell, float((high - low).max()) / 800)
         columns, rows = (np.ceil((high - low) / self._cell).astype(int) + 1).tolist()
         x, y = low[0] + self._cell * np.arange(columns), low[1] + self._cell * np.arange(rows)
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         gaps = np.concatenate([clearance.nearest(row)[0].min(axis=1)[None] for row in grid])
-        # A point is half a diagonal of a cell from its middle at most.
+        # The distance of a point from the centre of its cell is at most half a diagonal.
         self._gaps = gaps - math.sqrt(0.5) * self._cell
         self._clearance = clearance
 
     def free(self, poses: FloatArray, margin: float) -> NDArray[np.bool_]:
-        """Return (...) True if the robot at poses (..., 3) keeps `margin` [m] and is on the map."""
+        """Return (...) True if the robot at poses (..., 3) is on the map and has a clearance of `margin` [m]."""
         cells = np.rint((self._clearance.centres(poses) - self._low) / self._cell).astype(int)
         rows, columns = self._gaps.shape
         column, row = cells[..., 0], cells[..., 1]
@@ -143,17 +143,19 @@ class ClearanceMap:
         gaps = self._gaps[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
         return np.asarray((inside & (gaps - self._clearance.robot[:, 2] >= margin)).all(axis=-1))
 
-    def distances(self, target: Sequence[float], margin: float) -> WayLowerBound:
-        """Compute path lengths to a point around all obstacles, for a disc as narrow as the robot."""
-        every = max(1, round(0.15 / self._cell))
-        gaps = self._gaps[::every, ::every]
-        # A gap narrower than the distance of two cells is passable: the field must not overestimate the distance.
-        slack = (1 + math.sqrt(0.5)) * every * self._cell
-        return WayLowerBound(gaps + slack > self._clearance.robot[0, 2] + margin, self._low, every * self._cell, target)
+    def distances(self, target: Sequence[float], margin: float) -> PathLowerBound:
+        """Return a lower bound of the path length to a point around all obstacles, for a disc of the robot's width."""
+        stride = max(1, round(0.15 / self._cell))
+        gaps = self._gaps[::stride, ::stride]
+        # Narrow gaps count as passable, because the bound must not overestimate the distance.
+        slack = (1 + math.sqrt(0.5)) * stride * self._cell
+        return PathLowerBound(
+            gaps + slack > self._clearance.robot[0, 2] + margin, self._low, stride * self._cell, target
+        )
 
 
-class WayLowerBound:
-    """Lower bound of the way to a point over free cells."""
+class PathLowerBound:
+    """Lower bound of the path length to a point over free cells."""
 
     def __init__(self, free: NDArray[np.bool_], low: FloatArray, cell: float, target: Sequence[float]) -> None:
         self._low, self._cell, self._shape = low, cell, free.shape
@@ -176,46 +178,46 @@ class WayLowerBound:
         """Return lengths (n,) [m] for points (n, 2); infinity without a path."""
         row, column = self._cells(points)
         pieces = self._far[row * self._shape[1] + column]
-        return np.asarray(np.maximum(pieces / _EIGHT - 1.5 * self._cell, 0.0))
+        return np.asarray(np.maximum(pieces / _GRID_DETOUR - 1.5 * self._cell, 0.0))
 
     def _cells(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         cells = np.rint((points - self._low) / self._cell).astype(int)
         return np.clip(cells[:, 1], 0, self._shape[0] - 1), np.clip(cells[:, 0], 0, self._shape[1] - 1)
 
 
-def _from_polygon(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the signed distance (n,) of points (n, 2) from a convex polygon, and the direction away (n, 2)."""
+def _polygon_distance(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the signed distance (n,) of points (n, 2) from a convex polygon, and the outward direction (n, 2)."""
     edges = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(*edges.T)
     outward = np.stack([edges[:, 1], -edges[:, 0]], -1) / lengths[:, None]
     gaps = points[:, None] - corners
     beyond = (gaps * outward).sum(-1)
-    share = np.clip((gaps * edges).sum(-1) / lengths**2, 0.0, 1.0)
-    apart = gaps - share[..., None] * edges
-    far = np.hypot(apart[..., 0], apart[..., 1])
+    fraction = np.clip((gaps * edges).sum(-1) / lengths**2, 0.0, 1.0)
+    offset = gaps - fraction[..., None] * edges
+    far = np.hypot(offset[..., 0], offset[..., 1])
     nearest, deepest = far.argmin(axis=1), beyond.argmax(axis=1)
     rows = np.arange(len(points))
     inside = beyond.max(axis=1) <= 0
     gap = np.where(inside, beyond[rows, deepest], far[rows, nearest])
-    unit = apart[rows, nearest] / np.maximum(far[rows, nearest], 1e-12)[:, None]
+    unit = offset[rows, nearest] / np.maximum(far[rows, nearest], 1e-12)[:, None]
     return gap, np.where((inside | (gap < 1e-9))[:, None], outward[deepest], unit)
 
 
-# The request of a plan: refused in one sentence where it is impossible.
+# Checks of a request; each error is one sentence.
 
 
-_FARTHEST = 1e4
-_SAME_PLACE, _SAME_HEADING = 1e-3, 1e-3
+_MAX_COORDINATE = 1e4
+_MIN_DISTANCE, _MIN_TURN = 1e-3, 1e-3
 
 
 class PlanError(ConfigError):
-    """There is no such plan. The message is one line: the obstacle, with its figures, and the remedy."""
+    """Error if a plan is impossible. The message is one line: the cause with its values, and the remedy."""
 
 
-def checked(
+def check_request(
     start: ArrayLike, goal: ArrayLike, via: ArrayLike, minimise: str, speed: float, dt: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Start (3,), goal (3,) and via points (n, 2) as numbers; raises PlanError where something cannot be used."""
+    """Check a request; return start (3,), goal (3,) and via points (n, 2). Raises PlanError for invalid values."""
     if minimise not in OBJECTIVES:
         raise PlanError(f"minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
     if not (math.isfinite(speed) and speed > 0):
@@ -225,66 +227,66 @@ def checked(
     poses = []
     for name, value in (("start", start), ("goal", goal)):
         pose = np.asarray(value, dtype=float)
-        if pose.shape != (3,) or not np.isfinite(pose).all() or np.abs(pose).max() > _FARTHEST:
+        if pose.shape != (3,) or not np.isfinite(pose).all() or np.abs(pose).max() > _MAX_COORDINATE:
             raise PlanError(f"{name} {np.ravel(pose).tolist()}: give x, y [m] and theta [rad], finite numbers")
         poses.append(pose)
     points = np.asarray(via, dtype=float).reshape(-1, 2) if np.size(via) % 2 == 0 else np.full((1, 2), np.nan)
-    if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _FARTHEST):
+    if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _MAX_COORDINATE):
         raise PlanError("via: give x, y [m] of each point, finite numbers")
     start_pose, end = poses
     turn = math.remainder(float(end[2] - start_pose[2]), 2 * math.pi)
-    if not len(points) and math.dist(start_pose[:2], end[:2]) < _SAME_PLACE and abs(turn) < _SAME_HEADING:
-        raise PlanError(f"start and goal are the same, {words_of(start_pose)}: there is nothing to drive")
+    if not len(points) and math.dist(start_pose[:2], end[:2]) < _MIN_DISTANCE and abs(turn) < _MIN_TURN:
+        raise PlanError(f"start and goal are the same, {pose_text(start_pose)}: there is nothing to drive")
     stops = np.concatenate([start_pose[None, :2], points, end[None, :2]])
-    close = np.hypot(*np.diff(stops, axis=0).T) < _SAME_PLACE
+    close = np.hypot(*np.diff(stops, axis=0).T) < _MIN_DISTANCE
     if len(points) and close.any():
-        raise PlanError(f"via: point {int(np.argmax(close)) + 1} is where the one before it is; leave one out")
+        raise PlanError(f"via: point {int(np.argmax(close)) + 1} coincides with the point before it; remove one")
     return start_pose, end, points
 
 
 def allowed_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> float:
-    """Return the least radius [m]; raise PlanError if the robot cannot turn, or even drive, at this speed."""
+    """Return the minimum radius [m]; raises PlanError if the robot cannot drive or turn at this speed."""
     if speed > settings.motion.top_speed:
         raise PlanError(
-            f"speed {speed:g} m/s: at most {settings.motion.top_speed:g} m/s (motion.top_speed); go slower, or give "
-            "settings for a faster robot"
+            f"speed {speed:g} m/s exceeds {settings.motion.top_speed:g} m/s (motion.top_speed); lower the speed, or "
+            "give settings for a faster robot"
         )
     straight = np.abs(costs.torques([[speed, 0.0]])).max()
     if straight >= costs.vehicle.torque_limit:
-        raise PlanError(f"speed {speed:g} m/s: the motors cannot drive it straight on; go slower")
+        raise PlanError(f"speed {speed:g} m/s: the motor torque is too low for straight motion; lower the speed")
     sharp = sharpest_radius(costs, speed, settings)
     if not math.isfinite(sharp):
-        raise PlanError(f"speed {speed:g} m/s: every turn needs more torque than the motors have; go slower")
+        raise PlanError(f"speed {speed:g} m/s: turns need more torque than the motors have; lower the speed")
     return sharp
 
 
-def free_map(
+def build_free_map(
     clearance: Clearance | None, start_pose: FloatArray, end: FloatArray, via: FloatArray, settings: PlanSettings
 ) -> tuple[ClearanceMap, float] | None:
-    """Build the map for the search; raise PlanError if start, goal or a via point is not free."""
+    """Build the map of the search; raises PlanError if start, goal or a via point is not free."""
     if clearance is None:
         return None
     margin = settings.motion.margin
     for name, pose in (("start", start_pose), ("goal", end)):
         room = float(clearance.of_poses(pose[None])[0])
         if room < margin:
-            where = "overlaps an obstacle" if room < 0 else f"is {room:.2f} m from an obstacle"
+            problem = "overlaps an obstacle" if room < 0 else f"is {room:.2f} m from an obstacle"
             raise PlanError(
-                f"{name} {words_of(pose)}: the robot {where} there, at least {margin:g} m are asked for; move the "
-                f"{name}, or take a smaller margin"
+                f"{name} {pose_text(pose)}: the robot {problem}; the margin is {margin:g} m; move the {name}, or "
+                "use a smaller margin"
             )
     for i, point in enumerate(via):
         headings = np.column_stack([np.tile(point, (16, 1)), np.linspace(-np.pi, np.pi, 16)])
         if (clearance.of_poses(headings) < margin).all():
             raise PlanError(
                 f"via {i + 1} ({point[0]:g}, {point[1]:g}): the robot is less than {margin:g} m from an obstacle there "
-                "in every heading; move the point, or take a smaller margin"
+                "in all headings; move the point, or use a smaller margin"
             )
     points = np.concatenate([start_pose[None, :2], via, end[None, :2]])
     search_settings = settings.search
     return ClearanceMap(clearance, points, search_settings.map_room, search_settings.map_cell), margin
 
 
-def words_of(pose: Sequence[float] | FloatArray) -> str:
-    """Format a pose for a sentence."""
+def pose_text(pose: Sequence[float] | FloatArray) -> str:
+    """Format a pose for messages."""
     return f"({pose[0]:g}, {pose[1]:g}, {math.degrees(pose[2]):.0f} deg)"

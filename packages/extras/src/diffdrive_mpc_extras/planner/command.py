@@ -1,4 +1,4 @@
-"""`diffdrive-mpc plan`: a reference from pose to pose that takes the least energy, time or distance."""
+"""Command `diffdrive-mpc plan`: plan a reference from pose to pose with minimum energy, time or distance."""
 
 from __future__ import annotations
 
@@ -20,39 +20,38 @@ def plan(
         str,
         typer.Option(
             metavar="NAME|FILE",
-            help="What the robot does and pays in turns on its floor (YAML); `torque` writes such files.",
+            help="Motion and cost of turns on the surface (YAML), as written by `torque`.",
         ),
     ] = "fsu_bot-default",
-    via: Annotated[
-        list[str] | None, typer.Option(metavar="X,Y", help="A point to pass [m]; repeatable, in this order.")
-    ] = None,
-    minimise: Annotated[str, typer.Option(metavar="energy|time|distance", help="What is to be least.")] = "energy",
+    via: Annotated[list[str] | None, typer.Option(metavar="X,Y", help="Via point [m]; repeatable, in order.")] = None,
+    minimise: Annotated[str, typer.Option(metavar="energy|time|distance", help="Objective.")] = "energy",
     speed: Annotated[
-        float | None, typer.Option(help="On straights and gentle turns [m/s].", show_default="that of the torque table")
+        float | None,
+        typer.Option(help="Speed on straights and wide turns [m/s].", show_default="that of the torque table"),
     ] = None,
     world: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="What stands there (YAML)."),
+        typer.Option(metavar="NAME|FILE", help="World with obstacles (YAML)."),
     ] = None,
-    reverse: Annotated[bool, typer.Option("--reverse", help="It may drive backward.")] = False,
-    on_the_spot: Annotated[bool, typer.Option("--on-the-spot", help="It may turn on the spot.")] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Allow driving backwards.")] = False,
+    on_the_spot: Annotated[bool, typer.Option("--on-the-spot", help="Allow turns on the spot.")] = False,
     margin: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Between robot and obstacles [m].", show_default="that of the settings"),
+        typer.Option(min=0.0, help="Margin between robot and obstacles [m].", show_default="that of the settings"),
     ] = None,
     idle_power: Annotated[
         float | None,
         typer.Option(
             min=0.0,
             metavar="W",
-            help="What computer, sensors and drivers draw as long as the robot drives [W].",
+            help="Power of computer, sensors and motor drivers during the drive [W].",
             show_default="that of the costs",
         ),
     ] = None,
     settings: Annotated[Path | None, file_option("Settings of the planner", "--settings")] = None,
 ) -> None:
-    """Plan a timed reference over slip, torque and least radius of a floor; seconds."""
-    import numpy as np  # noqa: PLC0415 - --help does without it
+    """Plan a timed reference with slip, torque and minimum radius of a surface; takes seconds."""
+    import numpy as np  # noqa: PLC0415 - --help does not need it
 
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from diffdrive_mpc_extras.planner.clearance import PlanError  # noqa: PLC0415
@@ -105,7 +104,7 @@ def _pose(text: str, option: str) -> tuple[float, float, float]:
 
 
 def _numbers(text: str, count: int, option: str, form: str) -> list[float]:
-    """Parse numbers separated by commas; raise typer.BadParameter for anything else."""
+    """Parse numbers separated by commas; raises typer.BadParameter for any other text."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -1,4 +1,4 @@
-"""The shape made smooth, exact and as cheap as its neighbourhood allows: direct multiple shooting, CasADi and IPOPT."""
+"""Local optimisation of the shape by direct multiple shooting with CasADi and IPOPT."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from diffdrive_mpc_extras.turn_costs import TurnCosts
 
 # Number of obstacles that are checked for each disc of the robot at each node, and their largest distance [m].
 _NEAREST, _WITHIN = 2, 2.0
-# Durations of a phase, from [s] and to over that of the search.
-_SHORTEST_PHASE, _LONGER = 0.02, 1.5
+# Minimum duration of a phase [s], and maximum ratio to its duration in the search.
+_MIN_PHASE, _MAX_RATIO = 0.02, 1.5
 _SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
@@ -26,9 +26,9 @@ class Polished(NamedTuple):
     """Result of IPOPT."""
 
     durations: FloatArray
-    """(phases,) [s]"""
+    """(phases,) durations [s]."""
     yaw_rates: FloatArray
-    """(n + 1,) commanded at the nodes [rad/s]"""
+    """(n + 1,) commanded yaw rates at the nodes [rad/s]."""
     status: str
     """Status text of IPOPT."""
     solved: bool
@@ -44,7 +44,7 @@ def polish(
     settings: PlanSettings,
     clearance: Clearance | None,
 ) -> Polished:
-    """Optimise durations and yaw rates near those of the search.
+    """Optimise durations and yaw rates, starting from those of the search.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ def polish(
     schedule
         Phases of the search.
     start, goal
-        (3,) poses; the heading of the goal counts whole turns as the search has them.
+        (3,) poses; the heading of the goal includes the full turns of the search.
     via
-        (m, 2) points passed at the ends of legs.
+        (m, 2) via points at the ends of legs.
     settings
-        Accelerations, and how it is solved.
+        Accelerations, and settings of the solver.
     clearance
-        Distances to the obstacles; None without obstacles.
+        Distances to the obstacles; None for no obstacles.
     """
     polish_settings, motion, count = settings.polish, settings.motion, len(schedule.phase)
     x, w, d = ca.MX.sym("x", 3, count + 1), ca.MX.sym("w", 1, count + 1), ca.MX.sym("d", len(schedule.durations))
@@ -69,15 +69,15 @@ def polish(
     share[schedule.phase, np.arange(count)] = 1.0 / schedule.counts[schedule.phase]
     steps = ca.mtimes(d.T, ca.DM(share))
     v = ca.DM(schedule.speeds).T
-    moved = _interval(costs).map(count)(x[:, :-1], v[:, :-1], v[:, 1:], w[:-1], w[1:], steps)
+    predicted = _interval(costs).map(count)(x[:, :-1], v[:, :-1], v[:, 1:], w[:-1], w[1:], steps)
     rate = _rate(costs, minimise)
     ends, middles = rate.map(count + 1)(v, w), rate.map(count)(0.5 * (v[:-1] + v[1:]), 0.5 * (w[:-1] + w[1:]))
-    # Simpson's rule.
-    price = steps / 6 * (ends[:-1] + 4 * middles + ends[1:])
+    # Simpson's rule
+    cost = steps / 6 * (ends[:-1] + 4 * middles + ends[1:])
     change = w[1:] - w[:-1]
-    size = _objective_of(costs, minimise, schedule)
-    rough = ca.sumsqr(change / max(float(np.abs(schedule.most).max()), 1e-6))
-    goals = [ca.vec(moved - x[:, 1:]), x[:, 0] - start, x[:, -1] - goal]
+    size = _search_objective(costs, minimise, schedule)
+    rough = ca.sumsqr(change / max(float(np.abs(schedule.max_yaw_rate).max()), 1e-6))
+    goals = [ca.vec(predicted - x[:, 1:]), x[:, 0] - start, x[:, -1] - goal]
     zeros = 3 * count + 6
     for leg, point in enumerate(via):
         node = int(np.flatnonzero(schedule.legs == leg)[-1]) + 1
@@ -92,12 +92,12 @@ def polish(
         constraints.append(clearances)
     g = ca.vertcat(*constraints)
     unknown = ca.vertcat(ca.vec(x), ca.vec(w), d)
-    nlp = {"x": unknown, "f": ca.sum2(price) / size + polish_settings.smoothness * rough, "g": g, "p": planes}
+    nlp = {"x": unknown, "f": ca.sum2(cost) / size + polish_settings.smoothness * rough, "g": g, "p": planes}
     solver = ca.nlpsol("polish", "ipopt", nlp, _options(polish_settings.iterations))
-    lowest = np.where(schedule.free, _SHORTEST_PHASE, schedule.durations)
-    highest = np.where(schedule.free, _LONGER * schedule.durations + 3.0, schedule.durations)
-    lower = np.concatenate([np.full(3 * (count + 1), -np.inf), -schedule.most, lowest])
-    upper = np.concatenate([np.full(3 * (count + 1), np.inf), schedule.most, highest])
+    min_durations = np.where(schedule.free, _MIN_PHASE, schedule.durations)
+    max_durations = np.where(schedule.free, _MAX_RATIO * schedule.durations + 3.0, schedule.durations)
+    lower = np.concatenate([np.full(3 * (count + 1), -np.inf), -schedule.max_yaw_rate, min_durations])
+    upper = np.concatenate([np.full(3 * (count + 1), np.inf), schedule.max_yaw_rate, max_durations])
     guess = np.concatenate([schedule.poses.ravel(), schedule.yaw_rates, schedule.durations])
     lbg = np.zeros(g.shape[0])
     ubg = np.concatenate([np.zeros(zeros), np.full(g.shape[0] - zeros, np.inf)])
@@ -107,14 +107,16 @@ def polish(
         p = np.zeros(0) if clearance is None else _planes_at(clearance, poses, settings)
         solution = solver(x0=guess, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg, p=p)
         status, solved = solver.stats()["return_status"], solver.stats()["return_status"] in _SOLVED
-        moved_by = np.abs(np.array(solution["x"]).ravel() - guess)[: 3 * (count + 1)].max()
+        max_change = np.abs(np.array(solution["x"]).ravel() - guess)[: 3 * (count + 1)].max()
         guess = np.array(solution["x"]).ravel()
         if not solved:
             break
-        if moved_by < 0.02:
+        if max_change < 0.02:
             break
     rates = guess[3 * (count + 1) : 4 * count + 4]
-    return Polished(guess[4 * count + 4 :], np.clip(rates, -schedule.most, schedule.most), status, solved)
+    return Polished(
+        guess[4 * count + 4 :], np.clip(rates, -schedule.max_yaw_rate, schedule.max_yaw_rate), status, solved
+    )
 
 
 def _options(iterations: int) -> dict[str, Any]:
@@ -134,7 +136,7 @@ def _options(iterations: int) -> dict[str, Any]:
 
 
 def _interval(costs: TurnCosts) -> ca.Function:
-    """Build the step of the pose from node to node, by Runge and Kutta's fourth-order method."""
+    """Build the step of the pose between nodes by the fourth-order Runge-Kutta method."""
     x, step = ca.SX.sym("x", 3), ca.SX.sym("h")
     v0, v1, w0, w1 = (ca.SX.sym(name) for name in ("v0", "v1", "w0", "w1"))
 
@@ -154,7 +156,7 @@ def _interval(costs: TurnCosts) -> ca.Function:
 
 
 def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
-    """Build the cost of a second under a command."""
+    """Build the objective per second for a command."""
     v, w = ca.SX.sym("v"), ca.SX.sym("w")
     along, left, _ = polynomial_terms(costs.slip.rows, v, w)
     rate = ca.SX(1.0)
@@ -165,8 +167,8 @@ def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
     return ca.Function("rate", [v, w], [rate])
 
 
-def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> float:
-    """Compute the objective of the search, which scales the solver's numbers to about one."""
+def _search_objective(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> float:
+    """Compute the objective of the search, which scales the objective of the solver to about one."""
     if minimise == "time":
         return float(schedule.durations.sum())
     commands = np.stack([schedule.speeds, schedule.yaw_rates], -1)[1:]
@@ -175,7 +177,7 @@ def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> 
 
 
 def _half_planes(x: Any, clearance: Clearance, count: int) -> tuple[Any, Any]:  # noqa: ANN401 - CasADi's symbols
-    """Build parameters and values of planes n . p >= b: the distance of each disc at each node beyond them."""
+    """Build parameters and values of the half-planes n . p >= b for each disc at each node."""
     rows = len(clearance.robot) * _NEAREST
     planes = ca.MX.sym("planes", 3 * rows, count + 1)
     c, s = ca.cos(x[2, :]), ca.sin(x[2, :])
@@ -188,11 +190,11 @@ def _half_planes(x: Any, clearance: Clearance, count: int) -> tuple[Any, Any]:  
 
 
 def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) -> FloatArray:
-    """Compute the half-planes that touch the nearest obstacles as seen from poses (n + 1, 3)."""
+    """Compute the half-planes at the nearest obstacles for poses (n + 1, 3)."""
     points = clearance.centres(poses)
     nodes, discs = points.shape[:2]
     gaps, away = clearance.nearest(points.reshape(-1, 2))
-    wanted = settings.motion.margin + settings.polish.sag
+    required = settings.motion.margin + settings.polish.sag
     planes = np.zeros((nodes, discs * _NEAREST, 3))
     planes[..., 2] = -1.0
     order = np.argsort(gaps, axis=1, kind="stable")[:, :_NEAREST]
@@ -200,10 +202,10 @@ def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) 
         which = order[:, k]
         rows = np.arange(len(which))
         gap, unit = gaps[rows, which], away[rows, which]
-        beyond = (unit * points.reshape(-1, 2)).sum(-1) - gap + np.tile(clearance.robot[:, 2], nodes) + wanted
+        beyond = (unit * points.reshape(-1, 2)).sum(-1) - gap + np.tile(clearance.robot[:, 2], nodes) + required
         near = gap < _WITHIN
         plane = np.where(near[:, None], np.column_stack([unit, beyond]), [0.0, 0.0, -1.0])
         planes[:, k::_NEAREST, :] = plane.reshape(nodes, discs, 3)
-    # The plan begins and ends at the given poses, also if they are near obstacles; both were checked before.
+    # Start and goal have no half-planes, because both poses are fixed and already checked.
     planes[[0, -1]] = (0.0, 0.0, -1.0)
     return planes.reshape(nodes, -1).ravel()

@@ -1,4 +1,4 @@
-"""Settings of the planner: `settings.yaml` describes them."""
+"""Settings of the planner, described in `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ class PolishSettings(StrictModel):
 
 
 class ReferenceMotion(StrictModel):
-    """Motion limits of the reference, besides the given speed and the least radius."""
+    """Motion limits of the reference, in addition to speed and minimum radius."""
 
-    acceleration: Positive = Field(description="of the command [m/s^2]")
-    yaw_acceleration: Positive = Field(description="of the command [rad/s^2]")
-    yaw_rate: Positive = Field(description="of the command, at most [rad/s]; sharper arcs are driven slower")
-    top_speed: Positive = Field(description="fastest that may be asked for [m/s]")
-    margin: NotNegative = Field(description="between robot and obstacles [m]")
-    longest_detour: Positive = Field(description="shortest allowed way over the straight distance, at most [-]")
+    acceleration: Positive = Field(description="acceleration of the command [m/s^2]")
+    yaw_acceleration: Positive = Field(description="yaw acceleration of the command [rad/s^2]")
+    yaw_rate: Positive = Field(description="maximum commanded yaw rate, which limits the speed on sharp arcs [rad/s]")
+    top_speed: Positive = Field(description="maximum speed of a request [m/s]")
+    margin: NotNegative = Field(description="margin between robot and obstacles [m]")
+    longest_detour: Positive = Field(description="maximum ratio of the shortest path to the straight distance [-]")
 
 
 class PlanSettings(StrictModel):
-    """All of it."""
+    """Settings of the planner."""
 
     search: SearchSettings
     polish: PolishSettings
@@ -63,5 +63,5 @@ class PlanSettings(StrictModel):
 
 @cache
 def load_plan_settings(path: str | Path | None = None) -> PlanSettings:
-    """Read the settings; the shipped ones without a path. Raises ConfigError on a mistake in the file."""
+    """Read the settings, by default the shipped ones; raises ConfigError if the file is invalid."""
     return load_checked(PlanSettings, path or Path(__file__).parent / "settings.yaml")

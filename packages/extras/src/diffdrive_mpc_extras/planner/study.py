@@ -1,4 +1,4 @@
-"""The plan for one objective, compared with the plans for the others."""
+"""Study of a plan for one objective, in comparison with the plans for the other objectives."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ class PlanRequest:
     Attributes
     ----------
     costs
-        The robot on its floor.
+        Motion and cost of the robot on its surface.
     start, goal
-        (3,) x, y [m], theta [rad].
+        (3,) poses x, y [m], theta [rad].
     via
-        (n, 2) [m].
+        (n, 2) via points [m].
     minimise
         Quantity to minimise.
     speed
-        [m/s].
+        Speed [m/s].
     world
-        World at the beginning; movers are ignored.
+        World at the start; moving objects are ignored.
     reverse, on_the_spot
-        Whether the robot may drive backward and turn on the spot.
+        True to allow driving backwards and turns on the spot.
     settings
         Settings of the planner.
     """
@@ -71,7 +71,7 @@ class PlanRequest:
 
     @property
     def surroundings(self) -> Surroundings | None:
-        """Return the surroundings in the world."""
+        """Surroundings of the robot in the world."""
         if self.world is None:
             return None
         shapes = self.world.shapes(0.0)
@@ -82,16 +82,16 @@ Plans = dict[Objective, Plan]
 
 
 class PlanStudy(Study[PlanRequest, Plans]):
-    """Plans for every objective, and the trajectory of the requested one.
+    """Study of the plans for all objectives, with the trajectory of the requested one.
 
     Parameters
     ----------
-    asked
-        The request.
+    request
+        Request for the plan.
     """
 
     name = "plan"
-    title = "A reference that costs little"
+    title = "Optimal reference"
 
     def __init__(self, request: PlanRequest) -> None:
         self._request, self._seconds = request, 0.0
@@ -100,10 +100,10 @@ class PlanStudy(Study[PlanRequest, Plans]):
         """Return the request; `run` reports impossible plans before anything is written."""
         return self._request
 
-    def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
-        """Plan; raises PlanError where there is no way."""
+    def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - single task
+        """Compute the plans; raises PlanError if there is no path."""
         bar.start_stage("planning", 1)
-        began = time.process_time()
+        start_time = time.process_time()
         plans = plan_each(
             plan.costs,
             plan.start,
@@ -115,13 +115,13 @@ class PlanStudy(Study[PlanRequest, Plans]):
             on_the_spot=plan.on_the_spot,
             settings=plan.settings,
         )
-        self._seconds = time.process_time() - began
+        self._seconds = time.process_time() - start_time
         bar.advance()
         return plans
 
-    def report(self, results: Plans, seconds: float) -> Report:  # noqa: ARG002 - planning has its own
-        """Report tables, figures and the trajectory."""
-        request, chosen = self._request, results[self._request.minimise]
+    def report(self, results: Plans, seconds: float) -> Report:  # noqa: ARG002 - processor time instead
+        """Return the report with tables, figures and the trajectory."""
+        request, selected = self._request, results[self._request.minimise]
         return Report(
             counted=f"{len(results)} plans",
             meta={
@@ -133,20 +133,24 @@ class PlanStudy(Study[PlanRequest, Plans]):
                 "to": request.goal.tolist(),
                 "via": request.via.tolist(),
             },
-            content={"plans": [_row(plan) for plan in results.values()], "pieces": _pieces(chosen)},
+            content={"plans": [_row(plan) for plan in results.values()], "pieces": _pieces(selected)},
             facts=[
-                f"'{request.costs.name}' at {request.speed:g} m/s, least radius {_radius(request)}; "
-                f"turns of the plan are no sharper than {chosen.sharpest:.2f} m (commanded).",
-                f"trajectory.csv minimises {request.minimise}: {number(chosen.energy, 1)} J predicted, "
-                f"{number(chosen.duration, 1)} s, {number(chosen.length, 2)} m.",
-                f"Search: {chosen.search.states} states, {number(chosen.search.cost, 2)} without ramps, at least "
-                f"{number(chosen.search.bound, 2)}; polish: {chosen.status} ({chosen.solver}).",
-                f"{number(self._seconds, 2)} s of one core for all three.",
+                f"'{request.costs.name}' at {request.speed:g} m/s, minimum radius {_radius(request)}; "
+                f"minimum radius of the plan {selected.sharpest:.2f} m (commanded).",
+                f"trajectory.csv minimises {request.minimise}: {number(selected.energy, 1)} J predicted, "
+                f"{number(selected.duration, 1)} s, {number(selected.length, 2)} m.",
+                f"Search: {selected.search.states} states, cost {number(selected.search.cost, 2)} without ramps, bound "
+                f"{number(selected.search.bound, 2)}; polish: {selected.status} ({selected.solver}).",
+                f"{number(self._seconds, 2)} s of processor time for all objectives.",
             ],
             notes=[
-                "Energy is that of the commands of the timed reference by torque table, slip law and drive constants; "
-                "what speeding up takes is not in it.",
-                *([] if chosen.search.complete else ["The search ended at its most states: a better way may exist."]),
+                "Energy is that of the commands of the timed reference by torque table, slip law and drive constants, "
+                "without the energy for acceleration.",
+                *(
+                    []
+                    if selected.search.complete
+                    else ["The search reached its maximum number of states: a better path may exist."]
+                ),
             ],
             tables=[_table(results, request.minimise)],
             figures={
@@ -154,42 +158,42 @@ class PlanStudy(Study[PlanRequest, Plans]):
                 "power.png": partial(draw_power, request, results),
             },
             shown=Shown(key_figures=_key_figures(results, request.minimise), warnings=_warnings(request, results)),
-            files={"trajectory.csv": trajectory_text(chosen)},
+            files={"trajectory.csv": trajectory_text(selected)},
         )
 
 
 def trajectory_text(plan: Plan) -> str:
-    """Format timed poses as `load_trajectory` reads them."""
+    """Format timed poses for `load_trajectory`."""
     rows = [",".join(f"{value:.9g}" for value in row) for row in plan.rows.tolist()]
     return "\n".join(["t,x,y,theta", *rows]) + "\n"
 
 
 def saving(results: Plans) -> float:
-    """Compute the share of energy that the energy-optimal plan saves over the distance-optimal one [-]."""
+    """Compute the relative energy saving of the energy-optimal over the distance-optimal plan [-]."""
     return 1 - results["energy"].energy / results["distance"].energy
 
 
 def _warnings(request: PlanRequest, results: Plans) -> list[Warned]:
-    """Warn about long paths, which cost nothing for their time without idle power."""
+    """Warn about long paths, whose duration has no cost if the idle power is zero."""
     cheapest, shortest = results["energy"].length, results["distance"].length
     if request.minimise != "energy" or request.costs.drive.idle_power > 0 or cheapest < _LONG * shortest:
         return []
     return [
         Warned(
-            f"The way of least energy is {cheapest / shortest:.1f} times as long as the shortest: by its drive "
-            "constants the robot draws nothing at rest.",
-            "Say what computer and sensors draw: --idle-power, or idle_power in the costs.",
+            f"The minimum-energy path is {cheapest / shortest:.1f} times as long as the shortest path, because the "
+            "drive constants contain no idle power.",
+            "Set the power of computer and sensors: --idle-power, or idle_power in the costs.",
         )
     ]
 
 
 def _key_figures(results: Plans, minimise: Objective) -> list[KeyFigure]:
-    chosen = results[minimise]
+    selected = results[minimise]
     return [
-        KeyFigure("energy", f"{number(chosen.energy, 1)} J", f"predicted, of the {minimise}-optimal plan"),
-        KeyFigure("duration", f"{number(chosen.duration, 1)} s"),
-        KeyFigure("length", f"{number(chosen.length, 2)} m"),
-        KeyFigure("saved", f"{number(100 * saving(results), 1)} %", "of energy, by energy over distance"),
+        KeyFigure("energy", f"{number(selected.energy, 1)} J", f"predicted, of the {minimise}-optimal plan"),
+        KeyFigure("duration", f"{number(selected.duration, 1)} s"),
+        KeyFigure("length", f"{number(selected.length, 2)} m"),
+        KeyFigure("saved", f"{number(100 * saving(results), 1)} %", "energy, compared with the distance-optimal plan"),
     ]
 
 
@@ -202,22 +206,22 @@ def _table(results: Plans, minimise: Objective) -> Table:
             "time [s]": lambda row: number(row.duration, 1),
             "length [m]": lambda row: number(row.length, 2),
             "sharpest turn [m]": lambda row: number(_sharpest(row), 2),
-            "found by": lambda row: row.status,
+            "method": lambda row: row.status,
         },
         [((f"{name}, written" if name == minimise else name,), result) for name, result in results.items()],
     )
 
 
 def _sharpest(plan: Plan) -> float:
-    """Compute the least commanded radius at more than half of the speed [m]."""
+    """Compute the minimum commanded radius above half of the speed [m]."""
     v, omega = np.abs(plan.commands.T)
     moving = v > 0.5 * v.max()
     return float((v[moving] / np.maximum(omega[moving], 1e-6)).min())
 
 
 def _radius(request: PlanRequest) -> str:
-    least = request.costs.least_radius(request.speed)
-    return "none" if least == 0 else f"{least:.2f} m"
+    radius = request.costs.least_radius(request.speed)
+    return "none" if radius == 0 else f"{radius:.2f} m"
 
 
 def _row(plan: Plan) -> dict[str, object]:
@@ -244,13 +248,13 @@ def _pieces(plan: Plan) -> list[dict[str, object]]:
     ]
 
 
-_WIDEST = 50.0
+_MAX_RADIUS = 50.0
 _OUTLINES = 12
 
 
 def draw_paths(request: PlanRequest, plans: Plans, path: Path) -> None:
-    """Draw the chosen path by commanded radius, the robot along it, the others dashed."""
-    chosen = plans[request.minimise]
+    """Draw the selected path by commanded radius with the robot along it, and the other paths dashed."""
+    selected = plans[request.minimise]
     with new_figure(path, 6.4, 5.2) as figure:
         axes = figure.subplots()
         if request.world is not None:
@@ -259,25 +263,30 @@ def draw_paths(request: PlanRequest, plans: Plans, path: Path) -> None:
             if name != request.minimise:
                 label = f"{name}: {plan.energy:.0f} J, {plan.length:.1f} m"
                 axes.plot(plan.poses[:, 0], plan.poses[:, 1], "--", color=colour(k + 1), label=label)
-        lines = _coloured(axes, chosen.poses, chosen.commands, chosen.sharpest)
-        axes.plot([], [], color=colour(0), label=f"{request.minimise}: {chosen.energy:.0f} J, {chosen.length:.1f} m")
+        lines = _draw_coloured(axes, selected.poses, selected.commands, selected.sharpest)
+        axes.plot(
+            [], [], color=colour(0), label=f"{request.minimise}: {selected.energy:.0f} J, {selected.length:.1f} m"
+        )
         corners = outline(request.costs.vehicle).corners
-        for x, y, theta in chosen.poses[np.linspace(0, len(chosen.poses) - 1, _OUTLINES).astype(int)].tolist():
+        for x, y, theta in selected.poses[np.linspace(0, len(selected.poses) - 1, _OUTLINES).astype(int)].tolist():
             c, s = np.cos(theta), np.sin(theta)
-            placed = corners @ np.array([[c, s], [-s, c]]) + (x, y)
-            axes.add_patch(Polygon(placed, fill=False, edgecolor=REFERENCE_COLOUR, linewidth=0.6))
+            moved_corners = corners @ np.array([[c, s], [-s, c]]) + (x, y)
+            axes.add_patch(Polygon(moved_corners, fill=False, edgecolor=REFERENCE_COLOUR, linewidth=0.6))
         if len(request.via):
             axes.plot(*request.via.T, "x", color=REFERENCE_COLOUR, label="via")
         figure.colorbar(lines, ax=axes, label="commanded radius [m]", shrink=0.8)
         axes.set(
-            xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"Least {request.minimise} on '{request.costs.name}'"
+            xlabel="x [m]",
+            ylabel="y [m]",
+            aspect="equal",
+            title=f"Minimum {request.minimise} on '{request.costs.name}'",
         )
         axes.margins(0.08)
         axes.legend(loc="best")
 
 
 def draw_power(request: PlanRequest, plans: Plans, path: Path) -> None:
-    """Draw the predicted power of every plan over time."""
+    """Draw the predicted power of all plans over time."""
     with new_figure(path, 6.4, 3.2) as figure:
         axes = figure.subplots()
         for k, (name, plan) in enumerate(plans.items()):
@@ -288,12 +297,12 @@ def draw_power(request: PlanRequest, plans: Plans, path: Path) -> None:
         axes.legend()
 
 
-def _coloured(axes: Axes, poses: FloatArray, commands: FloatArray, sharpest: float) -> LineCollection:
-    """Draw the path with each sample coloured by its commanded radius; straight motion counts as wide."""
+def _draw_coloured(axes: Axes, poses: FloatArray, commands: FloatArray, sharpest: float) -> LineCollection:
+    """Draw the path coloured by the commanded radius, clipped for straight motion."""
     v, omega = np.abs(commands.T)
-    radius = np.clip(v / np.maximum(omega, 1e-9), 0.8 * sharpest, _WIDEST)
+    radius = np.clip(v / np.maximum(omega, 1e-9), 0.8 * sharpest, _MAX_RADIUS)
     points = np.stack([poses[:-1, :2], poses[1:, :2]], axis=1)
-    norm = LogNorm(0.8 * sharpest, max(_WIDEST, 2 * sharpest))
+    norm = LogNorm(0.8 * sharpest, max(_MAX_RADIUS, 2 * sharpest))
     lines = LineCollection(list(points), cmap="viridis", norm=norm, linewidth=2.5, zorder=3)
     lines.set_array(radius)
     axes.add_collection(lines)

@@ -1,1 +1,1 @@
-"""Proof of a controller: how often it fails, how far it is off at worst, and where it stops to hold."""
+"""Proof of a controller: failure rates, worst-case errors, and the conditions under which it fails."""

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc prove`: how often a controller fails, and up to which conditions it holds."""
+"""Command `diffdrive-mpc prove`: failure rates of a controller, and the limits of its conditions."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ def prove(
         Path | None,
         typer.Option(
             "--campaign",
-            help="Campaign with maps and boundaries (YAML), or market: robots drawn as wide as sold.",
+            help="Campaign with maps and boundaries (YAML), or market: drawn robots of the population on sale.",
             show_default=False,
         ),
     ] = None,
     plant: Annotated[
         str | None,
         typer.Option(
-            help="Robot that is driven, as for simulate.",
+            help="Simulated robot, as for simulate.",
             show_default="that of the campaign; else twin or identified robot in the folder of the configuration",
         ),
     ] = None,
     runs: Runs = None,
-    worst: Annotated[int, typer.Option(min=0, max=99, help="Worst runs to keep as files.")] = 10,
+    worst: Annotated[int, typer.Option(min=0, max=99, help="Number of worst runs to keep as files.")] = 10,
     tolerance: Annotated[
         str,
         typer.Option(
             metavar="M,M,...",
-            help="Measure a speed passport in place of all this: the greatest speeds within these lateral errors [m].",
+            help="Measure only a speed passport: the maximum speeds within these lateral errors [m].",
             show_default=False,
         ),
     ] = "",
@@ -49,29 +49,29 @@ def prove(
 ) -> None:
     """Drive a controller on many plants, paths and faults: rates with intervals, maps, boundaries, worst runs.
 
-    The exit code is 1 when a command was unsafe or a run ended in an error; the report is written all the same.
+    The exit code is 1 if a command was unsafe or a run ended in an error; the report is written in all cases.
     """
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.campaign.engine import CampaignPlace, describe_errors  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.proof_file import proof_of  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
-    from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.study import ProofStudy, write_proof  # noqa: PLC0415
 
     proof, place = proof_of(config, campaign, plant), CampaignPlace(out, jobs)
     if tolerance:
         from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
 
         measured = carry_out(PassportStudy(config, proof, place, read_tolerances(tolerance)), out, jobs)
-        if complaint := describe_errors(measured.driven):
-            echo(f"error: {complaint}", err=True)
+        if problem := describe_errors(measured.driven):
+            echo(f"error: {problem}", err=True)
             raise typer.Exit(FAILED)
         return
     proven = carry_out(ProofStudy(config, proof, place, runs, worst), out, jobs)
-    keep(proven, out)
+    write_proof(proven, out)
     unsafe = sum(map(is_unsafe, proven.driven))
-    complaint = f"{unsafe} runs had an unsafe command" if unsafe else describe_errors(proven.driven)
-    if complaint:
-        echo(f"error: {complaint}", err=True)
+    problem = f"{unsafe} runs had an unsafe command" if unsafe else describe_errors(proven.driven)
+    if problem:
+        echo(f"error: {problem}", err=True)
         raise typer.Exit(FAILED)
 
 

@@ -1,4 +1,4 @@
-"""The tables of a proof, and the sentences above them."""
+"""Tables, charts and texts of the report of a proof."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
 """Kinds of unsafe commands, as `bench.campaign.command_check.Unsafe` names them."""
 _BY_FACTOR = (
-    "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time behind: largest "
-    "of a run, mean. Rates: RMS of the commands' change, means."
+    "Braked: the robot braked or stood before the end, which is a false stop if all sensors are valid. Time behind: "
+    "mean of the maximum of each run. Rates: mean RMS of the commands' change."
 )
-_SAID = {
+_DESCRIPTIONS = {
     "not_finite": "not finite",
-    "limit": "beyond a limit",
-    "slew": "beyond the slew or the braking limit",
-    "motion": "motion longer than stated after poses have gone",
-    "turn": "tighter than the least commanded radius",
+    "limit": "above a limit",
+    "slew": "above the slew or the braking limit",
+    "motion": "motion for too long after a loss of poses",
+    "turn": "below the minimum commanded radius",
 }
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """Rates of the outcomes of a proof's runs."""
+    """Rates of the outcomes of all runs."""
 
     completed: Rate
     in_band: Rate
@@ -61,7 +61,7 @@ class Outcomes:
 
     @classmethod
     def of_runs(cls, driven: Sequence[CampaignRun], band: float) -> Outcomes:
-        """Count the outcomes; the band [m] is that of `boundaries.holds`."""
+        """Count the outcomes; `band` [m] as in `holds`."""
         count = len(driven)
         return cls(
             Rate.of_runs(sum(run.row["completed"] is True for run in driven), count),
@@ -72,28 +72,28 @@ class Outcomes:
 
 
 def is_unsafe(run: CampaignRun) -> bool:
-    """Check if a run had an unsafe command of any kind."""
+    """Return True if a run had an unsafe command."""
     return any(run.row.get(f"unsafe_{kind}") for kind in UNSAFE)
 
 
 def errors(driven: Sequence[CampaignRun]) -> FloatArray:
-    """Return the position RMSE [m] of the runs that have one; for a run that ended early, of its driven part."""
+    """Return the position RMSE [m] of all runs with a value; for an aborted run, over its simulated part."""
     return _known(driven, "position_rmse_m")
 
 
 def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimate]:
     """Estimate mean, median and CVaR of the position RMSE [m], of all runs and of completed runs."""
-    arrived = [run for run in driven if run.row["completed"] is True]
-    named = {"mean": mean, "median": median, CVAR: cvar}
+    completed = [run for run in driven if run.row["completed"] is True]
+    statistics = {"mean": mean, "median": median, CVAR: cvar}
     return {
         f"{name}, {which}": BootstrapEstimate.of_runs(errors(runs), figure)
-        for which, runs in (("all runs", driven), ("completed runs", arrived))
-        for name, figure in named.items()
+        for which, runs in (("all runs", driven), ("completed runs", completed))
+        for name, figure in statistics.items()
     }
 
 
 def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
-    """Sort runs, worst first: unsafe, ended in an error, then by position RMSE; last those that stopped themselves."""
+    """Return the `count` worst runs: unsafe, ended in an error, by position RMSE, and last those that stopped."""
 
     def badness(run: CampaignRun) -> tuple[bool, bool, bool, float]:
         error = run.number("position_rmse_m")
@@ -103,7 +103,7 @@ def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
 
 
 def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
-    """Summarise the drives, their cost, and the bound on unsafe commands."""
+    """Summarise number and cost of the runs, and the bound on unsafe commands."""
     times = np.array([run.number(f"{TIME}processor_s") for run in driven])
     ticks = sum(run.number("steps") for run in driven if math.isfinite(run.number("steps")))
     failures = sum(run.row["error"] != "" for run in driven)
@@ -112,8 +112,8 @@ def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
         f"{len(driven)} runs drawn, {others} more for maps and boundaries; {ticks:.0f} ticks were checked.",
         f"Processor time of a run: mean {np.mean(times):.2f} s, 95th percentile {np.percentile(times, 95):.2f} s.",
         f"{unsafe.count} of {unsafe.of} runs had an unsafe command: "
-        f"with {100 * CONFIDENCE:.0f} % confidence fewer than {percent(unsafe.bound)} % of all such runs have.",
-        *([f"{failures} runs ended in an error; errors are those of the others."] if failures else []),
+        f"with {100 * CONFIDENCE:.0f} % confidence, the rate is below {percent(unsafe.bound)} %.",
+        *([f"{failures} runs ended in an error and have no position error."] if failures else []),
     ]
 
 
@@ -124,13 +124,13 @@ def tables(
     seeds: int,
     band: float,
 ) -> list[Table]:
-    """Build all tables; `files` are the worst runs by file name, `band` [m] is that of `holds`."""
-    made = [_rates(driven, band), _errors(driven), _unsafe(driven), *_by_factor(driven, band)]
-    return [*made, *([_boundaries(boundaries, seeds)] if boundaries else []), _worst(files)]
+    """Build all tables; `files` are the worst runs by file name, `band` [m] as in `holds`."""
+    result = [_rates(driven, band), _errors(driven), _unsafe(driven), *_by_factor(driven, band)]
+    return [*result, *([_boundaries(boundaries, seeds)] if boundaries else []), _worst(files)]
 
 
 def percent(share: float) -> str:
-    """Format a share in percent with two leading digits."""
+    """Format a share in percent with two significant digits."""
     return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.1f}"
 
 
@@ -138,12 +138,12 @@ def _rates(driven: Sequence[CampaignRun], band: float) -> Table:
     rates = Outcomes.of_runs(driven, band)
     named = {
         "completed": rates.completed,
-        "completed and never outside the band": rates.in_band,
-        "not completed: it stopped by itself": rates.stopped,
+        "completed within the band": rates.in_band,
+        "not completed: the controller stopped": rates.stopped,
         "with an unsafe command": rates.unsafe,
     }
     return Table.build(
-        "How often",
+        "Outcomes",
         ("runs",),
         {
             "count": lambda rate: f"{rate.count} of {rate.of}",
@@ -164,8 +164,8 @@ def _errors(driven: Sequence[CampaignRun]) -> Table:
             "95 % interval [mm]": lambda row: f"{millis(row.low)} to {millis(row.high)}",
         },
         [((name,), estimate) for name, estimate in error_estimates(driven).items()],
-        "CVaR 95 %: mean of the worst twentieth of the runs. Intervals: bootstrap, 2000 samples. A robot that stopped "
-        "by itself counts with how far its reference has gone on.",
+        "CVaR 95 %: mean of the worst 5 % of the runs. Intervals: bootstrap, 2000 samples. For a stopped robot, the "
+        "error grows as its reference continues.",
     )
 
 
@@ -182,17 +182,16 @@ def _unsafe(driven: Sequence[CampaignRun]) -> Table:
         {
             "ticks": lambda kind: str(ticks(kind)),
             "runs": lambda kind: f"{rate(kind).count} of {rate(kind).of}",
-            "share of all runs, at most [%]": lambda kind: percent(rate(kind).bound),
+            "upper bound of the rate [%]": lambda kind: percent(rate(kind).bound),
         },
-        [((_SAID[kind],), kind) for kind in UNSAFE],
-        "Counted by a checker that shares no code with the controller. At most: 95 % confidence, one-sided; none of n "
-        "runs means fewer than 3 in n.",
+        [((_DESCRIPTIONS[kind],), kind) for kind in UNSAFE],
+        "Counted by an independent check. Upper bound: 95 % confidence; about 3/n for 0 of n runs.",
     )
 
 
 def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
-    """Build a table for each factor with a few named values, such as scenarios and paths."""
-    made = []
+    """Build a table for each factor with few values, such as scenario and trajectory."""
+    result = []
     for factor in ("scenario", "trajectory", "plant", "surface", "sensors"):
         groups: dict[str, list[CampaignRun]] = {}
         for run in driven:
@@ -205,14 +204,14 @@ def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
                 "braked": lambda runs: str(sum(run.row.get("stopped") is True for run in runs)),
                 "time behind [s]": lambda runs: number(_mean(runs, "behind_max_s"), 2),
                 "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
-                "worst [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
-                "largest lateral [mm]": lambda runs: millis(_largest(runs, "lateral_max_m")),
+                "maximum [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
+                "maximum lateral [mm]": lambda runs: millis(_max(runs, "lateral_max_m")),
                 "v_ref rate [m/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_v"), 2),
                 "omega_ref rate [rad/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_omega"), 2),
             }
             entries = [((name,), groups[name]) for name in sorted(groups)]
-            made.append(Table.build(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
-    return made
+            result.append(Table.build(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
+    return result
 
 
 def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
@@ -223,38 +222,37 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
         "Boundaries",
         ("factor",),
         {
-            "still holds at": lambda row: value(row.held, row),
-            "no longer at": lambda row: value(row.failed, row),
-            "searched to": lambda row: value(row.search.beyond, row),
-            "values tried": lambda row: str(len(row.values)),
+            "passes at": lambda row: value(row.held, row),
+            "fails at": lambda row: value(row.failed, row),
+            "end of the search": lambda row: value(row.search.beyond, row),
+            "tried values": lambda row: str(len(row.values)),
         },
         [((boundary.factor,), boundary) for boundary in boundaries],
-        f"One factor at a time. It holds where {seeds} seeds all complete and never leave the band; by bisection, "
-        "which takes everything between to be monotone.",
+        f"One factor at a time. A value passes if all {seeds} seeds complete within the band; bisection, assuming a "
+        "monotone result.",
     )
 
 
 def _worst(files: Mapping[str, CampaignRun]) -> Table:
-    def words(run: CampaignRun) -> str:
+    def message(run: CampaignRun) -> str:
         reason = run.row["error"] or run.row.get("ended") or run.row.get("message") or ""
         return str(reason)
 
     return Table.build(
         "Worst runs",
-        ("file", "what it is"),
+        ("file", "run"),
         {
             "completed": lambda row: "yes" if row.row["completed"] else "no",
             "position RMSE [mm]": lambda row: millis(row.number("position_rmse_m")),
-            "largest lateral [mm]": lambda row: millis(row.number("lateral_max_m")),
-            "what was said most": words,
+            "maximum lateral [mm]": lambda row: millis(row.number("lateral_max_m")),
+            "message": message,
         },
-        [((name, _brief(file.definition)), file) for name, file in files.items()],
-        "Each is a file: `diffdrive-mpc repeat FILE` drives it again; where it names files of yours, with "
-        "`--trust-terms FOLDER`.",
+        [((name, _summary(file.definition)), file) for name, file in files.items()],
+        "Each run is a file: `diffdrive-mpc repeat FILE` repeats it, with `--trust-terms FOLDER` for your files.",
     )
 
 
-def _brief(definition: Definition) -> str:
+def _summary(definition: Definition) -> str:
     columns = definition.columns
     parts = [str(columns["trajectory"]), *([str(columns["scenario"])] if columns["scenario"] != "none" else [])]
     return ", ".join([*parts, f"seed {columns['seed']}"])
@@ -265,11 +263,11 @@ def _stopped(run: CampaignRun) -> bool:
 
 
 def _mean(driven: Sequence[CampaignRun], column: str) -> float:
-    """Average the runs that have a value."""
+    """Return the mean over the runs with a value."""
     return _or_nan(np.mean, _known(driven, column))
 
 
-def _largest(driven: Sequence[CampaignRun], column: str) -> float:
+def _max(driven: Sequence[CampaignRun], column: str) -> float:
     return _or_nan(np.max, _known(driven, column))
 
 
@@ -282,10 +280,10 @@ def _or_nan(figure: object, values: FloatArray) -> float:
     return float(figure(values)) if values.size else math.nan  # type: ignore[operator]
 
 
-# What the page of a proof shows: how often it went how, errors of all runs, maps, and where factors stop to hold.
+# Content of the HTML report: outcomes, errors, maps and boundaries.
 
 
-_WORDS_AGAIN = "drive the worst again with `repeat worst/01.yaml --out worst/01`, and read its report"
+_REPEAT_REMEDY = "repeat the worst run with `repeat worst/01.yaml --out worst/01`, and read its report"
 
 
 def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], band: float) -> Shown:
@@ -293,24 +291,24 @@ def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Bound
     rates = Outcomes.of_runs(driven, band)
     return Shown(
         summary=[
-            f"{rates.completed.count} of {rates.completed.of} runs came to their end, {rates.in_band.count} of them "
-            f"never outside the band; {rates.unsafe.count or 'none'} had an unsafe command."
+            f"{rates.completed.count} of {rates.completed.of} runs were completed, {rates.in_band.count} of them "
+            f"within the band; {rates.unsafe.count or 'none'} had an unsafe command."
         ],
         key_figures=_key_figures(driven, rates),
         warnings=_warnings(driven, rates, boundaries, band),
-        configurations=[ConfigurationView("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
+        configurations=[ConfigurationView("Configuration under test (YAML)", commented_yaml(load_config(config)))],
     )
 
 
 def _key_figures(driven: Sequence[CampaignRun], rates: Outcomes) -> list[KeyFigure]:
     tail = error_estimates(driven)[f"{CVAR}, completed runs"]
-    bound = f"with 95 % confidence fewer than {percent(rates.unsafe.bound)} %"
+    bound = f"with 95 % confidence below {percent(rates.unsafe.bound)} %"
     return [
         KeyFigure("completed", f"{100 * rates.completed.share:.1f} %", _interval(rates.completed)),
-        KeyFigure("completed inside the band", f"{100 * rates.in_band.share:.1f} %", _interval(rates.in_band)),
-        KeyFigure("stopped by itself", f"{100 * rates.stopped.share:.1f} %", _interval(rates.stopped)),
+        KeyFigure("completed within the band", f"{100 * rates.in_band.share:.1f} %", _interval(rates.in_band)),
+        KeyFigure("stopped by the controller", f"{100 * rates.stopped.share:.1f} %", _interval(rates.stopped)),
         KeyFigure("unsafe commands", f"{rates.unsafe.count} runs", bound, "bad" if rates.unsafe.count else "good"),
-        KeyFigure("position error, worst twentieth", f"{millis(tail.value)} mm", "CVaR 95 % of completed runs, RMSE"),
+        KeyFigure("position error, worst 5 %", f"{millis(tail.value)} mm", "CVaR 95 % of completed runs, RMSE"),
     ]
 
 
@@ -319,19 +317,19 @@ def _interval(rate: Rate) -> str:
 
 
 def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
-    """Chart the share of completed runs with a larger error, and CVaR; empty without such runs."""
+    """Chart the share of completed runs with a larger error, and CVaR; empty if no run was completed."""
     rmse = 1e3 * errors([run for run in driven if run.row["completed"] is True])
     if not rmse.size:
         return []
     worst = 1e3 * error_estimates(driven)[f"{CVAR}, completed runs"].value
     series = Series("completed runs", *tail(rmse), 0, "line")
-    axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with more", "log")
+    axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with a larger error", "log")
     marks = [Mark(TAIL, f"{100 * TAIL:g} %"), Mark(round(worst, 2), f"{CVAR}: {worst:.1f} mm", upright=True)]
-    return [Chart("How large the error is", *axes, [series], marks=marks)]
+    return [Chart("Distribution of the error", *axes, [series], marks=marks)]
 
 
 def map_chart(drawn: DrivenMap) -> GridMap:
-    """Chart the position error by two factors."""
+    """Chart the position error over two factors."""
     x, y = drawn.axes.x, drawn.axes.y
     values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(
@@ -341,7 +339,7 @@ def map_chart(drawn: DrivenMap) -> GridMap:
         values,
         "position RMSE [mm]",
         (drawn.completed == 0.0).tolist(),
-        "Colours are logarithmic; ×: the run did not come to its end.",
+        "Colours are logarithmic; ×: the run was not completed.",
     )
 
 
@@ -351,19 +349,21 @@ def _warnings(
     warnings = []
     failed = sum(run.row["error"] != "" for run in driven)
     if rates.unsafe.count:
-        words = f"{rates.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."
-        warnings.append(Warned(words, f"do not drive with it; {_WORDS_AGAIN}, and send it to the authors"))
+        text = (
+            f"{rates.unsafe.count} runs had an unsafe command: not finite, or outside the limits of the configuration."
+        )
+        warnings.append(Warned(text, f"do not use this configuration; {_REPEAT_REMEDY}, and report it"))
     if failed:
-        warnings.append(Warned(f"{failed} runs ended in an error and count as not completed.", _WORDS_AGAIN))
+        warnings.append(Warned(f"{failed} runs ended in an error and count as not completed.", _REPEAT_REMEDY))
     if rates.stopped.count:
-        words = f"In {rates.stopped.count} runs the robot stopped by itself: safe, but not at its end."
-        warnings.append(Warned(words, f"look in the tables which scenario that is; {remedies().waited}"))
+        text = f"In {rates.stopped.count} runs the controller stopped the robot safely before the end."
+        warnings.append(Warned(text, f"find the scenarios in the tables; {remedies().waited}"))
     beyond = rates.completed.count - rates.in_band.count
     if beyond:
-        words = f"{beyond} completed runs were further than {1e3 * band:g} mm from the path at some time."
-        warnings.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))
+        text = f"{beyond} completed runs had a distance above {1e3 * band:g} mm from the path."
+        warnings.append(Warned(text, f"keep more distance from obstacles, or drive slower; {_REPEAT_REMEDY}"))
     for boundary in boundaries:
         if boundary.held is None:
-            words = f"{boundary.factor}: not even {boundary.search.holds:g} holds, which should."
-            warnings.append(Warned(words, "look at the maps for what else is at its limit there"))
+            text = f"{boundary.factor}: the value {boundary.search.holds:g} fails and should pass."
+            warnings.append(Warned(text, "check the maps for other factors at their limits"))
     return warnings

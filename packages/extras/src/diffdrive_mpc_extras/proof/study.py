@@ -1,4 +1,4 @@
-"""The proof of a controller as a study: its runs, maps and boundaries, and what is written of them."""
+"""Study of the proof of a controller: runs, maps, boundaries, and output files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CONTROLLER = ("controller", "model", "config")
 
 @dataclass(frozen=True)
 class ProofPlan:
-    """The drawn runs, and the run whose factors the maps and searches vary."""
+    """Drawn runs, and the base run of maps and searches."""
 
     drawn: list[Definition]
     probe: Definition
@@ -50,13 +50,13 @@ class Proven:
     Attributes
     ----------
     driven
-        The runs that were drawn, in order.
+        Drawn runs, in order.
     maps, boundaries
         Results of maps and searches.
     others
-        Runs that these took.
+        Number of runs of maps and searches.
     worst
-        The worst runs by the name of their file.
+        Worst runs by file name.
     """
 
     driven: list[CampaignRun]
@@ -67,20 +67,20 @@ class Proven:
 
 
 class ProofStudy(Study[ProofPlan, Proven]):
-    """Monte Carlo, maps and boundaries of one controller.
+    """Study of one controller: drawn runs, maps and boundaries.
 
     Parameters
     ----------
     config
-        The controller's configuration: a file, or the shipped one of a model.
+        Configuration of the controller: a file, or the name of a shipped one.
     proof
-        What is driven.
+        Campaign, maps and boundaries.
     place
-        Where runs are driven and kept.
+        Store and number of processes.
     runs
-        Number of drawn runs; overrides the proof file.
+        Number of drawn runs; by default that of the proof.
     worst_runs
-        Number of the worst runs to write as files.
+        Number of worst runs that are written as files.
     """
 
     name = "prove"
@@ -93,11 +93,11 @@ class ProofStudy(Study[ProofPlan, Proven]):
         self._config, self._proof, self._place, self._runs, self._worst_runs = config, proof, place, runs, worst_runs
 
     def plan(self) -> ProofPlan:
-        """Draw the runs; raises ConfigError where the campaign names another controller."""
+        """Draw the runs; raises ConfigError if the campaign names a controller."""
         import_arrow()
-        named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
-        if named:
-            raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
+        forbidden = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
+        if forbidden:
+            raise ConfigError(f"factors.{forbidden[0]}: remove it; the controller under test is {self._config}")
         factors = controller_factors(self._config)
         probe = Definition.from_factors(dict(self._proof.probe.factors) | dict(factors), "probe")
         return ProofPlan(
@@ -105,18 +105,16 @@ class ProofStudy(Study[ProofPlan, Proven]):
         )
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
-        """Return the run whose factors the maps vary."""
+        """Return the case of the base run."""
         return [plan.probe.case]
 
     def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
-        """Drive everything that the store of the place does not have."""
+        """Simulate all runs that are not stored yet."""
         place, proof = replace(self._place, jobs=jobs), self._proof
         driven = drive_all(plan.drawn, place, bar, "driving runs")
         map_definitions = [map_runs(axes, plan.probe, proof.probe.seeds[0]) for axes in proof.maps.values()]
         mapped = drive_all([run for runs in map_definitions for run in runs], place, bar, "driving maps")
-        maps = [
-            drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), map_definitions, strict=True)
-        ]
+        maps = [drawn_map(*item, runs, mapped) for item, runs in zip(proof.maps.items(), map_definitions, strict=True)]
         tried: dict[str, CampaignRun] = {run.key: run for run in mapped}
 
         def drive(runs: list[Definition]) -> list[CampaignRun]:
@@ -125,12 +123,12 @@ class ProofStudy(Study[ProofPlan, Proven]):
             return outcomes
 
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive, proof.band)
-        listed = worst(driven, self._worst_runs)
-        files = {f"{k:02d}.yaml": run for k, run in enumerate(listed, start=1)}
+        worst_runs = worst(driven, self._worst_runs)
+        files = {f"{k:02d}.yaml": run for k, run in enumerate(worst_runs, start=1)}
         return Proven(driven, maps, boundaries, len(tried), files)
 
-    def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """Build tables, and figures of the errors and of each map."""
+    def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - not used
+        """Return the report with tables, and figures of the errors and of each map."""
         estimates, tail = error_estimates(results.driven), tail_charts(results.driven)
         figures = ({"errors.png": tail} if tail else {}) | {
             f"map-{proof_map.name}.png": [map_chart(proof_map)] for proof_map in results.maps
@@ -153,8 +151,8 @@ class ProofStudy(Study[ProofPlan, Proven]):
         )
 
 
-def keep(proven: Proven, out: Path) -> None:
-    """Write the table of the drawn runs and the worst of them into `out`; raises ConfigError if that cannot be."""
+def write_proof(proven: Proven, out: Path) -> None:
+    """Write the table of the drawn runs and the worst runs into `out`; raises ConfigError if this fails."""
     write_table([run.columns for run in proven.driven], out / RESULTS)
     for old in (out / WORST).glob("[0-9][0-9].yaml"):
         old.unlink()
@@ -163,7 +161,7 @@ def keep(proven: Proven, out: Path) -> None:
 
 
 def controller_factors(config: str) -> Mapping[str, Value]:
-    """Return the factors that name a controller; raise ConfigError if the configuration does not exist."""
+    """Return the factors of a controller; raises ConfigError if the configuration does not exist."""
     load_config(config)
     return {"model": config} if is_shipped(config) else {"config": config, "model": load_config(config).model}
 
