@@ -19,6 +19,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.statistics import student_factor
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
@@ -72,7 +73,10 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     if not motion:
         return None
     identified = report.fitted.identified
-    slip = _explained(motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification)
+    deviations = _deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}"))
+    slip, deviation = _explained(
+        motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
+    )
     features = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
@@ -90,7 +94,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         sensors=log_sensors(identification, config),
         sample_time=identification.report.data.validation[0].dt,
         block_time=identification_settings().block_time,
-        gain_deviation=_deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}")),
+        gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_rounded(variance),
         largest=_rounded(known.max(axis=0)),
@@ -98,8 +102,12 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     )
 
 
-def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
+def _explained(
+    motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification
+) -> tuple[BodySlip, float | None]:
     """Return the slip of the surface that the poses show, and take it out of `motion`: it is no motion of chance.
+
+    Return also the standard deviation of the forward gain by the scatter of blocks; None without poses.
 
     Encoders measure neither the radius of the wheels nor side-slip. Records without poses stay as they are. The gain is
     that of means over blocks: in shorter ones the response to changes of the command counts as gain.
@@ -111,7 +119,7 @@ def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identifi
         if record.pose is not None
     ]
     if not pairs:
-        return slip
+        return slip, None
     block = round(identification_settings().block_time / validation[0].dt)
     ahead, v = (
         np.concatenate([np.convolve(part[:, 0], np.ones(min(block, len(part))), "valid") for part in parts])
@@ -119,11 +127,14 @@ def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identifi
     )
     left, turning = np.concatenate([[rows[:, 1], twist.prod(axis=1)] for rows, twist in pairs], axis=1)
     gain, side_slip = ahead @ v / (v @ v), max(-(left @ turning) / (turning @ turning), -slip.side_slip)
+    deviation = math.sqrt(block * np.sum(((ahead - gain * v) * v) ** 2)) / (v @ v)
+    deviation *= student_factor(max(1, sum(len(rows) for rows, _ in pairs) // block - 1))
     for rows, twist in pairs:
         rows[:, 0] -= gain * twist[:, 0]
         rows[:, 1] += side_slip * twist.prod(axis=1)
     values = {"longitudinal_gain": slip.longitudinal_gain + gain, "side_slip": slip.side_slip + side_slip}
-    return slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
+    slip = slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
+    return slip, float(f"{deviation:.3g}")
 
 
 def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
