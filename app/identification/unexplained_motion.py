@@ -19,6 +19,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.statistics import student_factor
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
@@ -73,7 +74,10 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     if not motion:
         return None
     identified = report.fitted.identified
-    slip = _subtract_slip(motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification)
+    deviations = _deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}"))
+    slip, deviation = _subtract_slip(
+        motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
+    )
     features = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
@@ -91,7 +95,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         sensors=log_sensors(identification, config),
         sample_time=identification.report.data.validation[0].dt,
         block_time=identification_settings().block_time,
-        gain_deviation=_deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}")),
+        gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_rounded(variance),
         largest=_rounded(known.max(axis=0)),
@@ -99,8 +103,12 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     )
 
 
-def _subtract_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
+def _subtract_slip(
+    motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification
+) -> tuple[BodySlip, float | None]:
     """Return the slip of the surface according to the poses, and subtract it from `motion`, which is random only.
+
+    Return also the standard deviation of the forward gain from the scatter of blocks; None without poses.
 
     Encoders measure neither the wheel radius nor side-slip. Records without poses are unchanged. The gain is computed
     from means over blocks; in shorter blocks the response to changes of the command would affect it.
@@ -112,7 +120,7 @@ def _subtract_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], iden
         if record.pose is not None
     ]
     if not pairs:
-        return slip
+        return slip, None
     block = round(identification_settings().block_time / validation[0].dt)
     ahead, v = (
         np.concatenate([np.convolve(part[:, 0], np.ones(min(block, len(part))), "valid") for part in parts])
@@ -120,11 +128,14 @@ def _subtract_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], iden
     )
     left, turning = np.concatenate([[rows[:, 1], twist.prod(axis=1)] for rows, twist in pairs], axis=1)
     gain, side_slip = ahead @ v / (v @ v), max(-(left @ turning) / (turning @ turning), -slip.side_slip)
+    deviation = math.sqrt(block * np.sum(((ahead - gain * v) * v) ** 2)) / (v @ v)
+    deviation *= student_factor(max(1, sum(len(rows) for rows, _ in pairs) // block - 1))
     for rows, twist in pairs:
         rows[:, 0] -= gain * twist[:, 0]
         rows[:, 1] += side_slip * twist.prod(axis=1)
     values = {"longitudinal_gain": slip.longitudinal_gain + gain, "side_slip": slip.side_slip + side_slip}
-    return slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
+    slip = slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
+    return slip, float(f"{deviation:.3g}")
 
 
 def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
