@@ -61,7 +61,7 @@ def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
     log = write_csv(tmp_path / "log.csv", columns)
     with pytest.raises(ConfigError, match=r"wheels\.track") as caught:
         load_mapping(draft_of(log, tmp_path))
-    assert "'sample_time' [s] for a log without one" in str(caught.value)
+    assert "'sample_time' [s] for a log without time stamps" in str(caught.value)
     filled = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
     filled = filled.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
     mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", filled))

@@ -202,7 +202,7 @@ def test_invalid_input_raises_one_clear_line():
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
     with pytest.raises(ValueError, match="never changes"):
         identify_sm([record(np.ones((100, 2)), drive.twist[:100])])
-    with pytest.raises(ValueError, match="did the robot move"):
+    with pytest.raises(ValueError, match="check that the sensor is connected"):
         identify_sm([record(drive.command, np.zeros((200, 2)))])
 
 

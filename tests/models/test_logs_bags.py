@@ -445,7 +445,7 @@ def _data_base(path: Path, change: str) -> Path:
         (
             "DROP TABLE messages; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (1, 10)",
-            "not the tables of a bag",
+            "not just the tables of a bag",
         ),
     ],
 )
@@ -458,7 +458,7 @@ def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) 
     metadata = {"relative_file_paths": ["bag.mcap.zstd"], "compression_format": "zstd", "compression_mode": "FILE"}
     (tmp_path / "bag.mcap.zstd").write_bytes(b"")
     (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
-    assert "compressed as a whole; unpack the bag" in _refused(tmp_path)
+    assert "its whole files are compressed; unpack the bag" in _refused(tmp_path)
 
 
 def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
@@ -494,7 +494,7 @@ def test_file_that_is_named_again_is_refused_at_once(tmp_path: Path, count: int)
     (bag / "linked.db3").symlink_to("bag.db3")
     stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
     metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
-    with pytest.raises(ConfigError, match="under several names"):
+    with pytest.raises(ConfigError, match="several names for one file"):
         read_log(bag)
 
 
@@ -513,7 +513,7 @@ _ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
     ],
 )
 def test_views_and_virtual_tables_of_a_data_base_are_refused(tmp_path: Path, change: str) -> None:
-    assert "not the tables of a bag" in _refused(_data_base(tmp_path / "bag.db3", change))
+    assert "not just the tables of a bag" in _refused(_data_base(tmp_path / "bag.db3", change))
 
 
 def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

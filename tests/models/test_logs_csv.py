@@ -193,7 +193,7 @@ def test_rows_are_chosen_by_time_and_by_the_value_of_a_column(tmp_path):
     chosen = MAPPING + "  where: {mode: auto}\ntimes: [[3.0, 8.0], [12.0, 14.0]]\n"
     log = read_log(path, write_mapping(tmp_path / "map.yaml", chosen))
     assert [(round(r.start, 2), round(r.end, 2)) for r in log.records] == [(4.0, 8.0), (12.0, 14.0)]
-    with pytest.raises(ConfigError, match="no row has"):
+    with pytest.raises(ConfigError, match="no row satisfies 'where'"):
         read_log(path, write_mapping(tmp_path / "map.yaml", chosen.replace("auto", "automatic")))
 
 
@@ -309,7 +309,7 @@ def test_a_row_cut_off_at_the_end_is_left_out(tmp_path):
             "unit: Input should be 'rad/s', 'deg/s', 'rpm' or 'rev/s'",
         ),
         ("yaw_rate: gyro", "yaw_rate: {column: gyro, sing: -1}", "did you mean 'columns.gyro.yaw_rate.sign'?"),
-        ("v: v_ref, omega: omega_ref", "v: v_ref", "columns.command: 'v' needs 'omega' beside it"),
+        ("v: v_ref, omega: omega_ref", "v: v_ref", "columns.command: 'v' also needs 'omega'"),
         ("columns:", "time: t\ncolumns:", "unknown key 'time'; did you mean 'columns.time' or 'times'?"),
         ("columns:", "source: !!python/object/new:os.mkdir [x]\ncolumns:", "unknown tag"),
     ],
