@@ -1,7 +1,8 @@
-"""The command line `diffdrive-mpc`: the commands of `app.commands`, and commands that installed packages register.
+"""Command line `diffdrive-mpc` with the commands of `app.commands` and of installed packages.
 
-A command imports its dependencies when it runs. Entry points of the group `diffdrive_mpc.commands` add commands: the
-name of an entry is the name of the command, or `GROUP.NAME` for a command of a group such as `models`.
+A command imports its dependencies when it is run. Packages add commands by entry points of the group
+`diffdrive_mpc.commands`; the name of an entry point is the name of the command, or `GROUP.NAME` for a command of a
+group such as `models`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _HOME = "diffdrive_mpc.app.commands"
 
 
 class Commands(PackagedGroup, OneLineErrors):
-    """The commands of this package and of installed packages."""
+    """Group of the commands of this package and of installed packages."""
 
 
 class CommandEntry(NamedTuple):
@@ -42,7 +43,7 @@ class CommandEntry(NamedTuple):
     function: str = ""
     """Name of the function; if empty, the name of the command."""
     passed_on: bool = False
-    """True if the command passes unknown words on, for instance to ROS."""
+    """Whether the command forwards unknown arguments, for instance to ROS."""
 
 
 _COMMANDS = {
@@ -63,8 +64,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     Parameters
     ----------
     words
-        First words of the command line. If the first word is a command, only that command is imported; if it is a
-        group, only the commands of that group.
+        First words of the command line. If the first word is the name of a command, only that command is imported; if
+        it is the name of a group, only the commands of the group are imported.
     """
     app = typer.Typer(
         cls=Commands,
@@ -76,35 +77,35 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     )
     app.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
     added = {name: name.partition(".") for name in plug_in_names("commands")}
-    every = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
-    chosen = {*words[:1]} & every or every
+    names = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
+    selected = {*words[:1]} & names or names
     for name, entry in _COMMANDS.items():
-        if name in chosen:
+        if name in selected:
             _add_command(app, name, entry)
     groups = {}
     for name, module in _GROUPS.items():
-        if name in chosen:
+        if name in selected:
             groups[name] = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
             app.add_typer(groups[name], name=name, rich_help_panel="Files")
     for entry_name, (first, _, second) in added.items():
         is_named = not second or not words[1:] or words[1] == second or words[1].startswith("-")
-        if first in chosen and is_named:
+        if first in selected and is_named:
             _add_plug_in(groups[first] if second else app, entry_name, second or first)
     return app
 
 
 def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
     home = import_module(f"{_HOME}.{entry.module}")
-    called = entry.function or name
-    example = getattr(home, f"{called.upper()}_EXAMPLE")
+    function = entry.function or name
+    example = getattr(home, f"{function.upper()}_EXAMPLE")
     add = app.command(name, epilog=example, rich_help_panel=entry.panel, context_settings=_settings(entry.passed_on))
-    add(getattr(home, called))
+    add(getattr(home, function))
 
 
 def _add_plug_in(app: typer.Typer, entry_name: str, name: str) -> None:
-    """Add the command of a package; if the package cannot be imported, add a command that raises the reason."""
+    """Add the command of a package; if it cannot be imported, add a command that raises an error with the reason."""
     if name in {command.name for command in app.registered_commands}:
-        return  # groups are shared by all command lines of a process
+        return  # all command lines of a process share the groups
     try:
         plugged: PluggedCommand = plug_in("commands", entry_name)
     except ImportError as error:
@@ -123,8 +124,8 @@ def _settings(passed_on: bool) -> dict[str, Any] | None:
     return import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         from importlib.metadata import version
 
         echo(f"diffdrive-mpc {version('diffdrive-mpc')}")
@@ -139,12 +140,12 @@ def _options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Accept the options of the program, which no command has."""
+    """Accept the options of the program itself."""
 
 
 @cache
 def __getattr__(name: str) -> typer.Typer:
-    """Create `app`, the whole command line, on first access."""
+    """Create `app`, the complete command line, on first access."""
     if name != "app":
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return command_line()
@@ -153,13 +154,13 @@ def __getattr__(name: str) -> typer.Typer:
 def main() -> None:
     """Run the console command."""
     leave_on_sigterm()
-    # Matrices are small, and campaigns run in several processes: threads of NumPy cost more time than they save, and
-    # their number changes the rounding. Settings of the user take precedence.
+    # The matrices are small and studies run in several processes, so threads of NumPy take more time than they save;
+    # their number also changes rounding errors. Settings of the user take precedence.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
-    app = command_line([] if completing else sys.argv[1:3])
-    # Command completion must not print the shortened help.
-    if not completing:
+    is_completion = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
+    app = command_line([] if is_completion else sys.argv[1:3])
+    # Shell completion needs the complete options.
+    if not is_completion:
         build_named_options(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

@@ -1,4 +1,4 @@
-"""The configuration schema as a table, and the defaults that depend on the papers' robot."""
+"""Configuration schema as a table, and default values of the papers' robot."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _OF_THE_ROBOT = {
     "wheels.track": "m",
     "wheels.encoder_track": "m",
 }
-"""Keys whose default is a parameter of the papers' robot, with their unit."""
+"""Units of the keys whose default value is a parameter of the papers' robot."""
 
 
 def robot_defaults(config: ControllerConfig) -> list[str]:
-    """List the defaults of the papers' robot in a configuration, as `key value unit`; empty for a shipped model."""
+    """List default values of the papers' robot in a configuration as `key value unit`; empty for a built-in model."""
     if is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
@@ -48,12 +48,12 @@ def check_term_files(config: ControllerConfig) -> list[str]:
     files = list(dict.fromkeys(term.file for term in config.terms))
     for file in files:
         if not is_file(file):
-            raise ConfigError(f"{file}: no such Python file; give its path relative to the configuration's folder")
+            raise ConfigError(f"{file}: no such Python file; state its path relative to the configuration's folder")
     return files
 
 
 def feasibility(controller: Controller, name: str) -> Iterator[str]:
-    """Yield lines on the feasibility of a trajectory within the robot's limits, and on a timing that makes it feasible.
+    """Yield lines on the feasibility of a trajectory within the robot's limits, and on a feasible timing.
 
     Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
     """
@@ -64,13 +64,13 @@ def feasibility(controller: Controller, name: str) -> Iterator[str]:
     with suppress(ConfigError):
         smooth = load_trajectory(name, controller.config, "smooth") if shortfall else None
         if smooth and not controller.find_shortfall(smooth):
-            yield f"timing: smooth makes it feasible, in {smooth.duration:.1f} s"
+            yield f"timing: smooth makes the reference feasible, in {smooth.duration:.1f} s"
 
 
 def print_schema(part: str | None = None) -> None:
-    """Print the schema as a table, or only the group or key `part`; a pipe gets a table without line breaks.
+    """Print the schema, or only the group or key `part`, as a table; in a pipe, the cells have no line breaks.
 
-    Raises ConfigError if there is no such part.
+    Raises ConfigError if `part` is unknown.
     """
     shown = [row for row in (*schema_rows(), *feature_rows()) if part is None or _is_part(row.key, part)]
     if part is not None and not shown:
@@ -86,9 +86,9 @@ def print_schema(part: str | None = None) -> None:
 
 
 def _is_part(key: str, part: str) -> bool:
-    """Return True if a key is `part` or belongs to it, with or without the prefix `expert`.
+    """Return True if a key is `part` or belongs to `part`, with or without the prefix `expert`.
 
     The part `expert` contains all keys for experts.
     """
-    plain, whole = plain_key(key), plain_key(part)
-    return key.startswith(f"{part}.") or plain == whole or plain.startswith((f"{whole}.", f"{whole}[]."))
+    plain, plain_part = plain_key(key), plain_key(part)
+    return key.startswith(f"{part}.") or plain == plain_part or plain.startswith((f"{plain_part}.", f"{plain_part}[]."))

@@ -1,4 +1,4 @@
-"""Checks of this computer for `diffdrive-mpc doctor`: one line per check, with a remedy if it fails."""
+"""Checks of this computer for `diffdrive-mpc doctor`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from packaging.version import Version
 _SHOWN = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco")
 _GOVERNORS = "sys/devices/system/cpu"
 _REAL_TIME_PRIORITY = 80
-"""Priority that `chrt -f 80` needs; on PREEMPT_RT interrupt threads run at 50."""
+"""Priority of `chrt -f 80`; with PREEMPT_RT, interrupt threads have the priority 50."""
 _PROBE_TIMEOUT = 20.0  # s
 _ROS_PROBE = """
 import rclpy
@@ -27,30 +27,30 @@ rclpy.init()
 print(get_rmw_implementation_identifier())
 rclpy.shutdown()
 """
-_ROS_REMEDY = "only `node` and `sim-robot` need it: source the setup file of ROS, or pip install 'diffdrive-mpc[ros]'"
+_ROS_REMEDY = "only for `node` and `sim-robot`: source the setup file of ROS, or pip install 'diffdrive-mpc[ros]'"
 _LIMITS_REMEDY = "on a robot add 'USER - rtprio 98' to /etc/security/limits.d/robot.conf"
 
 
 class Check(NamedTuple):
-    """Result of one check."""
+    """Result of a check."""
 
     name: str
     is_ok: bool
     finding: str
     remedy: str = ""
     is_required: bool = False
-    """True if the controller cannot run when the check fails."""
+    """Whether the controller requires that the check succeeds."""
 
     @property
     def line(self) -> str:
-        """The check as one line of text."""
+        """Line of text with status, name, finding and remedy."""
         status = "OK" if self.is_ok else "MISSING" if self.is_required else "WARN"
         remedy = "" if self.is_ok or not self.remedy else f"; {self.remedy}"
         return f"{status:8}{self.name:14}{self.finding}{remedy}"
 
 
 def examine() -> Iterator[Check]:
-    """Run all checks in order. A check that raises counts as failed."""
+    """Run all checks in order; a check that raises an exception counts as failed."""
     for check in (_python, _dependencies, _controller, _compiler, _mujoco, _ros, _governor, _priority):
         yield _run_check(check)
 
@@ -61,7 +61,7 @@ def _run_check(check: Callable[[], Check]) -> Check:
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         name = check.__name__.strip("_")
-        return Check(name, False, reason, "report this with the output above", is_required=check in _REQUIRED)
+        return Check(name, False, reason, "report this error with the output above", is_required=check in _REQUIRED)
 
 
 def _python() -> Check:
@@ -70,20 +70,20 @@ def _python() -> Check:
 
 
 def _dependencies() -> Check:
-    """Compare installed versions with the requirements of the package, without its extras."""
+    """Compare installed versions with the requirements of the package without its extras."""
     requirements = [Requirement(text) for text in requires("diffdrive-mpc") or []]
     required = [
         requirement
         for requirement in requirements
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
     ]
-    faults = [fault for requirement in required if (fault := _fault(requirement))]
+    problems = [problem for requirement in required if (problem := _problem(requirement))]
     versions = ", ".join(f"{name} {_installed_version(name)}" for name in _SHOWN)
     remedy = "pip install --upgrade diffdrive-mpc"
-    return Check("dependencies", not faults, "; ".join(faults) or versions, remedy, is_required=True)
+    return Check("dependencies", not problems, "; ".join(problems) or versions, remedy, is_required=True)
 
 
-def _fault(requirement: Requirement) -> str:
+def _problem(requirement: Requirement) -> str:
     installed = _installed_version(requirement.name)
     if installed is None:
         return f"{requirement.name} is not installed"
@@ -99,7 +99,7 @@ def _installed_version(distribution: str) -> str | None:
 
 
 def _controller() -> Check:
-    """Run two steps of the shipped controller, which loads or compiles its core."""
+    """Run two steps of a controller, which loads or compiles the core."""
     from diffdrive_mpc.models.interface import Measurement, Stamped  # noqa: PLC0415 - a broken import is a finding
     from diffdrive_mpc.mpc import Controller, load_config, load_trajectory  # noqa: PLC0415
     from diffdrive_mpc.mpc.core.packaged import packaged_libraries  # noqa: PLC0415
@@ -120,7 +120,7 @@ def _compiler() -> Check:
     try:
         path, words = find_compiler()
     except NotCompiledError:
-        return Check("compiler", False, "no C compiler", "custom costs and models need one: apt install gcc")
+        return Check("compiler", False, "no C compiler", "custom costs and models need a compiler: apt install gcc")
     return Check("compiler", True, f"{Path(path).name}: {words.splitlines()[0]}")
 
 
@@ -133,7 +133,7 @@ def _mujoco() -> Check:
 
 
 def _ros() -> Check:
-    """Import rclpy in a separate process, because a defective middleware can kill the process."""
+    """Import rclpy in a separate process, because faulty middleware can crash the process."""
     sourced = os.environ.get("ROS_DISTRO", "")
     probe = subprocess.run(
         [sys.executable, "-c", _ROS_PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT, check=False
@@ -142,16 +142,16 @@ def _ros() -> Check:
         return Check("ROS 2", True, f"rclpy with {probe.stdout.split()[-1]}" + (f", {sourced}" if sourced else ""))
     reason = (probe.stderr.strip() or f"exit code {probe.returncode}").splitlines()[-1]
     if sourced:
-        remedy = "use ROS's own Python: python3 -m venv --system-site-packages"
+        remedy = "use the Python of ROS: python3 -m venv --system-site-packages"
         return Check("ROS 2", False, f"{sourced} is sourced, but rclpy does not start ({reason})", remedy)
     return Check("ROS 2", False, f"rclpy does not start ({reason})", _ROS_REMEDY)
 
 
 def _governor(root: Path = Path("/")) -> Check:
-    """Read the CPU frequency governors; virtual machines usually have none."""
+    """Read the CPU frequency governors; virtual machines usually have no governors."""
     files = sorted((root / _GOVERNORS).glob("cpu[0-9]*/cpufreq/scaling_governor"))
     governors = sorted({file.read_text(encoding="utf-8").strip() for file in files})
-    remedy = "steps vary in time: sudo cpupower frequency-set -g performance"
+    remedy = "the duration of steps varies: sudo cpupower frequency-set -g performance"
     finding = ", ".join(governors) or "no CPU governor is visible"
     return Check("CPU governor", governors in ([], ["performance"]), finding, remedy)
 

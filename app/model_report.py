@@ -15,11 +15,11 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 _LABEL = 19
-"""Width of the column of labels in a model's text, with the space after it [characters]."""
+"""Width of the column of labels, including the space between the columns [characters]."""
 
 
 def print_models() -> None:
-    """Print one row for each shipped model."""
+    """Print one row for each built-in model."""
     rows = []
     for name in model_names():
         model = load_model(name)
@@ -27,12 +27,12 @@ def print_models() -> None:
         lags = [f"{1e3 * lag:.0f}" for lag in model.lag]
         rows.append((name, str(model.provenance.get("origin", "")), str(model.order), *gains, *lags))
     columns = ("model", "origin", "states", "gain v [-]", "gain omega [-]", "lag v [ms]", "lag omega [ms]")
-    note = "Lag: mean delay from command to output, dead time included. More: diffdrive-mpc models show NAME"
+    note = "Lag: mean delay from command to output, including dead time. Details: diffdrive-mpc models show NAME"
     output_console().print(Table("Velocity models", columns, tuple(rows), text_columns=2, note=note).rich())
 
 
 def print_model(name: str) -> None:
-    """Print all properties of one model; raise ConfigError or ModelError if it cannot be loaded."""
+    """Print all properties of a model; raise ConfigError or ModelError if the model cannot be loaded."""
     console = output_console()
     for line in model_text(load_model(name), console.width).splitlines():
         for part in _wrap(line, console.width):
@@ -46,7 +46,7 @@ def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
 
 
 def _wrap(line: str, width: int) -> list[str]:
-    """Wrap a line between words, and indent continuation lines to the column of values; do not break words."""
+    """Wrap a line between words and indent continuation lines to the column of values."""
     return textwrap.wrap(line, width, subsequent_indent=" " * _LABEL, break_long_words=False, break_on_hyphens=False)
 
 

@@ -1,4 +1,4 @@
-"""Log of a run, written by `simulate --log`: CSV, or MCAP with a description of the run."""
+"""Log of a run, as written by `simulate --log`: CSV, or MCAP with a description of the run."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ WriteLog = Callable[..., None]
 
 
 def holds_plans(log: Path | None) -> bool:
-    """Return True if a log of this name contains predicted plans, so that the run must store them."""
+    """Return True if the format of a log contains predicted plans, which the run must then store."""
     return log is not None and log.suffix == ".mcap"
 
 
 @contextmanager
 def run_log(log: Path | None) -> Iterator[WriteLog]:
-    """Yield a function that writes a run's log; on exit the complete file appears, or no file after a failure.
+    """Yield a function that writes the log of a run; on exit the complete file is created, or no file after a failure.
 
-    The function takes the run, its case, and the arguments of the command that repeats the run, by default `simulate`.
+    Its arguments are the run, the case, and the arguments of the command that repeats the run, by default `simulate`.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be written; the message names the option. It is raised on entry or on exit.
+        If the file cannot be written; the message contains the name of the option. Raised on entry or on exit.
     """
     if log is None:
         yield lambda *_: None
@@ -69,17 +69,17 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
 def repeat_arguments(case: Case) -> list[str]:
     """Return the arguments of `simulate` that repeat a case."""
-    chosen = [
+    changed = [
         dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
     ]
-    words = [word for option in chosen for word in (option.option, str(getattr(case, option.name)))]
+    words = [word for option in changed for word in (option.option, str(getattr(case, option.name)))]
     words += ["--config", case.config] if case.config else []
     words += ["--scale-to-robot"] if case.scaled else []
     return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]
 
 
 def _metadata(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
-    """Return the metadata of a run by the name of the metadata record."""
+    """Return the metadata of a run by name of the metadata record."""
     labels = {name: str(value) for name, value in case.labels.items()}
     version = {"version": project_version(), "repeat": shlex.join(["diffdrive-mpc", *command])}
     metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}

@@ -1,7 +1,7 @@
-"""JSON Schemas of controller, model and trajectory files, derived from the classes that read them.
+"""JSON Schemas of controller, model and trajectory files, derived from the classes that read these files.
 
-`python -m diffdrive_mpc.app.schemas` writes the schemas into the clone; with a folder as argument, into the copy of the
-package in this folder. A wheel contains the schemas.
+`python -m diffdrive_mpc.app.schemas` writes the schemas to the clone, or to the copy of the package in the folder that
+is given as argument. A wheel contains the schemas.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ SCHEMAS = {
     "model": PACKAGE / "models" / "schemas" / "model.schema.json",
     "trajectory": PACKAGE / "mpc" / "schemas" / "trajectory.schema.json",
 }
-"""Path of each JSON Schema by the kind of file. A schema is in the folder of the module that reads the file, so that
-shipped files refer to it by the same relative path in a clone and in an installed wheel."""
+"""Path of the JSON Schema by kind of file. A schema is in the folder of the package that reads the file, so that its
+path relative to a built-in file is the same in a clone and in an installed wheel."""
 
 
 def json_schema(kind: str) -> str:
-    """Return the JSON Schema of a kind of file as text, including the structures of installed packages.
+    """Return the JSON Schema of a kind of file as text, with the structures of installed packages.
 
-    Raises ConfigError if there is no such schema.
+    Raises ConfigError if the kind is unknown.
     """
     if kind not in SCHEMAS:
-        raise ConfigError(f"--json: there is no schema of '{kind}'; give {', '.join(SCHEMAS)}")
+        raise ConfigError(f"--json: there is no schema of '{kind}'; use {', '.join(SCHEMAS)}")
     return json.dumps(_reject_other_keys(_SCHEMAS[kind]()), indent=2) + "\n"
 
 
 def write_all(package: Path = PACKAGE) -> None:
-    """Write every schema into the package, or into a copy of it; raise OSError if a file cannot be written."""
+    """Write every schema to the package, or to a copy of the package; raise OSError if a file cannot be written."""
     for kind, place in SCHEMAS.items():
         file = package / place.relative_to(PACKAGE)
         file.parent.mkdir(exist_ok=True)
@@ -56,30 +56,30 @@ def write_all(package: Path = PACKAGE) -> None:
 def _reject_other_keys(node: Any) -> Any:  # noqa: ANN401 - any part of a schema
     """Add `additionalProperties: false` to objects with patterns, because the readers reject unmatched keys."""
     if isinstance(node, Mapping):
-        inside = {key: _reject_other_keys(inner) for key, inner in node.items()}
-        return {"additionalProperties": False, **inside} if "patternProperties" in node else inside
-    return [_reject_other_keys(inner) for inner in node] if isinstance(node, list) else node
+        entries = {key: _reject_other_keys(entry) for key, entry in node.items()}
+        return {"additionalProperties": False, **entries} if "patternProperties" in node else entries
+    return [_reject_other_keys(entry) for entry in node] if isinstance(node, list) else node
 
 
 def _controllers() -> Schema:
-    """Split each group into its keys for users and its keys for experts."""
-    whole = ControllerConfig.model_json_schema()
-    groups = whole["$defs"]
-    rooms: tuple[Schema, Schema] = ({}, {})
-    for name, field in whole["properties"].items():
+    """Split each group into keys for users and keys for experts."""
+    complete = ControllerConfig.model_json_schema()
+    groups = complete["$defs"]
+    sections: tuple[Schema, Schema] = ({}, {})
+    for name, field in complete["properties"].items():
         reference = field.get("$ref") or next((part["$ref"] for part in field.get("allOf", ()) if "$ref" in part), None)
         if reference is None:
-            rooms[not is_for_users(name)][name] = field
+            sections[not is_for_users(name)][name] = field
             continue
         group = groups[reference.rsplit("/", 1)[-1]]
-        for room, is_wanted in zip(rooms, (True, False), strict=True):
+        for section, for_users in zip(sections, (True, False), strict=True):
             keys = {
-                key: part for key, part in group["properties"].items() if is_for_users(f"{name}.{key}") == is_wanted
+                key: part for key, part in group["properties"].items() if is_for_users(f"{name}.{key}") == for_users
             }
             if keys:
-                room[name] = {**group, "properties": keys}
-    expert = {"type": "object", "title": "For experts", "additionalProperties": False, "properties": rooms[1]}
-    return {**whole, "properties": rooms[0] | {EXPERT: expert}}
+                section[name] = {**group, "properties": keys}
+    expert = {"type": "object", "title": "For experts", "additionalProperties": False, "properties": sections[1]}
+    return {**complete, "properties": sections[0] | {EXPERT: expert}}
 
 
 def _models() -> Schema:

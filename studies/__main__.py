@@ -1,4 +1,4 @@
-"""`python -m studies NAME`, in the folder of a clone."""
+"""Entry point of `python -m studies NAME`, for use in a clone."""
 
 from studies.cli import main
 

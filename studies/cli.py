@@ -1,7 +1,7 @@
 """Command line of the studies, `python -m studies NAME` in a clone.
 
-The studies of a package are in `packages/PACKAGE/studies/NAME`; `command.py` defines the function `run` and `EXAMPLE`.
-`studies` is a namespace package that includes the folders of the packages.
+The studies of a package are in `packages/PACKAGE/studies/NAME`, where `command.py` defines `run` and `EXAMPLE`.
+`studies` is a namespace package that includes these folders.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from studies.commands import shipped_models_app
 
 
 class Studies(OneLineErrors):
-    """Group of the commands of all studies."""
+    """Group of commands, one for each study."""
 
     program = "python -m studies"
 
@@ -31,14 +31,14 @@ app = typer.Typer(
     rich_markup_mode=None,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Repeat a study, which provides the evidence for claims of this project.",
+    help="Repeat a study, which provides evidence for the claims of this project.",
 )
 for _name, _study in commands.STUDIES.items():
     app.command(_name, epilog=commands.EXAMPLES[_name])(_study)
 
 
 def _package_studies() -> Iterator[tuple[str, ModuleType]]:
-    """Make the studies of packages importable; yield name and module of each command."""
+    """Make the studies of packages importable; yield the name and the module of each command."""
     for file in sorted(Path(__file__).resolve().parents[1].glob("packages/*/studies/*/command.py")):
         package, name = str(file.parents[2]), file.parent.name
         if package not in sys.path:

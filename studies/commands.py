@@ -32,12 +32,12 @@ def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
 
 
 def _names(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """Create an option that takes names separated by commas."""
+    """Create an option that accepts names separated by commas."""
     return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{content}.", show_default=default)
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """Run a study with `bench.study.carry_out`, which is imported here because --help does not need it."""
+    """Run a study with `bench.study.carry_out`."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)
@@ -46,12 +46,12 @@ def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -
 def tracking(
     *,
     out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
-    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of less than a minute.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
     only: Annotated[str | None, _parts_option("targets, ablation, cross, surfaces, scenarios, floor, bound")] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
+    """Run the tracking study and write its tables and figures; takes about ten minutes on two cores."""
     from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does not need it
 
     if quick and study is not None:
@@ -63,7 +63,7 @@ def tracking(
 def reproduce(
     *,
     out: Annotated[Path, out_option("report.html, reproduce.json, reproduce.md and figures/")],
-    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of less than a minute.")] = False,
     only: Annotated[str | None, _parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
     data: Annotated[
         Path | None,
@@ -71,7 +71,7 @@ def reproduce(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Repeat the papers' experiments on the simulated robot, and report confirmed findings: minutes on two cores."""
+    """Repeat the papers' experiments on the simulated robot and report confirmed findings; takes minutes."""
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does not need it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
@@ -87,7 +87,7 @@ def peers(
     settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Tune all peers by the same search with one budget on the same runs: about 20 minutes on two cores."""
+    """Tune all peers by the same search on the same runs with the same budget; takes about 20 minutes on two cores."""
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does not need it
 
@@ -118,11 +118,11 @@ def robustness(
     seeds: Annotated[str, typer.Option(metavar="LIST", help="Number of seeds, or a list of seeds.")] = "1",
     robots: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of random robots from the market's range to drive, without conditions."),
+        typer.Option(min=1, help="Number of random robots of the market's range; without conditions."),
     ] = None,
     tuning_robots: Annotated[
         bool,
-        typer.Option("--tuning-robots", help="Drive the random robots for tuning instead of the reserved ones."),
+        typer.Option("--tuning-robots", help="Use the random robots for tuning instead of the reserved robots."),
     ] = False,
     rates: Annotated[
         str | None,
@@ -132,7 +132,7 @@ def robustness(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Run every controller on robots, surfaces and sensors that it was not tuned for: some minutes on two cores."""
+    """Run every controller on robots, surfaces and sensors for which it was not tuned; takes minutes on two cores."""
     from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does not need it
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
@@ -165,12 +165,12 @@ def speed(
     environment: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the peers' virtual environment; created if missing.",
+            help="Folder of the peers' virtual environment, which is created if missing.",
             show_default="in the user's cache folder",
         ),
     ] = None,
 ) -> None:
-    """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
+    """Time the steps of the controller and of its peers on the same problem; takes about a quarter of an hour."""
     from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does not need it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
@@ -191,13 +191,13 @@ STUDIES: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "speed": speed,
 }
-"""Functions of the studies by the name of their command, `python -m studies NAME`."""
+"""Functions of the studies by NAME of the command `python -m studies NAME`."""
 
 
 shipped_models_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Identify the shipped models and calibrate the simulated robot's firmware again.",
+    help="Repeat the identification of the built-in models and the calibration of the simulated robot's firmware.",
 )
 
 
@@ -205,10 +205,10 @@ shipped_models_app = typer.Typer(
 def fit(
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for mbm.yaml and sm.yaml; by default the shipped ones.", show_default=False),
+        typer.Option(help="Folder for mbm.yaml and sm.yaml; by default the built-in folder.", show_default=False),
     ] = None,
 ) -> None:
-    """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
+    """Identify MBM and SM from the papers' experiments, which are run on the simulated robot."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
     from studies.shipped_models.model_fitting import fit_models  # noqa: PLC0415
@@ -225,12 +225,12 @@ def drives(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for p2_experimental.yaml and p2_physical.yaml; by default the shipped ones.",
+            help="Folder for p2_experimental.yaml and p2_physical.yaml; by default the built-in folder.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Fit the drive models again, on drives of the simulated robot with changes of direction."""
+    """Fit the drive models to drives of the simulated robot with changes of direction."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
     from studies.shipped_models.model_fitting import fit_drives  # noqa: PLC0415
@@ -246,10 +246,10 @@ def drives(
 def train(
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for lstm.yaml and lstm.npz; by default the shipped ones.", show_default=False),
+        typer.Option(help="Folder for lstm.yaml and lstm.npz; by default the built-in folder.", show_default=False),
     ] = None,
 ) -> None:
-    """Train the network again, on a five-minute drive of the simulated robot; needs the extra `learn`."""
+    """Train the network on a five-minute drive of the simulated robot; requires the extra `learn`."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
     from studies.shipped_models.model_fitting import fit_network  # noqa: PLC0415
@@ -264,18 +264,18 @@ def train(
 @shipped_models_app.command(epilog="Example: python -m studies models calibrate --out my_firmware.yaml")
 def calibrate(
     out: Annotated[
-        Path | None, typer.Option(help="Parameter file to write; by default the shipped one.", show_default=False)
+        Path | None, typer.Option(help="Parameter file to write; by default the built-in file.", show_default=False)
     ] = None,
     check: Annotated[
         bool,
         typer.Option(
             "--check",
-            help="Only report how well the shipped calibration predicts validation drives, and check that no "
+            help="Only report how well the built-in calibration predicts validation drives, and check that no "
             "neighbouring value fits better.",
         ),
     ] = False,
 ) -> None:
-    """Fit the simulated robot's firmware so that the published SSM predicts its measurements."""
+    """Fit the simulated robot's firmware such that the published SSM predicts the robot's measurements."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
     from studies.shipped_models.calibration import calibrate as fit_firmware  # noqa: PLC0415
@@ -304,7 +304,7 @@ def calibrate(
 def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Use five models instead of all.")] = False,
 ) -> None:
-    """Identify random models with known parameters, and count how often these lie in the stated intervals."""
+    """Identify random models with known parameters and count how often the intervals contain the parameters."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 

@@ -1,1 +1,1 @@
-"""Common parts of all command lines: one-line errors, and options."""
+"""Common parts of all command lines: one-line error messages and options."""

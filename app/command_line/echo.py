@@ -1,4 +1,4 @@
-"""Print a line with escaped control characters, because names in it may come from untrusted files."""
+"""Output of text with escaped control characters, because names may come from untrusted files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ from diffdrive_mpc.models.table import plain_text
 def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
     """Print `text` to stdout, or to stderr if `err`; escape control characters.
 
-    `nl` appends a line feed.
+    If `nl`, append a line feed.
     """
     typer.echo(plain_text(str(text)), nl=nl, err=err)

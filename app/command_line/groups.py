@@ -10,10 +10,10 @@ from diffdrive_mpc.models.plug_ins import check_package
 
 
 class FullHelp(TyperGroup):
-    """Group of commands whose list shows the whole sentence of each command."""
+    """Group of commands whose help shows the whole sentence of each command."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - classes that typer does not export
-        """List the commands under their panels."""
+        """List the commands by panel."""
         panels: dict[str, list[tuple[str, str]]] = {}
         for name in self.list_commands(ctx):
             command: Any = self.get_command(ctx, name)
@@ -26,10 +26,10 @@ class FullHelp(TyperGroup):
 
 
 class PackagedGroup(FullHelp):
-    """Group of commands to which packages can add commands."""
+    """Group to which packages can add commands."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - classes that typer does not export
-        """Return the command of a name, or None if unknown; raise MissingPackageError if an absent package has it."""
+        """Return the command, or None; raise MissingPackageError if the command belongs to a missing package."""
         command = super().get_command(ctx, cmd_name)
         if command is None and not ctx.resilient_parsing:
             check_package("commands", cmd_name if ctx.parent is None else f"{ctx.info_name}.{cmd_name}")

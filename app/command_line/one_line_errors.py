@@ -1,4 +1,4 @@
-"""Report user errors as one line on stderr and an exit code."""
+"""Report user errors by a line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.typed_command import typed
 
 BAD_INPUT = 2
-"""Exit code for input that cannot be used."""
+"""Exit code for invalid input."""
 FAILED = 1
 """Exit code for any other failure."""
 INTERRUPTED = 130
@@ -33,18 +33,19 @@ OPTIONAL_PACKAGES = {
     "builtin_interfaces": _ROS,
     "geometry_msgs": _ROS,
 }
-"""Packages that only some commands need, with the remedy if one is missing."""
+"""Packages that only some commands require, with the remedy for a missing package."""
 
 
 _SINGULARS = {"trajectories": "trajectory", "models": "model"}
-"""Options of a single value by the option of several; without `seeds`, whose argument is a number of seeds."""
+"""Option for a single value by option for several values; without `seeds`, whose argument is the number of seeds."""
 
 
 class OneLineErrors(FullHelp):
     """Group of commands that report bad input as `error: ...` and exit code 2, without a traceback.
 
-    Bad input means ValueError (with ConfigError and ModelError), OSError, and errors of the command-line parser. Other
-    errors of the project are reported in one line with exit code 1. Any other exception shows its traceback.
+    Bad input means a ValueError (including ConfigError and ModelError), an OSError, or an error of the command-line
+    parser. Other errors of this project are reported in one line with exit code 1. All other exceptions have a
+    traceback.
     """
 
     program: ClassVar[str] = "diffdrive-mpc"
@@ -74,7 +75,7 @@ class OneLineErrors(FullHelp):
             _print_error(str(error))
             sys.exit(BAD_INPUT)
         except Exception as error:
-            # The parser's own errors have no public base class that all versions of typer share.
+            # The errors of the parser have no public base class that exists in all versions of typer.
             if not hasattr(error, "format_message"):
                 from diffdrive_mpc.models.errors import DiffdriveMpcError  # noqa: PLC0415 - --help does not need it
 
@@ -85,28 +86,28 @@ class OneLineErrors(FullHelp):
             if type(error).__name__ == "NoArgsIsHelpError":
                 echo(error.format_message())
             else:
-                complaint = error.format_message().rstrip(".")
-                _print_error(f"{complaint}; {_remedy(complaint, error)}see --help")
+                parser_error = error.format_message().rstrip(".")
+                _print_error(f"{parser_error}; {_remedy(parser_error, error)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
             _print_error("aborted")
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _remedy(complaint: str, error: Any) -> str:  # noqa: ANN401 - classes that typer does not export
-    """Return a hint for an extra argument, and for an option that is a key of the configuration; else empty."""
+def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes that typer does not export
+    """Return a hint if the error is an extra argument or an option that is a key of the configuration; else ""."""
     options = {name for option in error.ctx.command.params for name in option.opts} if error.ctx else set()
-    if "--set" in options and (unknown := re.match(r"No such option: --([a-z-]+)", complaint)):
+    if "--set" in options and (unknown := re.match(r"No such option: --([a-z-]+)", parser_error)):
         from diffdrive_mpc.mpc.config.schema import ControllerConfig  # noqa: PLC0415 - --help does not need it
 
         key = unknown[1].replace("-", "_")
         return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
-    if "extra argument" not in complaint:
+    if "extra argument" not in parser_error:
         return ""
     from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it
 
-    paths = [word for word in re.findall(r"\w+", complaint.rpartition("(")[2]) if word in BUILT_IN]
-    return f"a value goes after its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
+    paths = [word for word in re.findall(r"\w+", parser_error.rpartition("(")[2]) if word in BUILT_IN]
+    return f"a value follows its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
 
 
 _SHOWN_NOTES: set[str] = set()
@@ -120,9 +121,9 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print former names in a file as a note, and other warnings in Python's format."""
+    """Print a note about former names in a file, or any other warning in Python's format."""
     if category.__name__ == "FormerNameWarning":
-        # A file that is read twice is reported once.
+        # A file may be read twice but is reported once.
         note = f"note: {plain_line(str(message))}"
         if note not in _SHOWN_NOTES:
             _SHOWN_NOTES.add(note)
@@ -132,14 +133,14 @@ def _show_warning(
 
 
 def _singular(name: str) -> str:
-    """Return the singular form of an option's name; the parser uses it for both forms."""
+    """Return the singular form of an option's name, which the parser uses for both forms."""
     return _SINGULARS.get(name, name)
 
 
 def build_named_options(app: typer.Typer, words: Sequence[str]) -> None:
-    """Build the options of the commands in `words` only, because building all options is slow.
+    """Build only the options of the commands in `words`, because building all options takes long.
 
-    Other commands keep their name and help for the overview.
+    The other commands have only their name and help text, for the overview.
     """
     for command in app.registered_commands:
         if command.name not in words and command.callback is not None:
@@ -163,7 +164,7 @@ def leave_on_sigterm() -> None:
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
-    # A second SIGTERM ends the process at once.
+    # A second SIGTERM ends the process immediately.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _print_error("ended by SIGTERM")
     sys.exit(TERMINATED)

@@ -1,1 +1,1 @@
-"""Modules of the commands; the dependencies of a command are imported when it runs."""
+"""Modules of the commands; the dependencies of a command are imported when it is run."""

@@ -41,9 +41,9 @@ def show(
     stated = load_stated_robot(robot)
     keys, bounds = stated.configuration(), stated.bounds(identification_settings().limit_margin)
     config = load_config(source, bounds | {key: value.value for key, value in keys.items()})
-    header = [f"{stated.name}, from its maker's data; no value is identified:", *stated.lines()]
-    places = f"values from these data: {', '.join(keys)}; derived values: {', '.join(bounds)}"
-    echo("\n".join(f"# {line}" for line in [*header, places]))
+    header = [f"{stated.name}, according to the manufacturer's data; no value is identified:", *stated.lines()]
+    sources = f"values from the data: {', '.join(keys)}; derived values: {', '.join(bounds)}"
+    echo("\n".join(f"# {line}" for line in [*header, sources]))
     echo(commented_yaml(config), nl=False)
 
 
@@ -56,7 +56,7 @@ def check(
         typer.Option(metavar="NAME|FILE", help="Also check this trajectory against the limits of the robot."),
     ] = None,
 ) -> None:
-    """Check a configuration file, and that a controller can be built from it; Python files of terms are not run."""
+    """Check that a configuration file is valid and a controller can be created; Python files of terms are not run."""
     from diffdrive_mpc.app.config_report import check_term_files, feasibility, robot_defaults  # noqa: PLC0415 - see show
     from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
@@ -69,9 +69,9 @@ def check(
     )
     unset = robot_defaults(config)
     if unset:
-        echo(f"note: defaults of the papers' robot: {', '.join(unset)}; set the values of your robot")
+        echo(f"note: default values of the papers' robot: {', '.join(unset)}; set the values of your robot")
     if not_run:
-        echo(f"note: not run: {', '.join(not_run)}; a controller runs these Python files, so read them before use")
+        echo(f"note: not run: {', '.join(not_run)}; a controller runs these Python files, so inspect them before use")
     for line in feasibility(controller, trajectory) if trajectory else ():
         echo(line)
 
@@ -94,16 +94,16 @@ def schema(
         Path | None, typer.Option(metavar="FILE", help="File for the JSON Schema.", show_default="standard output")
     ] = None,
 ) -> None:
-    """List every key, or the keys of a group, with default, unit, range and meaning.
+    """List all keys or the keys of a group with default, unit, range and meaning.
 
-    With a first line `# yaml-language-server: $schema=FILE` in a YAML file, editors complete and check its keys.
+    If the first line of a YAML file is `# yaml-language-server: $schema=FILE`, editors complete and check the keys.
     """
     if not as_json:
         from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
         from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
 
         if out is not None:
-            raise ConfigError("--out: it applies to the JSON Schema only; also pass --json")
+            raise ConfigError("--out: the option applies to the JSON Schema only; also pass --json")
         print_schema(part)
         return
     from diffdrive_mpc.app.schemas import json_schema  # noqa: PLC0415

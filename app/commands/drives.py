@@ -1,4 +1,4 @@
-"""Commands that run closed loops: `simulate` for one case, `bench` for many cases."""
+"""Commands that simulate the closed loop: `simulate` for one case, `bench` for many cases."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ def bench(
     ] = None,
     **values: str | None,
 ) -> None:
-    """Compare controllers on trajectories. Options of several values take a list separated by commas.
+    """Compare controllers on trajectories. Options with several values accept a list separated by commas.
 
-    The exit code is 1 if a run of the predictive controller did not complete; the report is also written then.
+    If a run of the predictive controller is not completed, the exit code is 1; the report is written nevertheless.
     """
     from diffdrive_mpc.bench.comparison.plan import read_options  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.bench.comparison.results import incomplete  # noqa: PLC0415
@@ -90,7 +90,7 @@ def bench(
         from diffdrive_mpc.bench.spec import SpecStudy, load_experiment  # noqa: PLC0415
 
         if any((config, settings, horizons, sweeps, quick, scale_to_robot, *values.values())):
-            raise ValueError("--spec: the file defines the runs; give only --out and --jobs with it")
+            raise ValueError("--spec: the file defines the runs; only --out and --jobs can be combined with the option")
         carry_out(SpecStudy(load_experiment(spec)), out or Path(_BENCH_OUT), jobs)
         return
     request = read_options(

@@ -26,10 +26,10 @@ def _log() -> None:
 def check(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")], *, mapping: Mapping = None
 ) -> None:
-    """Check a log: errors of its data, and sensors that are reversed, swapped, scaled, rotated or delayed.
+    """Check a log for errors in the data and for sensors that are reversed, swapped, scaled, rotated or delayed.
 
-    The last line lists the sensor settings for a configuration. The exit code is 1 if errors in the data would spoil a
-    model.
+    The last line contains the sensor settings for a configuration. The exit code is 1 if a model must not be identified
+    from the data because of errors.
     """
     import yaml  # noqa: PLC0415 - --help does not need these modules
 
@@ -41,8 +41,8 @@ def check(
     content = read_log(log, mapping)
     corrections = find_corrections(content.name, content.records, mapping)
     echo("\n".join([*summary(content), *counted([*content.findings, *corrections.findings])]))
-    stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
+    sensor_settings = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
     otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
-    echo(stated.rstrip() if corrections.settings else otherwise)
+    echo(sensor_settings.rstrip() if corrections.settings else otherwise)
     if content.errors:
         raise typer.Exit(FAILED)

@@ -16,7 +16,7 @@ models_app = typer.Typer(
 
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")
 def list_models() -> None:
-    """List the shipped models with their order, lags, gains and origin."""
+    """List the built-in models with order, lags, gains and origin."""
     from diffdrive_mpc.app.model_report import print_models  # noqa: PLC0415 - --help does not need it
 
     print_models()
@@ -32,7 +32,7 @@ def show(
         ),
     ],
 ) -> None:
-    """Show one model: matrices, poles, gains, dead times, and the origin of its parameters."""
+    """Show a model: matrices, poles, gains, dead times, and the origin of the parameters."""
     from diffdrive_mpc.app.model_report import print_model  # noqa: PLC0415
 
     print_model(name)
@@ -40,7 +40,7 @@ def show(
 
 @models_app.command(epilog="Example: diffdrive-mpc models check my_robot.yaml")
 def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A model file.")]) -> None:
-    """Check a model file: keys, stability, gains and units."""
+    """Check the keys, the stability, the gains and the units of a model file."""
     from diffdrive_mpc.models.load import load_model  # noqa: PLC0415
 
     model = load_model(file)

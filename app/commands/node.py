@@ -18,22 +18,22 @@ def node(
         str,
         typer.Option(
             help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was used in simulation."
+            "or a configuration file, for example the file used in simulation."
         ),
     ] = "ssm",
     trajectory: Annotated[
         str,
-        typer.Option(help="a shipped name such as circle, or the path of a file; empty: references come by topic."),
+        typer.Option(help="a built-in name such as circle, or a file; if empty, references are received by topic."),
     ] = "circle",
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
     drive: Annotated[
-        bool, typer.Option("--drive", help="Activate, and drive as soon as measurements arrive: stand clear.")
+        bool, typer.Option("--drive", help="Activate, and drive once measurements arrive; keep clear of the robot.")
     ] = False,
 ) -> None:
-    """Drive a robot through ROS 2, until interrupted.
+    """Drive a robot through ROS 2 until interrupted.
 
-    Arguments after `--ros-args` are passed to ROS: remappings, parameters.
+    Arguments after `--ros-args` are passed to ROS, for example remappings and parameters.
     """
     from diffdrive_mpc.mpc.config.typed_settings import single_settings  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Common options of several commands."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., None])
 
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
-"""Settings of a command that passes the words after `--ros-args` to ROS."""
+"""Settings of a command that passes the arguments after `--ros-args` to ROS."""
 
 
-ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
+ConfigFile = Annotated[Path | None, file_option("Controller configuration with the name of its model", "--config")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
@@ -42,31 +42,31 @@ TrustedFolders = Annotated[
     typer.Option(
         "--trust-terms",
         metavar="FOLDER",
-        help="Folder whose files are opened and run if the log or run file names them; repeatable.",
-        show_default="none: shipped files only",
+        help="Folder of files that may be opened and run if the log or run file refers to them; repeatable.",
+        show_default="none; built-in files only",
     ),
 ]
 Scaled = Annotated[
     bool,
     typer.Option(
-        "--scale-to-robot", help="Fit paths of segments to wheels.encoder_track and limits of the configuration."
+        "--scale-to-robot", help="Adapt paths of segments to wheels.encoder_track and limits of the configuration."
     ),
 ]
 Mapping = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE",
-        help="Mapping from columns or topics to signals.",
-        show_default="columns of simulate --log, or the usual topics of a bag",
+        help="Mapping of columns or topics to signals.",
+        show_default="columns of simulate --log, or the default topics of a bag",
     ),
 ]
-"""Option with the mapping of the columns or topics of a log."""
+"""Option for the mapping of a log's columns or topics."""
 RobotName = Annotated[
     str | None,
     typer.Option(
         "--robot",
         metavar="NAME|FILE",
-        help="Robot whose maker's data are used: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
+        help="Robot whose data from the manufacturer are used: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
         show_default=False,
     ),
 ]
@@ -80,8 +80,8 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
     names
         Names of the dimensions; by default all of them.
     several
-        True if the options take lists: `values` are then texts by the plural of the dimension's name, None if an option
-        was not passed. Otherwise they are values by the dimension's name.
+        Whether the options accept lists. If so, `values` are texts by plural of the dimension's name, or None for an
+        omitted option; if not, `values` are values by name of the dimension.
     """
     from diffdrive_mpc.bench.case import DIMENSIONS  # noqa: PLC0415 - the command `node` must not import bench
 
@@ -95,9 +95,9 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
             for parameter in signature.parameters.values()
             if parameter.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        first = [entry for entry in parameters if entry.kind is not inspect.Parameter.KEYWORD_ONLY]
-        rest = parameters[len(first) :]
-        command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]
+        positional = [entry for entry in parameters if entry.kind is not inspect.Parameter.KEYWORD_ONLY]
+        rest = parameters[len(positional) :]
+        command.__signature__ = signature.replace(parameters=[*positional, *added, *rest])  # type: ignore[attr-defined]
         return command
 
     return add_options
@@ -122,9 +122,9 @@ def _list_option(dimension: Dimension) -> inspect.Parameter:
 
 
 def ros_arguments(context: typer.Context) -> list[str]:
-    """Return the words from `--ros-args` to the end; raise ValueError for unknown words before it."""
+    """Return the arguments from `--ros-args` to the end; raise ValueError for unknown arguments before `--ros-args`."""
     words = list(context.args)
-    ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
-    if ours:
-        raise ValueError(f"unknown argument '{ours[0]}'; see --help; arguments for ROS follow --ros-args")
+    unknown = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    if unknown:
+        raise ValueError(f"unknown argument '{unknown[0]}'; see --help; arguments for ROS follow --ros-args")
     return words

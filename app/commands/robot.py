@@ -1,4 +1,4 @@
-"""`diffdrive-mpc identify`: identify a model for the controller, with its uncertainty, from logs of a robot."""
+"""`diffdrive-mpc identify`: identify a model and its uncertainty from logs of a robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def identify(
         typer.Option(
             parser=out_folder,
             metavar="PATH",
-            help="Folder for model, configuration and report.",
+            help="Folder of the model, the configuration and the report.",
             show_default=_DEFAULT_OUT,
         ),
     ] = None,
@@ -39,31 +39,31 @@ def identify(
     ] = None,
     fit_share: Annotated[
         float | None,
-        typer.Option(help="Share of each log to identify from; the rest validates the model.", show_default="0.6"),
+        typer.Option(help="Share of each log used for identification; the rest is for validation.", show_default="0.6"),
     ] = None,
     order: Annotated[str, typer.Option(metavar="auto|N", help="Order of an ssm, 1 to 5.")] = "auto",
     effects: Annotated[
-        bool, typer.Option("--effects", help="Also identify effects that an sm lacks: slew, steps, tyres, veer.")
+        bool, typer.Option("--effects", help="Also identify effects missing in an sm: slew rate, steps, tyres, veer.")
     ] = False,
     packages: Annotated[
         str | None,
         typer.Option(
             "--for",
             metavar="NAMES",
-            help="Also write parameters of nav2, ros2_control, robot_localization; separate several by commas.",
+            help="Also write parameters for nav2, ros2_control or robot_localization; names separated by commas.",
             show_default="none",
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
     robot: RobotName = None,
     draft_mapping: Annotated[
-        bool, typer.Option("--draft-mapping", help="Only write a draft mapping of LOG to correct (mapping.yaml).")
+        bool, typer.Option("--draft-mapping", help="Only write a draft of the mapping of LOG (mapping.yaml).")
     ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Write model and configuration despite errors in logs or a low FIT.")
     ] = False,
 ) -> None:
-    """Identify a velocity model from logs; write it with a configuration, a report and figures."""
+    """Identify a velocity model from logs and write the model, a configuration, a report and figures."""
     if draft_mapping:
         from diffdrive_mpc.app.identification.study import write_draft  # noqa: PLC0415
 

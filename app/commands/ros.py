@@ -20,22 +20,22 @@ def robot(
     context: typer.Context,
     *,
     lock_step: Annotated[
-        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command of each tick.")
+        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command of every tick.")
     ] = False,
     duration: Annotated[
         float | None, typer.Option(help="Duration on the robot's clock in seconds.", show_default="no end")
     ] = None,
     config: Annotated[
         Path | None,
-        file_option("Configuration of the node that drives it, with sample time and limits of the robot", "--config"),
+        file_option("Configuration of the controller's node, with sample time and limits of the robot", "--config"),
     ] = None,
-    base: Annotated[Path | None, file_option("Base settings: rates, timeouts", "--base")] = None,
+    base: Annotated[Path | None, file_option("Settings of the base: rates, timeouts", "--base")] = None,
     stamped: Annotated[
         bool | None,
         typer.Option("--stamped/--unstamped", help="Commands are TwistStamped or Twist.", show_default="as --base"),
     ] = None,
     command_timeout: Annotated[
-        float | None, typer.Option(help="Seconds without a command before a stop.", show_default="as --base")
+        float | None, typer.Option(help="Time without a command before a stop, in seconds.", show_default="as --base")
     ] = None,
     answer_timeout: Annotated[
         float | None,
@@ -58,13 +58,13 @@ def robot(
     storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Storage format of the bag.")] = "mcap",
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
+    """Run the simulated robot as a ROS 2 node with a twist as input and odometry, IMU, pose, joint states as output.
 
-    The robot starts at the start of the trajectory and ends on Ctrl-C. Arguments after `--ros-args` are passed to ROS:
-    remappings, parameters.
+    The robot is at the start of the trajectory initially and runs until Ctrl-C. Arguments after `--ros-args` are passed
+    to ROS, for example remappings and parameters.
     """
     if duration is not None and not duration > 0:
-        raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
+        raise ValueError(f"--duration {duration}: use a time above zero in seconds")
     arguments = ros_arguments(context)
 
     from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help needs neither this nor ROS
@@ -109,7 +109,7 @@ DOCTOR_EXAMPLE = "Example: diffdrive-mpc doctor"
 
 
 def doctor() -> None:
-    """Check Python, dependencies, controller, MuJoCo and ROS 2; print one line per check, with a remedy.
+    """Check Python, dependencies, controller, MuJoCo and ROS 2; print one line per check, with a remedy if it fails.
 
     The exit code is 1 if the controller cannot run.
     """

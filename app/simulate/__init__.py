@@ -1,1 +1,1 @@
-"""One drive from the command line: summary, report and log."""
+"""Implementation of `diffdrive-mpc simulate`: summary, report and log."""

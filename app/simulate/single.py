@@ -1,4 +1,4 @@
-"""Single case of `diffdrive-mpc simulate`: run it, print a summary or tables, and write report and log."""
+"""Run a case, print a summary or tables, and write the report and the log."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _METHODS = {
     "osqp": "OSQP",
     "daqp": "DAQP",
 }
-"""Description of the method that solved a tick."""
+"""Descriptions of the solver's methods."""
 
 
 def simulate_one(
@@ -50,19 +50,19 @@ def simulate_one(
     scaled: bool = False,
     details: bool = False,
 ) -> None:
-    """Run a case, print the result, and write figures and log on request.
+    """Run a case and print the result; on request write a report and a log.
 
     Parameters
     ----------
     values
-        Values by dimension; `model` is None if it was not passed.
+        Values by dimension; `model` is None if the option was omitted.
     config, settings, out, log, scaled
-        Options of the command as the user passed them.
+        Options of the command, unchanged.
     details
-        True to print the tables of the run instead of a summary.
+        Whether to print the tables of the run instead of a summary.
 
     Raises ConfigError, ValueError or OSError before the run if a name, a file, a value or an output path cannot be
-    used; then nothing is written.
+    used; in this case nothing is written.
     """
     case = case_from_options(values, config=config, settings=settings, scaled=scaled)
     controller, plant, reference = build(case)
@@ -70,27 +70,27 @@ def simulate_one(
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
         keep_plans = folder is not None or holds_plans(log)
-        began = time.perf_counter()
+        start = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run = simulate(controller, plant, reference, on_tick=bar.show, keep_plans=keep_plans)
         write_log(run, case)
         if folder is not None:
-            draw(RunOutcome(case, run), folder, time.perf_counter() - began)
+            draw(RunOutcome(case, run), folder, time.perf_counter() - start)
     report(RunOutcome(case, run), out, details=details)
 
 
 def case_from_options(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
-    """Build the case from typed options; arguments and errors are those of `simulate_one`."""
+    """Build the case from the options of the command; arguments and errors are those of `simulate_one`."""
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):
-        raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
+        raise ConfigError(f"the controller '{name}' does not accept --model, --config or --set")
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
 
 
 def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:
-    """Print a summary of a run, or its tables, and its controller's messages; `out` is the folder of the report."""
+    """Print a summary or the tables of a run, and the controller's messages; `out` is the folder of the report."""
     console = output_console()
     for line in _summary(outcome, out) if not details else ():
         console.print(line, markup=False, highlight=False)
@@ -115,18 +115,18 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 
 
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
-    """Yield six lines, and another line for a scenario and for each part of the run."""
+    """Yield six lines, and a further line for a scenario and for each part of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
         driver = driver_name(outcome.case)
         yield f"completed: {driver} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
     else:
-        away = f"{run.errors.position[last]:.3f} m from the reference at its end"
-        yield f"not completed: {run.ended or away}"
+        message = f"{run.errors.position[last]:.3f} m from the reference at its end"
+        yield f"not completed: {run.ended or message}"
     yield "errors: " + "; ".join(
-        f"{quantity} RMSE {1e3 * rmse:.1f} mm, max {1e3 * largest:.1f} mm"
-        for quantity, rmse, largest in (
+        f"{quantity} RMSE {1e3 * rmse:.1f} mm, max {1e3 * maximum:.1f} mm"
+        for quantity, rmse, maximum in (
             ("position", metrics.position_rmse_m, metrics.position_max_m),
             ("lateral", metrics.lateral_rmse_m, metrics.lateral_max_m),
         )
@@ -140,7 +140,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
     )
     yield f"solver: {'none' if set(ticks) == {NO_SOLVER} else shares}"
     late = f", {run.states.count('LATE')} LATE" if "LATE" in run.states else ""
-    yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode{late}"
+    yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fallback mode{late}"
     if outcome.case.scenario != NO_SCENARIO:
         recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
@@ -152,7 +152,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
 
 
 def tables(outcome: RunOutcome) -> list[Table]:
-    """Build the tables of one run."""
+    """Build the tables of a run."""
     from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does not need them
         error_table,
         path_table,
@@ -171,7 +171,7 @@ def tables(outcome: RunOutcome) -> list[Table]:
 
 
 def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:
-    """Draw a run and its step times into `folder`, and write its page; the run took `seconds` of wall time."""
+    """Draw a run and its step times into `folder` and write the page; `seconds` is the wall-clock time of the run."""
     from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
     from diffdrive_mpc.bench.html_report.document import write_page  # noqa: PLC0415 - only --out needs it
 

@@ -1,4 +1,4 @@
-"""The page of `diffdrive-mpc simulate`: one run with linked views."""
+"""Page of `diffdrive-mpc simulate`: one run with linked views."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 POINTS = 2000
-"""Maximum number of ticks on the page of one run."""
+"""Maximum number of ticks on the page."""
 
 
 def key_figures(run: Run) -> list[KeyFigure]:
-    """Return the key figures of one run."""
+    """List the key figures of a run."""
     metrics, band = run.metrics, f"±{1e3 * metric_settings().band:g} mm to either side of the path"
     late = f"of {1e3 * run.sample_time:.1f} ms; {metrics.deadline_misses or 'none'} late"
     step = f"{number(1e3 * metrics.step_time_p99_s, 2)} ms"
@@ -38,16 +38,16 @@ def key_figures(run: Run) -> list[KeyFigure]:
 
 
 def sentences(case: Case, run: Run) -> list[str]:
-    """Describe the run and its completion."""
-    metrics, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
-    where = [
+    """Describe a run and its completion."""
+    metrics, labels, omitted = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
+    conditions = [
         f"{dimension.name} {labels[dimension.name]}"
         for dimension in DIMENSIONS
-        if dimension.place and labels[dimension.name] not in silent
+        if dimension.place and labels[dimension.name] not in omitted
     ]
     ending = "reached the end" if metrics.completed else "did not reach the end"
     return [
-        f"{driver_name(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
+        f"{driver_name(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(conditions)}, "
         f"seed {case.seed}). It {ending}: the lateral error was {_mm(metrics.lateral_rmse_m)} RMSE and "
         f"{_mm(metrics.lateral_max_m)} at most.",
         *filter(None, (part.summary(run) for part in columns_of(run))),
@@ -55,14 +55,14 @@ def sentences(case: Case, run: Run) -> list[str]:
 
 
 def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) -> Page:
-    """Build the page of one run with `tables`; the run took `seconds` of wall time."""
+    """Build the page of a run with `tables`; `seconds` is the wall-clock time of the run."""
     case, run = outcome.case, outcome.run
     config = case_config(case)
     series = run_series(run, driver_name(case), points=POINTS, config=config)
     shown = Shown(
         summary=sentences(case, run),
         notes=[
-            f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path.",
+            f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: distance from the path.",
             *filter(None, [getattr(run.reference, "remark", "")]),
         ],
         key_figures=key_figures(run),

@@ -1,1 +1,1 @@
-"""Update of tables, figures and reports in the documents."""
+"""Generation of tables, figures and reports in the documents."""

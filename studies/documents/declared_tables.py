@@ -1,6 +1,6 @@
-"""Tables of documents that are generated from declarations: parameters of the node, and scalars of a step.
+"""Tables in documents that are generated from declarations: parameters of the node, and scalars of a step.
 
-Run as ``python -m studies.documents.declared_tables``, from the top of the repository.
+Run by ``python -m studies.documents.declared_tables`` in the root folder of the repository.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _HEAD = (
 )
 _TITLES = {
     "": "The controller as a whole",
-    "extra_dead_time": "Dead time that the model file does not carry",
+    "extra_dead_time": "Dead time in addition to that of the model file",
     "weights": "Weights, also while driving",
-    "margin": "Delay that the loop tolerates",
+    "margin": "Delay margin of the loop",
     "limits": "Limits, also while driving",
     "wheels": "Wheels",
-    "sensors.wheels": "What the encoders read",
-    "sensors.yaw_rate": "What the gyro reads",
-    "sensors.pose": "What poses say",
+    "sensors.wheels": "Measurements of the encoders",
+    "sensors.yaw_rate": "Measurements of the gyroscope",
+    "sensors.pose": "Measured poses",
     "solver": "Solver",
     "solver.osqp": "OSQP, where solver.method is osqp",
     "compensation": "Compensation",
@@ -44,25 +44,25 @@ _TITLES = {
     "finish": "Finish",
     "energy": "Feature energy: costs of turns",
     "free_space": "Feature free_space: corridors and obstacles",
-    "rehearsal": "Feature rehearsal: the same reference started again",
-    "rehearsal.drivable": "Feature rehearsal: the path that can be driven, for rehearsal by floor",
+    "rehearsal": "Feature rehearsal: repetitions of a reference",
+    "rehearsal.drivable": "Feature rehearsal: drivable path, for rehearsal by floor",
 }
 
 
 def parameter_tables() -> str:
-    """Tabulate every parameter of the node by group, from the schemas and the advice file.
+    """Tabulate all parameters of the node by group from the schemas and the file of advice.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a parameter has no entry in the advice file, or an entry has no parameter.
+        If a parameter has no entry in the file of advice, or an entry is not a parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
         if name not in known:
-            raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
+            raise ConfigError(f"{_ADVICE.name}: '{name}' is neither a parameter nor a group; remove the entry")
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():
         *group, name = row.key.split(".")
@@ -70,34 +70,34 @@ def parameter_tables() -> str:
     tables = [_table("The node", node_rows(), advice)]
     tables += [_table(f"Part {name} of the node", rows, advice) for name, rows in part_rows().items()]
     tables += [_table(_title(group), rows, advice) for group, rows in groups.items()]
-    return "\n\n".join([*tables, _table("Lists: in the file only, no parameters of the node", _list_rows(), advice)])
+    return "\n\n".join([*tables, _table("Lists, which are not parameters of the node", _list_rows(), advice)])
 
 
 def node_rows() -> list[FieldRow]:
-    """Return the parameters of the node without the parameters of its parts."""
+    """Return the parameters of the node without those of its parts."""
     return [row for row in schema_rows(NodeSettings) if row.key != "parts"]
 
 
 def part_rows() -> dict[str, list[FieldRow]]:
-    """Return the parameters of each installed part of the node by its name."""
+    """Return the parameters of each installed part of the node by name of the part."""
     return {
         name: schema_rows(plug_in("node_parts", name).schema, f"parts.{name}.") for name in plug_in_names("node_parts")
     }
 
 
 def _title(group: str) -> str:
-    """Return the title of the table of a group; groups for experts are marked."""
+    """Return the title of a group's table, with a prefix for groups for experts."""
     inner = group.removeprefix(EXPERT).removeprefix(".")
     return f"For experts: {_TITLES[inner]}" if group != inner else _TITLES[group]
 
 
 def _controller_rows() -> list[FieldRow]:
-    """Return keys of the configuration and of installed features that are parameters of the node."""
+    """Return the keys of the configuration and of installed features that are parameters of the node."""
     return [row for row in _keys() if not row.default.startswith("[")]
 
 
 def _list_rows() -> list[FieldRow]:
-    """Return keys whose value is a list; they can be set in the file only."""
+    """Return the keys whose value is a list, which can be set in the file only."""
     return [row for row in _keys() if row.default.startswith("[")]
 
 
@@ -107,7 +107,7 @@ def _keys() -> list[FieldRow]:
 
 
 def with_tables(name: str, page: str) -> str:
-    """Return the text `page` of the document `name` with an updated table."""
+    """Update the table in the text `page` of the document `name`."""
     marker, table = PAGES[name]
     return insert(page, table(), marker)
 
@@ -133,7 +133,7 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
 
 
 def scalars_table() -> str:
-    """Tabulate the declared scalars of a step in Markdown."""
+    """Tabulate the declared scalars of a step as Markdown."""
     rows = [f"| `{name}` | {scalar.unit} | {scalar.help} |" for name, scalar in step_scalars().items()]
     return "\n".join(("| column | unit | meaning |", "| --- | --- | --- |", *rows))
 

@@ -1,9 +1,9 @@
-"""Copy reports into the documents, and insert their tables into pages.
+"""Copy reports to the documents and insert their tables into pages.
 
-Run as ``python -m studies.documents.documents OUT ...``, from the top of the repository.
+Run by ``python -m studies.documents.documents OUT ...`` in the root folder of the repository.
 
-Reports are also checked for being up to date: `docs/twelve-drives.json` contains sums of the commands of twelve drives,
-and the names of the reports that were made with these commands. Older reports are marked in their text.
+The command also checks whether reports are up to date: `docs/twelve-drives.json` contains sums of the commands of
+twelve drives and the names of the reports that correspond to these commands. Older reports are marked in their text.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ _OWN_TARGETS = {
     "bench": "bench-full",
     **{name: name for name in ("edge", "robustness", "market", "prove", "tune")},
 }
-"""Targets of make by the name of the report; the target `study` writes other reports."""
+"""Targets of make by name of the report; all other reports are written by the target `study`."""
 
 
 @dataclass(frozen=True)
 class ShownReport:
-    """Parts of the report `NAME.md` that the documents show.
+    """Parts of the report `NAME.md` that are shown in the documents.
 
     Attributes
     ----------
     name
         Name of the study.
     figures, records
-        Names of figures, and of data files that are committed with them.
+        Names of the figures, and of data files, that are copied to the documents.
     page
-        Path of the document with tables between markers, relative to `docs`; empty if pages only link to the report.
+        Path relative to `docs` of the document with tables between markers; empty if documents only link to the report.
     brief
-        True if the document also has the first table and the facts between markers with the name of the study.
+        Whether the document also contains the first table and the facts between markers with the name of the study.
     study
-        Name of the study if it writes several reports; `name` is then the name of the folder.
+        Name of the study if the study writes several reports; `name` is then the name of the folder.
     """
 
     name: str
@@ -110,7 +110,7 @@ SHOWN = (
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
-    """Copy the report in `out` to `documents` without links to figures that are not shown; remove old figures.
+    """Copy the report in `out` to `documents`, omit links to figures that are not shown, and remove old figures.
 
     Raises ConfigError if `out` contains no report.
     """
@@ -132,7 +132,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
 
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
-    """Split a report into parts by the names of their markers: facts, figures and tables."""
+    """Split a report into facts, figures and tables by name of their markers."""
     folder = os.path.relpath(f"docs/{shown.name}", Path("docs", shown.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
@@ -152,21 +152,21 @@ def sections(shown: ShownReport, report: str) -> dict[str, str]:
 
 
 def insert(document: str, text: str, name: str) -> str:
-    """Return `document` with `text` between the markers `name`."""
+    """Insert `text` between the markers `name` of `document`."""
     start, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    before, rest = document.split(start, 1)
-    return f"{before}{start}\n{text}\n{end}{rest.split(end, 1)[1]}"
+    before, after = document.split(start, 1)
+    return f"{before}{start}\n{text}\n{end}{after.split(end, 1)[1]}"
 
 
 def measured_on() -> str:
-    """Format revision, date and machine of this run for the end of a note below a table."""
+    """Format revision, date and computer of this run for the end of a note below a table."""
     run = describe_run(0.0)
     machine = run["machine"]
     return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
 def with_report(shown: ShownReport, document: str, report: str) -> str:
-    """Return `document` with every part of the report between its markers; missing parts get a note."""
+    """Insert every part of the report between its markers in `document`; a note replaces a missing part."""
     parts = sections(shown, report)
     for name in re.findall(rf"<!-- ({shown.name}(?:-[a-z-]+)?):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
@@ -174,14 +174,14 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 
 def update(out: Path) -> str:
-    """Update docs/NAME and the page with tables of the report in `out`; return NAME.
+    """Update docs/NAME and the page with the tables of the report in `out`; return NAME.
 
     Raises ConfigError if there is no report.
     """
     present = [candidate for candidate in SHOWN if (out / candidate.file).is_file()]
     if not present:
         raise ConfigError(f"{out}: no report of {', '.join(candidate.name for candidate in SHOWN)}")
-    # If one study writes several reports, the folder has the name of the report.
+    # If a study writes several reports, the folder has the name of the report.
     shown = next((candidate for candidate in present if candidate.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
@@ -190,7 +190,7 @@ def update(out: Path) -> str:
 
 
 def show(shown: ShownReport) -> None:
-    """Write the tables of docs/NAME into its page, if it has one."""
+    """Insert the tables of docs/NAME into the page of the report, if there is a page."""
     if shown.page:
         report, page = Path("docs") / shown.name / f"{shown.name}.md", Path("docs") / shown.page
         text = with_report(shown, page.read_text(encoding="utf-8"), report.read_text(encoding="utf-8"))
@@ -202,14 +202,14 @@ MODELS = ("mbm", "sm", "ssm")
 TRAJECTORIES = ("circle", "square", "s", "cane")
 OLDER = "* Older than the last change of the controller's commands: `make results` makes it anew."
 TOLERANCE = 1e-6
-"""Relative tolerance of the sums [-]: processors round differently."""
+"""Relative tolerance of the sums, because rounding differs between processors [-]."""
 
 
 def drives() -> dict[str, list[float]]:
-    """Drive the simulated robot; return a checksum of the commands by drive.
+    """Drive the simulated robot; return checksums of the commands by name of the drive.
 
-    A checksum has the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega times the
-    number of the tick.
+    The checksums are the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega
+    multiplied by the number of the tick.
     """
     sums = {}
     for model in MODELS:
@@ -221,33 +221,33 @@ def drives() -> dict[str, list[float]]:
 
 
 def alike(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool:
-    """Return True if two sets of drives have the same commands within `TOLERANCE`."""
+    """Return True if the checksums of two sets of drives agree within `TOLERANCE`."""
     return first.keys() == second.keys() and all(
         np.allclose(first[name], second[name], rtol=TOLERANCE, atol=0.0) for name in first
     )
 
 
 def record(documents: Path, updated: Collection[str], names: Iterable[str]) -> None:
-    """Record that the reports `updated` match the present commands.
+    """Record that the reports `updated` correspond to the current commands.
 
-    If the commands differ from the recorded ones, all other reports of `names` are older and are marked.
+    If the commands differ from the recorded commands, all other reports in `names` are marked as older.
     """
     path = documents / RECORD.name
-    now = drives()
-    known = json.loads(path.read_text(encoding="utf-8"))
-    current_reports = set(known["reports"]) if alike(known["drives"], now) else set()
+    current_sums = drives()
+    recorded = json.loads(path.read_text(encoding="utf-8"))
+    current_reports = set(recorded["reports"]) if alike(recorded["drives"], current_sums) else set()
     current = sorted(current_reports | set(updated))
     for name in set(names) - set(current):
         mark_as_older(documents / name / f"{name}.md")
-    path.write_text(json.dumps({"reports": current, "drives": now}, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps({"reports": current, "drives": current_sums}, indent=1) + "\n", encoding="utf-8")
 
 
 def mark_as_older(report: Path) -> None:
-    """Add the line `OLDER` to the facts of a report unless it is present."""
+    """Add the line `OLDER` to the facts of a report, unless the report contains it."""
     text = report.read_text(encoding="utf-8")
     if OLDER not in text:
-        title, _, rest = text.partition("\n\n")
-        report.write_text(f"{title}\n\n{OLDER}\n{rest}", encoding="utf-8")
+        title, _, after = text.partition("\n\n")
+        report.write_text(f"{title}\n\n{OLDER}\n{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

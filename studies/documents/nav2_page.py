@@ -1,7 +1,7 @@
-"""Table and figure of docs/nav2.md: Nav2's control law and this project's controller on the same robot and paths.
+"""Table and figure of docs/nav2.md: the control law of Nav2 and this project's controller on equal robots and paths.
 
-`python -m studies.documents.nav2_page` writes both. Errors are distances from the path, without times, as a FollowPath
-goal has none.
+`python -m studies.documents.nav2_page` writes both. Errors are distances from the path, because the path of a
+FollowPath goal has no times.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ MARKER = "side-by-side"
 PATHS = ("circle", "s", "square", "cane")
 SEEDS = range(5)
 _EXTRA_TIME = 15.0
-"""Additional time for a controller that is slower than the reference [s]."""
+"""Duration of the run after the end of the reference, for a slower controller [s]."""
 _AT_REST = 0.01
 _SPACING = 0.002
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Result of following a path.
+    """Result of a run along a path.
 
     Attributes
     ----------
     away
-        (n,) distances of the true position from the path at each tick [m].
+        (n,) distance between the true position and the path at each tick [m].
     end, turned
-        Distance [m] and heading error [rad] from the end of the path, at rest.
+        Distance from the end of the path [m] and heading error [rad] at rest.
     time, speed
-        Time until the robot rests [s], and mean speed over that time [m/s].
+        Time until the robot is at rest [s], and mean speed in that time [m/s].
     position
         (n, 2) position of the robot [m].
     """
@@ -55,7 +55,7 @@ class Followed:
 
 
 def short_carrot() -> TrackingController:
-    """Create Nav2's control law with half its look-ahead distance."""
+    """Create the control law of Nav2 with half its look-ahead distance."""
     return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
 
 
@@ -67,7 +67,7 @@ CONTROLLERS: dict[str, Callable[[], TrackingController]] = {
 
 
 def follow(make: Callable[[], TrackingController], reference: Reference, seed: int) -> Followed:
-    """Drive one path once, on the simulated skid-steer robot with the default surface and sensors."""
+    """Drive the simulated skid-steer robot along a path, with the default surface and sensors."""
     plant = make_plant("mujoco", surface="default", sensors="default", seed=seed)
     run = simulate(make(), plant, reference, extra_time=_EXTRA_TIME)
     path = path_of(reference, _SPACING)
@@ -101,17 +101,17 @@ def study() -> dict[tuple[str, str], list[Followed]]:
 
 
 def table(results: dict[tuple[str, str], list[Followed]]) -> str:
-    """Tabulate means over the seeds, and the overall maximum distance."""
+    """Tabulate the means over the seeds and the maximum distance of all seeds."""
     lines = [
-        "| path | controller | off the path RMS [mm] | largest [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
+        "| path | controller | distance RMS [mm] | maximum [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for (path, name), runs in results.items():
         away = 1e3 * float(np.sqrt(np.mean(np.concatenate([run.away for run in runs]) ** 2)))
-        worst = 1e3 * max(float(run.away.max()) for run in runs)
+        maximum = 1e3 * max(float(run.away.max()) for run in runs)
         mean = [float(np.mean([getattr(run, each) for run in runs])) for each in ("end", "turned", "time", "speed")]
         lines.append(
-            f"| {path} | {name} | {away:.1f} | {worst:.0f} | {1e3 * mean[0]:.0f} | {mean[1]:.3f} | {mean[2]:.1f} "
+            f"| {path} | {name} | {away:.1f} | {maximum:.0f} | {1e3 * mean[0]:.0f} | {mean[1]:.3f} | {mean[2]:.1f} "
             f"| {mean[3]:.2f} |"
         )
     return "\n".join(lines)
@@ -138,9 +138,9 @@ def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) ->
 
 
 def main() -> None:
-    """Write table and figure."""
+    """Write the table and the figure."""
     results = study()
-    facts = f"Means of {len(SEEDS)} seeds; the largest distance is that of all seeds; {measured_on()}"
+    facts = f"Means of {len(SEEDS)} seeds; the maximum distance is that of all seeds; {measured_on()}"
     text = f"{table(results)}\n\n{facts}"
     PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), text, MARKER), encoding="utf-8")
     draw(results)

@@ -1,1 +1,1 @@
-"""Study `peers`: tune every peer by the same search with one budget on the same runs, and check the optimum."""
+"""Study `peers`: tune every peer by the same search on the same runs with the same budget, and check the optimum."""

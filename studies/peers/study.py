@@ -1,4 +1,4 @@
-"""Tune the peers, and check that neighbouring gains are no better."""
+"""Tune the peers and check that neighbouring gains are not better."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from diffdrive_mpc.models.suggestions import not_among
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 
-# A search with a fixed number of evaluations: a Sobol scan, then the best one refined gain by gain.
+# Search with a fixed number of evaluations: a Sobol scan, then refinement of the best setting, gain by gain.
 
 
 Values = dict[str, float]
@@ -36,7 +36,7 @@ _DIGITS = 4
 
 @dataclass
 class GainSearch:
-    """Minimisation of a function of positive values within ranges, on a logarithmic scale.
+    """Minimisation of a function of positive values in given ranges, on a logarithmic scale.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class GainSearch:
     evaluations
         Maximum number of calls of `objective`.
     tried
-        Every evaluated setting with its objective, in order.
+        Evaluated settings with their objectives, in order.
     """
 
     objective: Objective
@@ -57,30 +57,30 @@ class GainSearch:
 
     @property
     def best(self) -> tuple[Values, float]:
-        """The first setting with the minimum objective, and the objective."""
+        """First setting with the minimum objective, and this objective."""
         return min(self.tried, key=lambda row: row[1])
 
     def scan(self, count: int, seed: int) -> None:
-        """Try the middle of the ranges and `count` - 1 points of a scrambled Sobol sequence."""
+        """Evaluate the middle of the ranges and `count` - 1 points of a scrambled Sobol sequence."""
         low, high = np.log(np.array(list(self.ranges.values()), dtype=float)).T
         points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))
         for point in [np.full(len(low), 0.5), *points][:count]:
             self._try(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
 
     def refine(self, factor: float) -> None:
-        """Multiply and divide one value after another by `factor`; take its square root if nothing improves."""
+        """Multiply and divide each value in turn by `factor`, which is reduced if nothing improves."""
         while len(self.tried) < self.evaluations:
-            before = self.best[1]
+            former_minimum = self.best[1]
             for name in self.ranges:
                 if not self._step(name, factor):
                     self._step(name, 1 / factor)
-            if self.best[1] >= before:
+            if self.best[1] >= former_minimum:
                 factor = float(np.sqrt(factor))
                 if factor < 1.01:
                     return
 
     def _step(self, name: str, factor: float) -> bool:
-        """Move in one direction as long as the objective decreases; return True if it did."""
+        """Change a value repeatedly while the objective decreases; return True if the objective has decreased."""
         has_improved = False
         while len(self.tried) < self.evaluations:
             values, minimum = self.best
@@ -106,12 +106,12 @@ TUNED = (*LAWS, "mppi", "mppi+slip")
 """Peers with gains, in the order of the file."""
 _FOLDER = Path(__file__).parent
 _FAILED_ERROR = 1.0
-"""Error assigned to a run that does not complete [m]."""
+"""Error of a run that is not completed [m]."""
 Count = Annotated[int, Field(ge=1, le=MAX_CASES)]
 
 
 class PeersSettings(StrictModel):
-    """Settings of the tuning of peers."""
+    """Settings for the tuning of peers."""
 
     plant: str
     runs: dict[str, tuple[Annotated[int, Field(ge=0)], ...]]
@@ -124,13 +124,13 @@ class PeersSettings(StrictModel):
 
 
 def load_settings(path: Path | None = None, *, quick: bool = False) -> PeersSettings:
-    """Read the settings; raise ConfigError if their file is invalid."""
+    """Load the settings; raise ConfigError if the file is invalid."""
     return load_checked(PeersSettings, path or _FOLDER / ("quick.yaml" if quick else "settings.yaml"))
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Result of a gain multiplied by a factor; `worse` (runs,) is the increase of the position RMSE on each run [m]."""
+    """Result with one gain multiplied by a factor; `worse` (runs,) is the increase of each run's position RMSE [m]."""
 
     gain: str
     factor: float
@@ -144,7 +144,7 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class TunedPeer:
-    """Best gains of a peer, all evaluated settings, and the results of neighbouring gains."""
+    """Best gains of a peer, all evaluated settings, and the results with neighbouring gains."""
 
     peer: str
     gains: Values
@@ -154,7 +154,7 @@ class TunedPeer:
 
 
 def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
-    """Compute the position RMSE (runs,) of a peer with gains `values` on every run [m]."""
+    """Compute the position RMSE (runs,) of each run of a peer with gains `values` [m]."""
     gains, errors = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
         reference = load_trajectory(trajectory)
@@ -166,7 +166,7 @@ def position_errors(settings: PeersSettings, peer: str, values: Values) -> Float
 
 
 def tune(settings: PeersSettings, peer: str) -> TunedPeer:
-    """Search a peer's gains within the budget, then evaluate neighbouring gains."""
+    """Search for the gains of a peer within the budget, then evaluate neighbouring gains."""
     errors = partial(position_errors, settings, peer)
     search = GainSearch(
         lambda values: float(errors(values).mean()), settings.ranges[peer.partition("+")[0]], settings.evaluations
@@ -194,13 +194,13 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         Names of peers; by default all peers with ranges in the settings.
     """
 
-    name, title = "peers", "How the peers were tuned, and the effect of each gain"
+    name, title = "peers", "Tuning of the peers, and effect of each gain"
 
     def __init__(self, settings: PeersSettings, only: Sequence[str] | None = None) -> None:
         self._settings, self._only = settings, only
 
     def plan(self) -> list[str]:
-        """Return the names of the peers, the slowest first."""
+        """Return the names of the peers, starting with the slowest."""
         known = [name for name in TUNED if name.partition("+")[0] in self._settings.ranges]
         selected = known if self._only is None else list(self._only)
         for name in selected:
@@ -214,7 +214,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:
-        """Build the report with the gains, and the results of neighbouring gains."""
+        """Build the report with the gains and the results with neighbouring gains."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
         facts = [
@@ -257,8 +257,8 @@ def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
             )
         )
     note = (
-        "Mean position RMSE of the runs. Neighbours: each gain alone times the factors of the settings; beyond spread: "
-        "better by more than two standard errors of the difference over the runs."
+        "Mean position RMSE of the runs. Neighbours: one gain multiplied by a factor of the settings; beyond "
+        "spread: better by more than two standard errors of the difference between runs."
     )
     return Table("Tuning", columns, tuple(rows), 1, note)
 
@@ -266,18 +266,18 @@ def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
 def _proof(peer: TunedPeer) -> Table:
     factors = sorted({neighbour.factor for neighbour in peer.neighbours})
     fields = law_kind(peer.peer).gains.model_fields
-    columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
+    columns = ("gain", "meaning", "value", *(f"x {factor:g} [mm]" for factor in factors))
     rows = []
     for name, value in peer.gains.items():
         by_factor = {neighbour.factor: neighbour for neighbour in peer.neighbours if neighbour.gain == name}
         cells = [f"{1e3 * by_factor[f].worse.mean():+.2f} ± {1e3 * by_factor[f].spread:.2f}" for f in factors]
         rows.append((name, str(fields[name].description), f"{value:g}", *cells))
-    note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± its standard error over the runs."
+    note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± standard error over the runs."
     return Table(f"Neighbours of {peer.peer}", columns, tuple(rows), 2, note)
 
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
-    """Format the file of gains for `bench/peers` and for the peers of `packages/extras`."""
+    """Format the file of gains for the peers in `bench/peers` and in `packages/extras`."""
     head = (
         "# Gains of the peers; the fields of each law state the units. Written by `python -m studies peers`: a\n"
         f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. The comment of a\n"

@@ -1,1 +1,1 @@
-"""The papers' experiments on the simulated robot, compared with the papers' figures."""
+"""Experiments of the papers on the simulated robot, compared with the published values."""

@@ -1,4 +1,4 @@
-"""Cost of simulating a model: time per step and memory (P0, Table 3; P1, Table 5), with findings and table."""
+"""Cost of the simulation of a model: time per step and memory (P0, Table 3; P1, Table 5), with findings and table."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ Sampled = DiscreteModel | NonlinearModel
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a model as (mean, standard deviation) over runs.
+    """Cost of a model as mean and standard deviation over runs.
 
     Attributes
     ----------
     order
         Number of states.
     simulation_time
-        Processor time of a whole simulation: sampling the model, and the number of steps in the paper [s].
+        Processor time of a complete simulation: discretisation of the model and the number of steps in the paper [s].
     time_per_step
-        Processor time of a step [s].
+        Processor time of one step [s].
     memory
         Maximum additional memory of a run [MB].
     """
@@ -53,10 +53,11 @@ class Cost:
 
 
 def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
-    """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
+    """Simulate the built-in models from commands to poses, one after another, on one core with one BLAS thread.
 
-    The parameters of a model do not change its computing time. Time is processor time: it equals the elapsed time on an
-    idle machine, and excludes other programs. Memory is measured in separate runs, because measuring it takes time.
+    The parameters of a model do not influence the computing time. Times are processor times, which equal the elapsed
+    time on an idle computer and exclude other programs. Memory is measured in separate runs, because the measurement
+    takes time.
 
     Parameters
     ----------
@@ -67,14 +68,14 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
-    ready: dict[str, Callable[[], Sampled]] = {
+    factories: dict[str, Callable[[], Sampled]] = {
         name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES if name in study.simulation_steps
     }
     network = load_model(NETWORK)
     assert isinstance(network, NonlinearModel)
-    ready[NETWORK] = lambda: network
-    models = {name: get() for name, get in ready.items()}
-    whole = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
+    factories[NETWORK] = lambda: network
+    models = {name: get() for name, get in factories.items()}
+    inputs = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 
     def run(model: Sampled) -> None:
         predict_path(model, commands, np.zeros(3))
@@ -87,12 +88,12 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
             run(model)
         for _ in range(study.runs):
             for name, model in models.items():
-                began = time.thread_time()
+                start = time.thread_time()
                 run(model)
-                step_times[name].append((time.thread_time() - began) / study.steps)
-                began = time.thread_time()
-                predict_path(ready[name](), whole[name], np.zeros(3))
-                simulated[name].append(time.thread_time() - began)
+                step_times[name].append((time.thread_time() - start) / study.steps)
+                start = time.thread_time()
+                predict_path(factories[name](), inputs[name], np.zeros(3))
+                simulated[name].append(time.thread_time() - start)
             on_done()
         for _ in range(study.runs):
             for name, model in models.items():
@@ -112,56 +113,56 @@ def _mean_and_std(values: list[float]) -> tuple[float, float]:
 
 
 def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperFinding]:
-    """Compare ratios of mean costs with the papers; absolute times depend on the machine."""
+    """Compare ratios of mean costs with the papers, because absolute times depend on the computer."""
     step_times = {name: entry.time_per_step[0] for name, entry in cost.items()}
     memory = {name: entry.memory[0] for name, entry in cost.items()}
     simulated = {name: entry.simulation_time[0] for name, entry in cost.items()}
-    printed, rules = published.cost, published.rules
+    paper_costs, rules = published.cost, published.rules
     return [
         PaperFinding(
-            f"a whole simulation of SM takes less than {rules.quicker:g} of the time of one of MBM",
+            f"a simulation of SM takes less than {rules.quicker:g} of the time of a simulation of MBM",
             "P0, Table 3",
-            f"{printed['sm'].simulation_time[0] / printed['mbm'].simulation_time[0]:.2f}",
+            f"{paper_costs['sm'].simulation_time[0] / paper_costs['mbm'].simulation_time[0]:.2f}",
             f"{simulated['sm'] / simulated['mbm']:.2f}",
             (simulated["sm"] < rules.quicker * simulated["mbm"],),
         ),
         PaperFinding(
-            f"a step of SM takes less than {rules.quicker:g} of the time of one of MBM",
+            f"a step of SM takes less than {rules.quicker:g} of the time of a step of MBM",
             "P0, Table 3",
-            f"{printed['sm'].time_per_step[0] / printed['mbm'].time_per_step[0]:.2f}",
+            f"{paper_costs['sm'].time_per_step[0] / paper_costs['mbm'].time_per_step[0]:.2f}",
             f"{step_times['sm'] / step_times['mbm']:.2f}",
             (step_times["sm"] < rules.quicker * step_times["mbm"],),
         ),
         PaperFinding(
-            "simulating SM takes less memory than simulating MBM",
+            "a simulation of SM requires less memory than a simulation of MBM",
             "P0, Table 3",
-            f"{printed['sm'].memory[0] / printed['mbm'].memory[0]:.2f} of it",
+            f"{paper_costs['sm'].memory[0] / paper_costs['mbm'].memory[0]:.2f} of it",
             f"{memory['sm'] / memory['mbm']:.2f} of it",
             (memory["sm"] < memory["mbm"],),
         ),
         PaperFinding(
-            f"a step of SSM is more than {rules.much_quicker:g} times as quick as one of SM",
+            f"a step of SSM is more than {rules.much_quicker:g} times as fast as a step of SM",
             "P0, Table 3 and P1, Table 5",
-            f"{printed['sm'].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
+            f"{paper_costs['sm'].time_per_step[0] / paper_costs['ssm'].time_per_step[0]:.0f} times",
             f"{step_times['sm'] / step_times['ssm']:.1f} times",
             (step_times["sm"] > rules.much_quicker * step_times["ssm"],),
         ),
-        *([_network(step_times, printed, rules.much_quicker)] if NETWORK in step_times else []),
+        *([_network(step_times, paper_costs, rules.much_quicker)] if NETWORK in step_times else []),
     ]
 
 
-def _network(times: Mapping[str, float], printed: Mapping[str, PublishedCost], ratio: float) -> PaperFinding:
+def _network(times: Mapping[str, float], paper_costs: Mapping[str, PublishedCost], ratio: float) -> PaperFinding:
     return PaperFinding(
-        f"a step of SSM is more than {ratio:g} times as quick as one of LSTM",
+        f"a step of SSM is more than {ratio:g} times as fast as a step of LSTM",
         "P1, Table 5",
-        f"{printed[NETWORK].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
+        f"{paper_costs[NETWORK].time_per_step[0] / paper_costs['ssm'].time_per_step[0]:.0f} times",
         f"{times[NETWORK] / times['ssm']:.1f} times",
         (times[NETWORK] > ratio * times["ssm"],),
     )
 
 
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
-    """Tabulate mean and standard deviation over runs, in microseconds and kilobytes."""
+    """Tabulate the means and standard deviations over runs."""
     rows = []
     for name, ours in cost.items():
         paper = published.cost[name]
@@ -173,15 +174,15 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     values = [column for quantity in quantities for column in (f"published {quantity}", quantity)]
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
-        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
+        "and 5.3 MB where Table 3 prints 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
         "LSTM, whose windows are evaluated in one batch here). Ours: from commands "
         "to poses, one process, one BLAS thread, processor time; a simulation has the number of steps in the paper, "
-        "and samples the model first; memory is the peak."
+        "and discretises the model first; memory is the peak."
     )
     return Table("Cost of a simulation", ("model", "states", *values), tuple(rows), note=note)
 
 
 def _pair(values: tuple[float, float], factor: float) -> str:
     mean, deviation = (factor * value for value in values)
-    # For runs with equal values, the deviation is only rounding of the mean.
+    # For runs with equal values, the deviation consists of rounding errors of the mean.
     return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

@@ -1,7 +1,7 @@
-"""P2's comparison of measured velocities with predictions without a model, by its two drive models, and by SM.
+"""Comparison of P2: measured velocities, and predictions without a model, by the two drive models of P2, and by SM.
 
-P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and maximum error of a free run, on drives of the simulated
-robot with changes of direction, and on logs of real robots by the protocol of `real_logs.yaml`.
+P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and maximum errors of an open-loop simulation, for drives
+of the simulated robot with changes of direction, and for logs of real robots by the protocol of `real_logs.yaml`.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from studies.reproduce.real_logs import divide, load_protocol
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
 SHARP = ", sharp"
-"""Suffix for predictions with the same parameters, but without the smoothing that derivatives need."""
+"""Suffix for predictions with the same parameters but without the smoothing that derivatives require."""
 TWIN = "simulated robot"
 _SEEDS_EACH, _FIRST_SEED = 1000, 500
-"""Number of seeds of a repetition, and the first one of this part, which no other drive uses."""
+"""Number of seeds of a repetition, and first seed of this part, which is not used by other drives."""
 
 
 @dataclass(frozen=True)
 class VelocityErrors:
-    """(mean, maximum) error of v [mm/s] and of omega [degrees per second]."""
+    """Mean and maximum error of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
@@ -44,22 +44,22 @@ class VelocityErrors:
 
 @dataclass(frozen=True)
 class DriveModelsResult:
-    """Result for one source.
+    """Result for a source of data.
 
     Attributes
     ----------
     source
-        The simulated robot or a log.
+        Name of the source: the simulated robot or a log.
     repetition
         Number of the repetition on the simulated robot; 0 for a log.
     errors
         Errors by model.
     values
-        Parameters of v and omega by drive model, units as in `extras/drives/settings.yaml`.
+        Parameters of v and omega by drive model, in the units of `extras/drives/settings.yaml`.
     dead_time
-        (2,) dead times of v and omega [s] by drive model.
+        Dead times of v and omega by drive model [s].
     at_bound
-        Names of parameters on a bound of the search, by drive model.
+        Names of parameters at a bound of the search by drive model.
     """
 
     source: str
@@ -71,16 +71,16 @@ class DriveModelsResult:
 
 
 def reversing_commands(study: DriveStudy, seed: int, *, smooth: bool) -> FloatArray:
-    """Draw (K, 2) random set-points up to the speeds of P2's second data set, forwards as often as backwards."""
+    """Draw random set-points (K, 2) up to the speeds of P2's second data set, equally often forwards and backwards."""
     ranges = load_command_parameters().random
     ends = np.array([ranges.v_range, ranges.omega_range])
-    middle, reach = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
-    fastest = np.array([study.v, study.omega])
-    return np.asarray((random_commands(seed, smooth, study.duration) - middle) / reach * fastest)
+    middle, half_range = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
+    max_twist = np.array([study.v, study.omega])
+    return np.asarray((random_commands(seed, smooth, study.duration) - middle) / half_range * max_twist)
 
 
 def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list[Record]]:
-    """Simulate training and validation drives, with smoothed and stepped set-points in turn."""
+    """Simulate training and validation drives, alternately with smoothed and stepped set-points."""
     seed = _SEEDS_EACH * repetition + _FIRST_SEED
     records = [
         record_of(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
@@ -95,7 +95,7 @@ def compare_on_twin(study: DriveStudy, repetition: int) -> DriveModelsResult:
 
 
 def compare_on_log(name: str, data: Path) -> DriveModelsResult:
-    """Fit on the first rows of a log in the folder `data`, validate on the rest; raise ConfigError if it is missing."""
+    """Fit the models to the first rows of a log and validate them on the rest; raise ConfigError without the log."""
     protocol = load_protocol()
     read = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
     read.require_sound()
@@ -103,7 +103,7 @@ def compare_on_log(name: str, data: Path) -> DriveModelsResult:
 
 
 def compare(source: str, repetition: int, train: Sequence[Record], held_out: Sequence[Record]) -> DriveModelsResult:
-    """Fit the models on records `train`, and validate them on records `held_out`."""
+    """Fit the models to the records `train` and validate them on the records `held_out`."""
     fits = {name: fit_drive(kind, train) for name, kind in KINDS.items()}
     predictions = {NO_MODEL: [record.command for record in held_out]}
     for name, fit in fits.items():
@@ -125,51 +125,51 @@ def _dead_time(fit: DriveFit) -> tuple[float, float]:
 
 
 def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) -> VelocityErrors:
-    """Compute the errors of simulated v [m/s] and omega [rad/s] (K, 2) at every reading of the records."""
+    """Compute the errors of the simulated v [m/s] and omega [rad/s] (K, 2) at every measurement in the records."""
     units = (1e3, np.degrees(1.0))
     experiments = twist_experiments(records)
     pairs = []
     for row, unit in enumerate(units):
-        size = np.concatenate(
+        deviations = np.concatenate(
             [
                 unit * np.abs(y[:, row] - experiment.outputs[:, row])[experiment.counts[:, row]]
                 for y, experiment in zip(simulated, experiments, strict=True)
             ]
         )
-        pairs.append((float(size.mean()), float(size.max())))
+        pairs.append((float(deviations.mean()), float(deviations.max())))
     return VelocityErrors(*pairs)
 
 
 def drive_model_tables(results: Sequence[DriveModelsResult], published: Published) -> list[Table]:
-    """Tabulate the errors with those of the paper, and the identified parameters."""
+    """Tabulate the errors of the paper and of this study, and the identified parameters."""
     paper = published.drive_models
     rows = [
         (f"P2, {data}", name, *(f"{value:.2f}" for value in (*errors.v, *errors.omega)))
         for data, models in paper.items()
         for name, errors in models.items()
     ]
-    numbers = []
+    parameter_rows = []
     for source, group in _by_source(results).items():
         for name in group[0].errors:
             mean = np.mean([[*result.errors[name].v, *result.errors[name].omega] for result in group], axis=0)
             rows.append((source, name, *(f"{value:.2f}" for value in mean)))
         for name in KINDS:
-            numbers.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
+            parameter_rows.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
     errors = Table(
         "Drive models",
-        ("data", "model", "v, mean [mm/s]", "v, largest [mm/s]", "omega, mean [deg/s]", "omega, largest [deg/s]"),
+        ("data", "model", "v, mean [mm/s]", "v, maximum [mm/s]", "omega, mean [deg/s]", "omega, maximum [deg/s]"),
         tuple(rows),
         text_columns=2,
-        note="Published: P2, Tables 3 to 7; it has no gain, and its omega is that of the wheels; ours is the gyro's. "
-        "On validation data: of logs the last 40 % of the rows. No model: the command. "
-        "'sharp': the same parameters without smoothing. On the simulated robot, means over repetitions.",
+        note="Published: P2, Tables 3 to 7, without gains and with omega of the wheels instead of the gyroscope. "
+        "On validation data: the last 40 % of the rows of a log. No model: the command. "
+        "'sharp': the same parameters without smoothing. Simulated robot: means over repetitions.",
     )
     parameters = Table(
-        "Numbers of the drive models",
+        "Parameters of the drive models",
         ("data", "model", "v", "omega"),
-        tuple(numbers),
+        tuple(parameter_rows),
         text_columns=4,
-        note="SI units, first repetition; the actuator lag is 1.1 ms as in the paper. *: on a bound of the search, so "
+        note="SI units, first repetition; the actuator lag is 1.1 ms as in the paper. *: at a bound of the search, so "
         "the data do not determine the parameter.",
     )
     return [errors, parameters]
@@ -192,10 +192,10 @@ def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveMode
 
 
 def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[PaperFinding]:
-    """Check P2's findings on the simulated robot in each repetition, and on each log."""
+    """Check the findings of P2 for each repetition on the simulated robot and for each log."""
     second = published.drive_models["second data set"]
     findings = []
-    for where, group in (
+    for data_kind, group in (
         ("drives of the simulated robot", [result for result in results if result.repetition]),
         ("real logs", [result for result in results if not result.repetition]),
     ):
@@ -225,7 +225,7 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
                 for name in (*better, worse)
             )
             source = "ours" if SM in better else "P2, Tables 5 to 7"
-            findings.append(PaperFinding(f"{claim} (mean error, {where})", source, paper, ours, holds))
+            findings.append(PaperFinding(f"{claim} (mean error, {data_kind})", source, paper, ours, holds))
     return findings
 
 

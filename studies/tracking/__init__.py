@@ -1,1 +1,1 @@
-"""Tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
+"""Tracking study: targets, effect of each part of the estimator, and remaining potential for improvement."""

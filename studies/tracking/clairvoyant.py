@@ -1,4 +1,4 @@
-"""Bound of the tracking error: a controller with exact knowledge of plant, pose and slip, and without a time limit.
+"""Lower bound of the tracking error: a controller with exact knowledge of plant, pose and slip, without a time limit.
 
 It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick, with the same
 weights and hard limits, but a longer horizon. The model is fitted to the plant, poses are true, slip is part of the
@@ -39,7 +39,7 @@ class ClairvoyantSettings(StrictModel):
 
 @cache
 def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
-    """Read a file of settings, by default the shipped one; raise ConfigError if it is invalid."""
+    """Load the settings from a file, by default the built-in file; raise ConfigError if the file is invalid."""
     return load_checked(ClairvoyantSettings, path or Path(__file__).parent / "clairvoyant.yaml")
 
 
@@ -52,7 +52,7 @@ class Present:
     pose
         (3,) x [m], y [m], theta [rad], unwrapped to within pi of the reference.
     state, past
-        (n,) velocity states, and (memory, 2) past commands, oldest first.
+        (n,) velocity states, and (memory, 2) past commands from old to new.
     disturbance
         (2,) part of v [m/s] and omega [rad/s] that the model does not explain; assumed constant.
     """
@@ -73,7 +73,7 @@ class ClairvoyantProgram:
     config
         Weights, limits and sample time.
     settings
-        Horizon, and tolerance of IPOPT.
+        Horizon, and options of IPOPT.
     """
 
     def __init__(self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
@@ -98,7 +98,7 @@ class ClairvoyantProgram:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the last solution, which is the next initial guess."""
+        """Discard the last solution, which would be the next initial guess."""
         self._last: dict[str, FloatArray] | None = None
 
     def solve(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
@@ -116,17 +116,17 @@ class ClairvoyantProgram:
         Raises
         ------
         RuntimeError
-            If IPOPT does not converge: then the bound is unknown.
+            If IPOPT does not converge, so that the bound is unknown.
         """
         moving = np.abs(reference.twist[:, 0]) > metric_settings().moving_speed
-        # Heading at which the robot travels along the tangent while it slips outward.
-        crab = np.where(moving, self._known.side_slip * reference.twist[:, 1], 0.0)
+        # Heading error at which the robot travels along the tangent despite side-slip.
+        side_slip_angle = np.where(moving, self._known.side_slip * reference.twist[:, 1], 0.0)
         data = [
             present.pose,
             present.state,
             present.past.ravel(),
             present.disturbance,
-            np.column_stack([reference.pose, crab]).ravel(),
+            np.column_stack([reference.pose, side_slip_angle]).ravel(),
             feed_forward.ravel(),
         ]
         guess = self._last or {"x0": self._cold_start(present, reference, feed_forward)}
@@ -168,11 +168,11 @@ class ClairvoyantProgram:
         }
 
     def _moved(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Compute the pose one sample later, along the exact arc of `models.pose` with lateral speed."""
+        """Compute the pose one sample later by the exact arc of `models.pose` with lateral speed."""
         v, omega, dt = twist[0], twist[1], self._model.dt
         lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
         half = omega * dt / 2
-        # sin(x) / x as a series, because the robot turns little in a sample.
+        # sin(x) / x as a series, because the rotation in a sample is small.
         length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
         c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
         return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
@@ -182,21 +182,21 @@ class ClairvoyantProgram:
         return np.concatenate([feed_forward.ravel(), states, reference.pose[1:].ravel()])
 
     def _shifted(self, x: FloatArray) -> FloatArray:
-        """Shift a solution by one step, and repeat its end."""
+        """Shift a solution by one step and repeat the last step."""
         N, n = self._steps, self._model.order
         parts = [part.reshape(N, -1) for part in np.split(x, [2 * N, (2 + n) * N])]
         return np.concatenate([np.vstack([part[1:], part[-1:]]).ravel() for part in parts])
 
 
 def _in_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Compute errors along and across the path, and of the heading from the heading that holds the path."""
+    """Compute the errors along and across the path, and of the heading relative to that for travel along the path."""
     error = pose - reference[:3]
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     return ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2] - reference[3])
 
 
 class ClairvoyantController:
-    """Controller that runs IPOPT to convergence at every tick, on the model of the plant.
+    """Controller that solves the problem with the model of the plant by IPOPT to convergence at every tick.
 
     It needs a pose without error or delay at each tick.
 
@@ -207,7 +207,7 @@ class ClairvoyantController:
     config
         Weights, limits and sample time.
     settings
-        Horizon and solver; by default the shipped ones.
+        Horizon and options of the solver; by default those of the built-in file.
     """
 
     def __init__(

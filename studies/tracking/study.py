@@ -1,4 +1,4 @@
-"""Tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
+"""Tracking study: targets, effect of each part of the estimator, and remaining potential for improvement."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ _MISSED = "docs/results.md explains the limit of each error; the ablation shows 
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
-    """Read a study, by default the shipped one; raise ConfigError if the file is invalid."""
+    """Load a study, by default the built-in study; raise ConfigError if the file is invalid."""
     read = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
     return read if read.tables else read.model_copy(update={"tables": load_tables(_FOLDER / "tables.yaml")})
 
 
 @dataclass(frozen=True)
 class TargetResult:
-    """One target, and the value of each model.
+    """Target and the value of each model.
 
     Attributes
     ----------
     quantity, where
-        Limited quantity with its unit, and description of its runs.
+        Limited quantity with its unit, and description of the runs.
     limit
         Maximum allowed value.
     reached
-        Value of each model; NaN if it could not be computed, which counts as not within the limit.
+        Value of each model; NaN if the value could not be computed, which counts as above the limit.
     """
 
     quantity: str
@@ -73,7 +73,7 @@ class TargetResult:
 
 
 def evaluate_targets(rows: DataFrame) -> list[TargetResult]:
-    """Evaluate all targets with runs among the rows of the part "targets"."""
+    """Evaluate all targets for which `rows`, the rows of the part "targets", contain runs."""
     verdicts = []
     for target in load_targets().targets:
         selected = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
@@ -114,7 +114,7 @@ def target_table(verdicts: Sequence[TargetResult]) -> Table:
 
 
 class TrackingStudy(SpecStudy):
-    """Study of an experiment with the parts of `study.yaml`, or of the parts `only`."""
+    """Study of an experiment with the parts of `study.yaml`, or with the parts in `only`."""
 
     name: ClassVar[str] = "tracking"
 
@@ -123,13 +123,13 @@ class TrackingStudy(SpecStudy):
         super().__init__(experiment, only, additional_columns, partial(run_or_bound, trajectories))
 
     def tables(self, rows: DataFrame) -> list[Table]:
-        """Build the table of targets, then every table of a part that was run."""
+        """Build the table of targets and the tables of the parts that were run."""
         named = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
         part = rows[rows["part"] == "targets"]
         return [*([target_table(evaluate_targets(part))] if len(part) else []), *self.cell_tables(named, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Build the report with tables and figures of every part that was run."""
+        """Build the report with the tables and the figures of the parts that were run."""
         from studies.tracking.figures import draw_ablation, draw_error_sources, draw_margin  # noqa: PLC0415
 
         plain = super().report(results, seconds)
@@ -216,7 +216,7 @@ def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], driven: Data
 
 
 def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
-    """Chart the value of each target as a share of its limit, except limits of zero."""
+    """Chart the value of each target as a share of its limit, without targets whose limit is zero."""
     charted = [verdict for verdict in verdicts if verdict.limit > 0]
     names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
     series = []

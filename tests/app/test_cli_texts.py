@@ -37,7 +37,7 @@ def test_config_check_names_the_violated_limit_and_a_feasible_timing(tmp_path: P
     lines = invoke(app, "config", "check", config, "--trajectory", path).stdout.splitlines()
     assert "6.0 s in the file, driven in" in lines[1] and "(timing: commanded)" in lines[1]
     assert "'arcs': infeasible from" in lines[2] and "limits.omega_slew = 0.8" in lines[2]
-    assert "timing: smooth makes it feasible, in" in lines[3]
+    assert "timing: smooth makes the reference feasible, in" in lines[3]
     assert "reference 'circle': feasible in" in invoke(app, "config", "check", config, "--trajectory", "circle").stdout
 
 

@@ -1,4 +1,4 @@
-"""The problem as one nonlinear program by multiple shooting, for CasADi's solvers."""
+"""The problem as a nonlinear program by multiple shooting, for the solvers of CasADi."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ShootingProgram:
     equality
         Rows of g that are equations.
     stride, states
-        Length of one stage in x, and of z; u_k follows z_k.
+        Number of values of a stage in x, and of z; u_k follows z_k.
     """
 
     nlp: dict[str, ca.SX]
@@ -38,12 +38,12 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Stack states (N + 1, z) and commands (N, 2) to x, with zero slacks."""
+        """Stack the states (N + 1, z), the commands (N, 2) and zero slacks to x."""
         slack = np.zeros((len(commands), SOFT))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
     def shifted(self, x: np.ndarray) -> np.ndarray:
-        """Shift x by one stage, and repeat its last stage."""
+        """Shift x by one stage and repeat the last stage."""
         return np.concatenate([x[self.stride :], x[-self.stride :]])
 
     def command(self, x: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
         if k == 0:
             g.append(x[:size] - first)
         cost += stage_cost
-    # The stage function has counted the end once; add the rest of its weight `terminal`.
+    # The cost of the last stage contains its end with the weight 1; add the rest of the weight `terminal`.
     weights = (problem["terminal"] - 1.0) * problem["tracking_weights"]
     cost += ca.dot(weights, last(after, parameters[:, N]) ** 2) / 2
 
@@ -91,7 +91,7 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
 
 
 def _stage(problem: dict[str, Any]) -> ca.Function:
-    """Build the function from (z, u, s) of a stage, z of the next stage and parameters to rows of g and the cost."""
+    """Build the function that maps (z, u, s) of a stage, the next z and the parameters to rows of g and the cost."""
     size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
     step, tracking, effort, soft = (
         ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
@@ -100,7 +100,8 @@ def _stage(problem: dict[str, Any]) -> ca.Function:
     p, p_after = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "p_after"))
     z, u, s = stage[:size], stage[size : size + 2], stage[size + 2 :]
     end = step(z, u, p)
-    # The values are those of `end`, not of `after`: inequalities of a stage may depend on this stage only.
+    # The soft limits apply to `end` and not to `after`, because the inequalities of a stage may depend on this stage
+    # only.
     values, limits = soft(end, p_after), p_after[soft_limit]
     rows = ca.vertcat(after - end, u - z[-2:], values - limits - s, values + limits + s)
     cost = ca.dot(problem["effort_weights"], effort(z, u, p) ** 2) / 2
