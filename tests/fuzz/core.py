@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
+from unittest.mock import patch
 
 import cffi
 import numpy as np
@@ -23,6 +24,7 @@ import numpy as np
 from diffdrive_mpc.mpc import controller as product
 from diffdrive_mpc.mpc.core import library
 from diffdrive_mpc.mpc.core.sources import core_texts
+from diffdrive_mpc.mpc.solver.backend import solve_all
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from fuzz import controller, odd
 from fuzz.case import Case, FaultError
@@ -52,7 +54,6 @@ def build_core(folder: Path) -> Path:
 
 def spoil_solutions(random: Random) -> None:
     """Let backends return odd numbers and any status in half of their solutions."""
-    solve_all = product.solve_all
 
     def solve_and_spoil(*arguments: Any) -> Any:
         solved, report = solve_all(*arguments)
@@ -62,7 +63,7 @@ def spoil_solutions(random: Random) -> None:
         status = random.choice([*SolverStatus]) if way in (1, 2) else report.status
         return solved._replace(plan=plan, multipliers=multipliers), replace(report, status=status)
 
-    product.solve_all = solve_and_spoil
+    patch.object(product, "solve_all", solve_and_spoil).start()
 
 
 class CoreFuzzer:
@@ -139,10 +140,10 @@ def main(core: str, seed: str, count: str) -> None:
             block[place] = layout._block[place]
         return block
 
-    library.load_library = load_library
+    patch.object(library, "load_library", load_library).start()
+    patch.object(ResultLayout, "copy", copy_arrays).start()
+    patch.object(controller, "_ITERATION", math.inf).start()
     spoil_solutions(random)
-    ResultLayout.copy = copy_arrays
-    controller._ITERATION = math.inf
     check_sizes()
     warnings.simplefilter("ignore")
     fuzzer = controller.ControllerFuzzer()
