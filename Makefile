@@ -147,10 +147,11 @@ fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" fo
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)
 
-lint: $(READY) ## style, format, language and shell scripts
+lint: $(READY) ## style, format, language, C sources and shell scripts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python .ci/language.py
+	git ls-files '*.c' '*.h' | xargs $(BIN)/clang-format --dry-run --Werror
 	$(BIN)/shellcheck --severity=warning .ci/long .ci/run .ci/test_package docker/*.sh ros/security/*.sh
 
 types: $(READY) ## strict type check
@@ -159,6 +160,7 @@ types: $(READY) ## strict type check
 format: $(READY) ## apply the format
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+	git ls-files '*.c' '*.h' | xargs $(BIN)/clang-format -i
 
 models: $(READY) ## identify MBM and SM again from experiments on the simulated robot
 	$(BIN)/python -m studies models fit

@@ -55,8 +55,7 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
     for (int i = 0; i < n; i++) {
         const real diagonal = problem->factor[i * n + i];
         /* Negated, here and below, so that NaN fails. */
-        if (!(diagonal > R(0.0) && diagonal < DDMPC_LARGEST &&
-              ddmpc_fabs(problem->minimiser[i]) < DDMPC_LARGEST))
+        if (!(diagonal > R(0.0) && diagonal < DDMPC_LARGEST && ddmpc_fabs(problem->minimiser[i]) < DDMPC_LARGEST))
             return 0;
         rows->inverse[i] = R(1.0) / diagonal;
         rows->largest_input = ddmpc_max(rows->largest_input, ddmpc_fabs(problem->minimiser[i]));
@@ -282,7 +281,8 @@ static void compute_batch(ddmpc_rows *rows, const int *chosen, int count)
             rows->columns[k * slots + chosen[lane]] = rows->batch[k * LANES + lane];
     for (int block = 0; block < rows->used; block += LANES) {
         real sum[LANES][LANES];
-        cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest, sum);
+        cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest,
+              sum);
         for (int a = 0; a < LANES; a++)
             for (int lane = 0; lane < count; lane++) {
                 const int slot = chosen[lane];

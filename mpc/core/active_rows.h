@@ -13,7 +13,6 @@
 
 #include "active_set.h"
 
-
 /* State of a row: inactive, at its bound, or beyond a soft bound. The sign is the side: positive at the upper bound. */
 enum { DDMPC_FREE = 0, DDMPC_AT_BOUND = 1, DDMPC_EXCEEDED = 2 };
 
@@ -23,32 +22,32 @@ enum { DDMPC_FREE = 0, DDMPC_AT_BOUND = 1, DDMPC_EXCEEDED = 2 };
 typedef struct {
     const ddmpc_limited_problem *problem;
     int n, m, slots, max_active;
-    int taken, used;    /* slots with a row, and this number rounded up to whole lanes */
-    int active;         /* number of active rows */
-    int late;           /* 1 after the deadline has passed */
+    int taken, used;            /* slots with a row, and this number rounded up to whole lanes */
+    int active;                 /* number of active rows */
+    int late;                   /* 1 after the deadline has passed */
     ddmpc_count work, max_work; /* operations so far, and their limit, see ddmpc_limited_bound */
-    int factored;       /* leading active rows for which the factor is valid */
-    real largest_input; /* largest absolute entry of U0 */
-    real primal;        /* largest excess of a hard row at the plan */
-    real *columns;      /* (n, slots) v of the row in each slot; kept after a row has left, since it often returns */
-    real *gram;         /* (slots, slots) v'v */
-    real *factor;       /* (slots, slots) upper triangular: U'U = G + E of the active rows, in their order */
-    real *batch;        /* (n, LANES) */
-    real *inverse;      /* (n) of R's diagonal */
-    real *z, *line;     /* (n, in whole lanes) */
-    real *start;        /* (m) values at U0 */
-    real *now;          /* (m) values at the plan; after `find_violations` the excess over their limits */
-    real *pivot;        /* (slots) inverses of U's diagonal; 0 for dependent rows */
-    real *partial;      /* (slots) U'^-1 of the right-hand side */
-    real *wanted;       /* (slots) solution of the system */
-    real *multiplier;   /* (slots) current multipliers */
-    real *step;         /* (slots) change of the multipliers */
-    real *spread;       /* (slots) multipliers in the order of the slots */
-    int *slot_of;       /* (m) slot + 1 of a row, or 0 */
-    int *state;         /* (m) state of each row, DDMPC_FREE and so on */
-    int *row_in;        /* (slots) row of each slot */
-    int *order;         /* (slots) slots of the active rows */
-    int *entering;      /* (slots) rows about to become active */
+    int factored;               /* leading active rows for which the factor is valid */
+    real largest_input;         /* largest absolute entry of U0 */
+    real primal;                /* largest excess of a hard row at the plan */
+    real *columns;    /* (n, slots) v of the row in each slot; kept after a row has left, since it often returns */
+    real *gram;       /* (slots, slots) v'v */
+    real *factor;     /* (slots, slots) upper triangular: U'U = G + E of the active rows, in their order */
+    real *batch;      /* (n, LANES) */
+    real *inverse;    /* (n) of R's diagonal */
+    real *z, *line;   /* (n, in whole lanes) */
+    real *start;      /* (m) values at U0 */
+    real *now;        /* (m) values at the plan; after `find_violations` the excess over their limits */
+    real *pivot;      /* (slots) inverses of U's diagonal; 0 for dependent rows */
+    real *partial;    /* (slots) U'^-1 of the right-hand side */
+    real *wanted;     /* (slots) solution of the system */
+    real *multiplier; /* (slots) current multipliers */
+    real *step;       /* (slots) change of the multipliers */
+    real *spread;     /* (slots) multipliers in the order of the slots */
+    int *slot_of;     /* (m) slot + 1 of a row, or 0 */
+    int *state;       /* (m) state of each row, DDMPC_FREE and so on */
+    int *row_in;      /* (slots) row of each slot */
+    int *order;       /* (slots) slots of the active rows */
+    int *entering;    /* (slots) rows about to become active */
 } ddmpc_rows;
 
 /* Start with all rows inactive. Returns 0 if the data are not finite. */
@@ -78,20 +77,11 @@ void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *star
 real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count);
 
 /* Operations for one column v with its products, and for a plan with the values of all rows, with `used` slots. */
-static inline ddmpc_count ddmpc_column_operations(int n, int used)
-{
-    return n * (n / 2 + used + 8);
-}
+static inline ddmpc_count ddmpc_column_operations(int n, int used) { return n * (n / 2 + used + 8); }
 
-static inline ddmpc_count ddmpc_plan_operations(int n, int m, int used)
-{
-    return n * (n + n / 2 + used) + 8 * m;
-}
+static inline ddmpc_count ddmpc_plan_operations(int n, int m, int used) { return n * (n + n / 2 + used) + 8 * m; }
 
-static inline int ddmpc_row_at(const ddmpc_rows *rows, int position)
-{
-    return rows->row_in[rows->order[position]];
-}
+static inline int ddmpc_row_at(const ddmpc_rows *rows, int position) { return rows->row_in[rows->order[position]]; }
 
 static inline int ddmpc_is_above(const ddmpc_rows *rows, int position)
 {

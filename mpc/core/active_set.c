@@ -24,12 +24,12 @@
 #include "clock.h"
 
 enum {
-    MAX_ROUNDS = 12,      /* rounds of the primal-dual method, which ends after one to three, or cycles */
-    PATIENCE = 2,         /* rounds within which the number of wrong rows must fall */
-    MAX_STALLS = 20,      /* rounds without a rise of the dual objective, which only rounding can cause */
-    MAX_REFINEMENTS = 3,  /* iterative refinements of one solution */
-    MAX_WORK = 6,         /* operations that a tick may take, in full starts with factorisation; ddmpc_limited_allowance */
-    BATCH = DDMPC_LANES   /* rows that the dual method activates at once: a block of columns costs as much as one */
+    MAX_ROUNDS = 12,     /* rounds of the primal-dual method, which ends after one to three, or cycles */
+    PATIENCE = 2,        /* rounds within which the number of wrong rows must fall */
+    MAX_STALLS = 20,     /* rounds without a rise of the dual objective, which only rounding can cause */
+    MAX_REFINEMENTS = 3, /* iterative refinements of one solution */
+    MAX_WORK = 6, /* operations that a tick may take, in full starts with factorisation; ddmpc_limited_allowance */
+    BATCH = DDMPC_LANES /* rows that the dual method activates at once: a block of columns costs as much as one */
 };
 
 /* For each number type: its rounding error; the size of a negligible step relative to the largest; the relative error
@@ -57,10 +57,7 @@ static range piece_of(const ddmpc_rows *rows, int position)
     return ddmpc_is_above(rows, position) ? above : below;
 }
 
-static real clamp_to(range piece, real multiplier)
-{
-    return ddmpc_min(ddmpc_max(multiplier, piece.low), piece.high);
-}
+static real clamp_to(range piece, real multiplier) { return ddmpc_min(ddmpc_max(multiplier, piece.low), piece.high); }
 
 /* Tolerated excess of a value over its limit: the slack of the problem, and rounding errors of the value. */
 static real tolerance(const ddmpc_rows *rows, int row)

@@ -21,19 +21,19 @@ typedef long long ddmpc_count;
 
 /* The units are the caller's choice; the solver uses magnitudes only to estimate rounding errors. */
 typedef struct {
-    int inputs, rows, hard;            /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
-    const real *factor, *minimiser;    /* R (n, n), row by row; the part below the diagonal is not read; U0 (n) */
-    const real *lower, *upper;         /* (m) lower <= upper; infinite without a limit */
-    real price, slope;                 /* penalty per unit beyond a soft limit, and its slope: > 0 with soft rows */
+    int inputs, rows, hard;         /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
+    const real *factor, *minimiser; /* R (n, n), row by row; the part below the diagonal is not read; U0 (n) */
+    const real *lower, *upper;      /* (m) lower <= upper; infinite without a limit */
+    real price, slope;              /* penalty per unit beyond a soft limit, and its slope: > 0 with soft rows */
     /* (m) a_i plan for all rows */
     void (*values)(const void *context, const real *plan, real *values);
     /* a_i (n) of one row; only [first, last) is read, the rest is zero */
     void (*row)(const void *context, int row, real *out, int *first, int *last);
     const void *context;
-    real slack;                        /* tolerated excess over a limit, in addition to rounding errors */
+    real slack; /* tolerated excess over a limit, in addition to rounding errors */
     int max_iterations;
-    ddmpc_count max_operations;       /* no round starts beyond this number */
-    ddmpc_time deadline;               /* time of ddmpc_now [s]; infinite: none. The first iteration always runs */
+    ddmpc_count max_operations; /* no round starts beyond this number */
+    ddmpc_time deadline;        /* time of ddmpc_now [s]; infinite: none. The first iteration always runs */
 } ddmpc_limited_problem;
 
 typedef enum {
@@ -45,12 +45,12 @@ typedef enum {
 
 typedef struct {
     ddmpc_limited_status status;
-    int iterations; /* systems solved */
-    int late;       /* 1 if the deadline ended the solve */
-    int active;     /* number of active rows */
+    int iterations;         /* systems solved */
+    int late;               /* 1 if the deadline ended the solve */
+    int active;             /* number of active rows */
     ddmpc_count operations; /* operations used, counted as in `ddmpc_limited_bound` */
-    real primal;    /* largest excess of a hard row */
-    real dual;      /* largest entry of the gradient of the Lagrangian, computed from the plan */
+    real primal;            /* largest excess of a hard row */
+    real dual;              /* largest entry of the gradient of the Lagrangian, computed from the plan */
 } ddmpc_limited_result;
 
 /* Memory for n inputs, m rows and at most `max_active` active rows. More than n can be active, since a soft row
@@ -62,8 +62,8 @@ typedef struct {
 } ddmpc_limited_memory;
 
 #define DDMPC_LIMITED_SLOTS(max_active) (((max_active) + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES)
-#define DDMPC_LIMITED_REALS(n, m, max_active)                                                                         \
-    ((n) * (DDMPC_LIMITED_SLOTS(max_active) + DDMPC_LANES + 3) + 3 * DDMPC_LANES + 2 * (m) +                          \
+#define DDMPC_LIMITED_REALS(n, m, max_active)                                                                          \
+    ((n) * (DDMPC_LIMITED_SLOTS(max_active) + DDMPC_LANES + 3) + 3 * DDMPC_LANES + 2 * (m) +                           \
      DDMPC_LIMITED_SLOTS(max_active) * (2 * DDMPC_LIMITED_SLOTS(max_active) + 6) + 16)
 #define DDMPC_LIMITED_INTS(n, m, max_active) (2 * (m) + 3 * DDMPC_LIMITED_SLOTS(max_active))
 

@@ -28,11 +28,10 @@ typedef struct {
 /* Fill the rows of one sample: positions, errors along and across, and their part of the gradient. Positions
  * accumulate over the arcs in `moves`. `restrict` states that the arrays do not overlap, without which the compiler
  * would not vectorise the loop. */
-static void fill_row(int count, const row_weights *w, const real *restrict mean_v,
-                               const real *restrict mean_omega, const real *restrict before,
-                               const real *restrict after, real *restrict moves_x, real *restrict moves_y,
-                               real *restrict x, real *restrict y, real *restrict along, real *restrict across,
-                               real *restrict gradient)
+static void fill_row(int count, const row_weights *w, const real *restrict mean_v, const real *restrict mean_omega,
+                     const real *restrict before, const real *restrict after, real *restrict moves_x,
+                     real *restrict moves_y, real *restrict x, real *restrict y, real *restrict along,
+                     real *restrict across, real *restrict gradient)
 {
     const row_weights r = *w;
     for (int j = 0; j < count; j++) {
@@ -145,8 +144,13 @@ static void fill_rows(ddmpc_controller *c)
         const row_weights weights = {
             {p->arc[2 * N + k], p->arc[3 * N + k], p->arc[4 * N + k]},
             {p->arc[5 * N + k], p->arc[6 * N + k], p->arc[7 * N + k]},
-            cosine, sine, constants->along[k], constants->across[k],
-            constants->along[k] * along, constants->across[k] * across, omega_gain * constants->heading[k] * turned,
+            cosine,
+            sine,
+            constants->along[k],
+            constants->across[k],
+            constants->along[k] * along,
+            constants->across[k] * across,
+            omega_gain * constants->heading[k] * turned,
         };
         /* Whole lanes: surplus entries are zeros of the padding. */
         fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1),

@@ -14,24 +14,24 @@
 
 /* Sizes of one controller; an export also defines them as macros in ddmpc_sizes.h. */
 typedef struct {
-    int steps;               /* horizon N, at most DDMPC_MAX_STEPS */
-    int states;              /* order n of the velocity model, at most DDMPC_MAX_STATES */
+    int steps;                /* horizon N, at most DDMPC_MAX_STEPS */
+    int states;               /* order n of the velocity model, at most DDMPC_MAX_STATES */
     int delay_v, delay_omega; /* dead time of each channel in whole samples; 0 for a nonlinear model */
-    int window;              /* W, past commands that affect future motion */
-    int history;             /* H, number of past ticks that the estimator stores */
-    int lag_v, lag_omega;    /* lead of the feed-forward in whole samples */
-    int residuals;           /* rows of the user's residuals at a sample */
-    int soft;                /* K, kinds of soft limit: five built-in kinds, turn radii, then the user's */
-    int terms;               /* number of user functions */
-    int parameters;          /* P, stage parameters of all user functions */
-    int nonlinear;           /* 1 if the velocity model is a function */
-    int turns;               /* kinds of soft limit for the minimum turn radius: 2, or 0 if it is not configured */
-    int slips;               /* S, number of estimated slips: 10, or 15 with curved slip */
-    int model_parameters;    /* Q, parameters of a nonlinear model */
-    int work;                /* reals of memory that a nonlinear model needs */
-    int command_turns;       /* kinds of soft limit for the minimum commanded radius: 2, or 0 if it is not configured */
-    int spare;               /* maximum unknown delay that a linear model compensates [samples] */
-    int max_active;          /* maximum number of active limits: one per command, and exceeded soft limits */
+    int window;               /* W, past commands that affect future motion */
+    int history;              /* H, number of past ticks that the estimator stores */
+    int lag_v, lag_omega;     /* lead of the feed-forward in whole samples */
+    int residuals;            /* rows of the user's residuals at a sample */
+    int soft;                 /* K, kinds of soft limit: five built-in kinds, turn radii, then the user's */
+    int terms;                /* number of user functions */
+    int parameters;           /* P, stage parameters of all user functions */
+    int nonlinear;            /* 1 if the velocity model is a function */
+    int turns;                /* kinds of soft limit for the minimum turn radius: 2, or 0 if it is not configured */
+    int slips;                /* S, number of estimated slips: 10, or 15 with curved slip */
+    int model_parameters;     /* Q, parameters of a nonlinear model */
+    int work;                 /* reals of memory that a nonlinear model needs */
+    int command_turns; /* kinds of soft limit for the minimum commanded radius: 2, or 0 if it is not configured */
+    int spare;         /* maximum unknown delay that a linear model compensates [samples] */
+    int max_active;    /* maximum number of active limits: one per command, and exceeded soft limits */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */
@@ -40,39 +40,39 @@ typedef int (*ddmpc_function)(const real **arguments, real **results, long long 
 /* A function of (pose, twist, command, reference, parameters) to (value, Jacobian by pose, twist and command). */
 typedef struct {
     ddmpc_function function;
-    int rows, soft;        /* rows of its value; 1 if they are limited, 0 if their squares are added to the cost */
-    int first_parameter;   /* index of its first parameter among the stage parameters */
+    int rows, soft;      /* rows of its value; 1 if they are limited, 0 if their squares are added to the cost */
+    int first_parameter; /* index of its first parameter among the stage parameters */
 } ddmpc_term;
 
 /* Constants of one controller. */
 typedef struct {
-    ddmpc_time sample_time, longest_pause;                /* [s] */
+    ddmpc_time sample_time, longest_pause; /* [s] */
 
     /* velocity model: x+ = A x + B0 u[k - delay] + B1 u[k - delay - 1], (v, omega) = C x */
-    const real *A;             /* [n][n] */
-    const real *B0;            /* [n][2] */
-    const real *B1;            /* [n][2] */
-    const real *C;             /* [2][n] */
-    const real *mean_output;   /* [2][n] C (1 + A) / 2 */
-    const real *settled;       /* [n][2] steady state under a constant unit command */
+    const real *A;                /* [n][n] */
+    const real *B0;               /* [n][2] */
+    const real *B1;               /* [n][2] */
+    const real *C;                /* [2][n] */
+    const real *mean_output;      /* [2][n] C (1 + A) / 2 */
+    const real *settled;          /* [n][2] steady state under a constant unit command */
     const real *model_parameters; /* [Q] of a nonlinear model */
 
     /* estimator */
-    const real *noise;         /* [n][n] process noise of one sample */
+    const real *noise; /* [n][n] process noise of one sample */
     real pose_noise[3];
     real prior[18], uncertainty[18], drift[18]; /* mean, deviation, variance per sample: slips, gyro bias, delays */
     real evidence[4]; /* squared deviations up to which slides, omega gain, delay of v, delay of omega count as noise */
-    real doubt[2]; /* prior variances of the model's omega gain, and of its lags [s^2] */
-    real min_slip[15], max_slip[15];         /* bounds of the estimated slip */
+    real doubt[2];    /* prior variances of the model's omega gain, and of its lags [s^2] */
+    real min_slip[15], max_slip[15]; /* bounds of the estimated slip */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit of the squared innovation [-], and its maximum duration [samples] */
     real min_yaw_rate, min_speed;
-    real stamp_history;              /* maximum age of an accepted stamp [s] */
-    real pose_variance[3];           /* for a pose without covariance */
-    real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
-    ddmpc_time sensor_delay[3];      /* by subject: age of a reading at its stamp [s] */
-    real sensor_scale[3];            /* reading over true value, with sign: wheel speed, wheel yaw rate, yaw rate */
-    real sensor_heading;             /* offset of the heading in poses from that of the robot [rad] */
+    real stamp_history;         /* maximum age of an accepted stamp [s] */
+    real pose_variance[3];      /* for a pose without covariance */
+    real twist_variance[3];     /* wheel speed, wheel yaw rate, yaw rate */
+    ddmpc_time sensor_delay[3]; /* by subject: age of a reading at its stamp [s] */
+    real sensor_scale[3];       /* reading over true value, with sign: wheel speed, wheel yaw rate, yaw rate */
+    real sensor_heading;        /* offset of the heading in poses from that of the robot [rad] */
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
     /* fields of mpc/config/core_thresholds.yaml with these names */
@@ -81,54 +81,55 @@ typedef struct {
     int rated_poses;
 
     /* monitor of the sensors */
-    int monitor;                     /* 1 if the monitor is enabled */
-    real enough;                     /* evidence against a sensor beyond which it is not used, in squared deviations */
+    int monitor; /* 1 if the monitor is enabled */
+    real enough; /* evidence against a sensor beyond which it is not used, in squared deviations */
     /* fields of mpc/config/sensor_test.yaml with these names: the test of the sensors */
     real windows[3], silence, pose_spacing, latest, lasting, often;
     real gyro[2], slip_turning[2], slip_driving[2], following[2], response_time, uneven, sliding[2], frozen[2], odds[2];
-    real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5];
+    real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held,
+        scatter[5];
     real late[6], delay_fit[8], by_wheels[3], scaled[4], impossible[2], far;
     /* fields for wheels at their speed limit, and for displacements at which the robot stays on its path */
     real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, slower, stuck, steady, trial[2];
     real smoothed, slowed, retry, regain[2];
     real on_spot, far_below;
-    int wheel_limits;                /* 1 if the speed limit of the wheels is learned */
-    real monitor_turn_ratio;         /* turn ratio beyond which the configured tracks count as wrong [-] */
-    real monitor_trust;              /* time for which a sensor must agree before it is used again [s] */
+    int wheel_limits;        /* 1 if the speed limit of the wheels is learned */
+    real monitor_turn_ratio; /* turn ratio beyond which the configured tracks count as wrong [-] */
+    real monitor_trust;      /* time for which a sensor must agree before it is used again [s] */
 
     /* prediction of a linear model: twists at the samples, from the current state and the pending commands */
-    const real *from_state;     /* [N+1][2][n] */
-    const real *from_past;      /* [N+1][2][W][2] oldest command first */
-    const real *response;       /* [2][2][N+1] of v, omega to v_ref, omega_ref: m samples after a unit command */
+    const real *from_state; /* [N+1][2][n] */
+    const real *from_past;  /* [N+1][2][W][2] oldest command first */
+    const real *response;   /* [2][2][N+1] of v, omega to v_ref, omega_ref: m samples after a unit command */
     /* last rows of the matrices of twist, mean twist and heading, padded with zeros: other rows are shifted sections */
-    const real *twist_row;      /* [2][2*width] */
-    const real *mean_row;       /* [2][2*width] */
-    const real *heading_row;    /* [2*width] */
+    const real *twist_row;       /* [2][2*width] */
+    const real *mean_row;        /* [2][2*width] */
+    const real *heading_row;     /* [2*width] */
     const real *heading_hessian; /* [2*N][2*N] of the heading errors, for a gain of 1 */
 
     /* cost */
-    const real *along;          /* [N] roots of the weights of the errors at the samples 1 to N */
-    const real *across;         /* [N] */
-    const real *heading;        /* [N] weights */
+    const real *along;   /* [N] roots of the weights of the errors at the samples 1 to N */
+    const real *across;  /* [N] */
+    const real *heading; /* [N] weights */
     real command_weight[2], increment_weight[2];
     real inverse_gain[4], lag_rest[2]; /* feed-forward: in column-major order; lag beyond whole samples [samples] */
-    real price, price_slope;         /* linear and quadratic penalty per unit of soft-limit violation */
+    real price, price_slope;           /* linear and quadratic penalty per unit of soft-limit violation */
 
     /* limits */
     /* maximum commands forward, in reverse, left, right [m/s, rad/s]; slew per sample of an increasing and of a
      * decreasing |v|, then of omega; braking ramp of v and omega per sample */
     real largest_command[4], slew[4], braking[2];
-    const real *soft_upper;     /* [K] */
-    const real *soft_lower;     /* [K] */
-    real half_track;            /* [m] */
-    real min_turn_radius;     /* [m]; 0: none */
+    const real *soft_upper;    /* [K] */
+    const real *soft_lower;    /* [K] */
+    real half_track;           /* [m] */
+    real min_turn_radius;      /* [m]; 0: none */
     real min_commanded_radius; /* [m]; 0: none */
 
     /* solution */
-    real slack;                 /* excess over a limit that the active set tolerates */
-    int active_set;             /* maximum iterations of the active set at a tick; 0: backend only */
-    int forced;                 /* 1 if the backend solves every tick */
-    int max_missed;             /* consecutive missed deadlines from which the robot brakes; 0: never */
+    real slack;     /* excess over a limit that the active set tolerates */
+    int active_set; /* maximum iterations of the active set at a tick; 0: backend only */
+    int forced;     /* 1 if the backend solves every tick */
+    int max_missed; /* consecutive missed deadlines from which the robot brakes; 0: never */
 
     /* ladder */
     real max_pose_age, dead_reckoning, max_position_error;
@@ -221,21 +222,21 @@ typedef enum {
 /* Reasons for the result, as bits. */
 enum {
     DDMPC_NO_REFERENCE = 1,
-    DDMPC_NO_POSE = 2,               /* no pose has arrived yet */
-    DDMPC_ELSEWHERE = 4,             /* several poses agree on a position away from the estimate */
-    DDMPC_LOST = 8,                  /* the estimate is not finite; it restarts */
-    DDMPC_OLD_POSE = 16,             /* no pose was accepted for longer than max_pose_age */
-    DDMPC_LATCHED = 32,              /* stopped after a failure; call start or resume to continue */
-    DDMPC_TOO_FAR = 64,              /* distance from the reference beyond max_position_error, in `distance` */
-    DDMPC_SOLVE_FAILED = 128,        /* see the report for the reason */
-    DDMPC_NOT_AT_REST = 256,         /* finished by finish_timeout, at `distance` from the end */
-    DDMPC_SENT_REJECTED = 512,       /* `sent` is not finite or exceeds the limits */
-    DDMPC_HELD = 1024,               /* the application requested a stop */
-    DDMPC_TIME_FAULTY = 2048,        /* time is not finite, or runs backwards */
-    DDMPC_TIME_REPEATED = 4096,      /* too soon after the last tick; its command is repeated */
-    DDMPC_TIME_LEAPT = 8192,         /* no tick for too long: a pause, or a glitch of the clock */
-    DDMPC_TIME_PAUSED = 16384,       /* a pause after which the estimate restarts */
-    DDMPC_WHEELS_ACCUSED = 32768,    /* the other sensors contradict this sensor, which is not used; see ddmpc_subject */
+    DDMPC_NO_POSE = 2,            /* no pose has arrived yet */
+    DDMPC_ELSEWHERE = 4,          /* several poses agree on a position away from the estimate */
+    DDMPC_LOST = 8,               /* the estimate is not finite; it restarts */
+    DDMPC_OLD_POSE = 16,          /* no pose was accepted for longer than max_pose_age */
+    DDMPC_LATCHED = 32,           /* stopped after a failure; call start or resume to continue */
+    DDMPC_TOO_FAR = 64,           /* distance from the reference beyond max_position_error, in `distance` */
+    DDMPC_SOLVE_FAILED = 128,     /* see the report for the reason */
+    DDMPC_NOT_AT_REST = 256,      /* finished by finish_timeout, at `distance` from the end */
+    DDMPC_SENT_REJECTED = 512,    /* `sent` is not finite or exceeds the limits */
+    DDMPC_HELD = 1024,            /* the application requested a stop */
+    DDMPC_TIME_FAULTY = 2048,     /* time is not finite, or runs backwards */
+    DDMPC_TIME_REPEATED = 4096,   /* too soon after the last tick; its command is repeated */
+    DDMPC_TIME_LEAPT = 8192,      /* no tick for too long: a pause, or a glitch of the clock */
+    DDMPC_TIME_PAUSED = 16384,    /* a pause after which the estimate restarts */
+    DDMPC_WHEELS_ACCUSED = 32768, /* the other sensors contradict this sensor, which is not used; see ddmpc_subject */
     DDMPC_YAW_RATE_ACCUSED = 65536,
     DDMPC_POSE_ACCUSED = 131072,
     DDMPC_POSES_SCATTER = 262144,    /* poses scatter far more than stated, and get less weight */
@@ -307,9 +308,9 @@ typedef struct {
     real turn_ratio[2]; /* yaw rate ratio of wheels to commands, body to wheels, see DDMPC_TURNS_OTHERWISE [-] */
     ddmpc_report solver;
     ddmpc_time solve_time; /* time to linearise, condense and solve, without a backend; NaN: nothing was solved [s] */
-    real distance;   /* [m], see DDMPC_TOO_FAR */
-    real reach;      /* maximum rim speed that the wheels attain; infinity if no limit is known [m/s] */
-    ddmpc_time gap;  /* time since the last tick [s] */
+    real distance;         /* [m], see DDMPC_TOO_FAR */
+    real reach;            /* maximum rim speed that the wheels attain; infinity if no limit is known [m/s] */
+    ddmpc_time gap;        /* time since the last tick [s] */
     ddmpc_estimate estimate;
     /* Plan that contains the command. */
     real *planned_poses;    /* [N+1][3] */
@@ -425,13 +426,13 @@ const real *ddmpc_commands(const ddmpc_controller *controller);
 
 /* The tick's quadratic program: minimise U'HU/2 + g'U + penalty of soft-limit violations. */
 typedef struct {
-    const real *H;     /* [2*N][2*N] */
-    const real *g;     /* [2*N] */
-    const real *lower; /* [4+K][N] by kind: v_ref, omega_ref, their increments, then the kinds of soft limit */
-    const real *upper; /* [4+K][N] */
-    const real *guess; /* [2*N] */
-    const real *multipliers; /* [4+K][N] initial guess */
-    const int *active_kinds; /* [4+K] 1: kind active at the last tick, or violated by the minimiser without limits */
+    const real *H;            /* [2*N][2*N] */
+    const real *g;            /* [2*N] */
+    const real *lower;        /* [4+K][N] by kind: v_ref, omega_ref, their increments, then the kinds of soft limit */
+    const real *upper;        /* [4+K][N] */
+    const real *guess;        /* [2*N] */
+    const real *multipliers;  /* [4+K][N] initial guess */
+    const int *active_kinds;  /* [4+K] 1: kind active at the last tick, or violated by the minimiser without limits */
     const real *last_command; /* [2] */
     const real *aim;          /* [N+1][4] */
     const real *feed_forward; /* [N][2] */

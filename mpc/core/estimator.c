@@ -9,10 +9,7 @@ static ddmpc_node *node_at(const ddmpc_controller *c, int index)
     return &c->estimator.node[(c->estimator.first + index) % HISTORY(c)];
 }
 
-static ddmpc_node *newest(const ddmpc_controller *c)
-{
-    return node_at(c, c->estimator.nodes - 1);
-}
+static ddmpc_node *newest(const ddmpc_controller *c) { return node_at(c, c->estimator.nodes - 1); }
 
 /* Return the command sent `ticks_ago`. */
 static real *sent(const ddmpc_controller *c, int ticks_ago)
@@ -87,7 +84,8 @@ int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real received[2])
     const ddmpc_constants *k = c->constants;
     for (int i = 0; i < 2; i++)
         /* The negated comparison also rejects NaN. */
-        if (!(ddmpc_fabs(received[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (received[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
+        if (!(ddmpc_fabs(received[i]) <=
+              k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (received[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, received);
     return 1;
@@ -171,8 +169,7 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
         state[i] = R(0.0);
         for (int channel = 0; channel < 2; channel++)
             /* The command before the oldest one that acts in the first interval. */
-            state[i] += constants->settled[2 * i + channel] *
-                        sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
+            state[i] += constants->settled[2 * i + channel] * sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
     }
     for (int ticks_ago = HISTORY(c); ticks_ago >= 0; ticks_ago--) {
         ddmpc_velocity_step(c, state, sent(c, ticks_ago), 0, next, 0, 0);
@@ -210,7 +207,8 @@ static void relearn(ddmpc_controller *c, real change)
             oldest->covariance[i * Z + j] = oldest->covariance[j * Z + i] = initial->covariance[i * Z + j];
     }
     for (int i = 0; i < 3; i++)
-        oldest->covariance[(n + POSE(c) + i) * (Z + 1)] += ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
+        oldest->covariance[(n + POSE(c) + i) * (Z + 1)] +=
+            ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
 }
 
 /* Restart the history with one node at `pose`; all other states come from `motion`. */
@@ -345,8 +343,7 @@ static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, cons
 /* Reduce slip and delays in the mean for the controller according to their evidence. */
 static void discount_by_evidence(const ddmpc_controller *c, const ddmpc_belief *belief, real *mean)
 {
-    const int groups[4][4] = {
-        {TURN_AHEAD, TURN_LEFT, SLIDE_X, SLIDE_Y}, {OMEGA_GAIN}, {DELAYS(c)}, {DELAYS(c) + 1}};
+    const int groups[4][4] = {{TURN_AHEAD, TURN_LEFT, SLIDE_X, SLIDE_Y}, {OMEGA_GAIN}, {DELAYS(c)}, {DELAYS(c) + 1}};
     for (int i = 0; i < 4; i++)
         discount(c, belief, groups[i], i == 0 ? 4 : 1, c->constants->evidence[i],
                  i == 0 ? R(0.0) : c->constants->doubt[i > 1], mean);
@@ -382,8 +379,8 @@ int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance,
     return 1;
 }
 
-void ddmpc_predict_belief(const ddmpc_controller *c, const real *commands, real *mean, real *covariance, real *mean_after,
-                   real *covariance_after)
+void ddmpc_predict_belief(const ddmpc_controller *c, const real *commands, real *mean, real *covariance,
+                          real *mean_after, real *covariance_after)
 {
     const ddmpc_belief before = {mean, covariance, {R(0.0)}, {0}};
     ddmpc_belief after = {mean_after, covariance_after, {R(0.0)}, {0}};

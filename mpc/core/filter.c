@@ -53,10 +53,7 @@ static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2]
     }
 }
 
-void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2])
-{
-    twist_now(c, mean, twist, 0);
-}
+void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]) { twist_now(c, mean, twist, 0); }
 
 /* Compute P h. P is symmetric, so its rows serve as columns, and most entries of h are zero. */
 static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const real *h, real *out)
@@ -245,8 +242,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
     /* Entries are in the order of the slips in internal.h. */
-    const int observable[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
-                                          cornering, turning, turning, driving, driving, cornering, cornering, turning};
+    const int observable[CURVED_SLIPS] = {1,       turning, driving, turning, cornering, turning,   turning, cornering,
+                                          turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
         if (observable[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];

@@ -107,13 +107,13 @@ enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };
 enum {
     MAX_TWISTS = 12, /* maximum readings of wheels and gyro in one tick of the history */
     MAX_POSES = 4,   /* maximum poses in one tick of the history */
-    AGREEING = 3      /* number of consecutive poses that agree with each other and override the estimate */
+    AGREEING = 3     /* number of consecutive poses that agree with each other and override the estimate */
 };
 
 typedef struct {
-    real *mean;        /* [Z] */
-    real *covariance;  /* [Z][Z] */
-    real rate[2];      /* rate of the model's output over the previous sample [m/s^2, rad/s^2] */
+    real *mean;                   /* [Z] */
+    real *covariance;             /* [Z][Z] */
+    real rate[2];                 /* rate of the model's output over the previous sample [m/s^2, rad/s^2] */
     int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations became too large; 0: not too large */
 } ddmpc_belief;
 
@@ -144,8 +144,8 @@ typedef struct {
     ddmpc_time accepted_stamp, pose_stamp, wheels_stamp, yaw_rate_stamp;
     ddmpc_time pose_interval, pose_latency; /* interval and latency of the last pose that exceeded max_pose_age [s] */
     ddmpc_time too_old;                     /* age of a pose older than the history [s]; 0 once a pose is accepted */
-    unsigned int overdue;                   /* bits of the last poses that were too late for max_pose_age, newest first */
-    int rare;                               /* 1 if poses are regularly too late */
+    unsigned int overdue; /* bits of the last poses that were too late for max_pose_age, newest first */
+    int rare;             /* 1 if poses are regularly too late */
     real last_wheels[2], last_yaw_rate;
     ddmpc_checked_pose jumped[AGREEING];
     int jumps;        /* poses in `jumped` */
@@ -182,39 +182,39 @@ typedef struct {
     ddmpc_seen_pose pose[MONITORED_POSES]; /* a ring of `poses` */
     int newest, moves, newest_pose, poses;
     ddmpc_hearing wheels, gyro;
-    real state[DDMPC_MAX_STATES];  /* state of the model without corrections */
-    real slip[DDMPC_MAX_SLIPS];                /* earlier estimate of the slip */
-    ddmpc_checked_pose last;        /* newest pose, if `has_last` */
-    ddmpc_motion last_motion;       /* motion up to the newest pose */
-    ddmpc_motion frozen;            /* motion up to the first of `same` consecutive equal poses */
+    real state[DDMPC_MAX_STATES]; /* state of the model without corrections */
+    real slip[DDMPC_MAX_SLIPS];   /* earlier estimate of the slip */
+    ddmpc_checked_pose last;      /* newest pose, if `has_last` */
+    ddmpc_motion last_motion;     /* motion up to the newest pose */
+    ddmpc_motion frozen;          /* motion up to the first of `same` consecutive equal poses */
     int has_last, same;
-    ddmpc_time next_pose;           /* earliest stamp of the next stored pose [s] */
-    real residual[3], scatter[2];   /* error of poses against dead reckoning; its variance over the stated variance */
-    real widest[2];                 /* largest scatter of poses so far, for position and heading */
+    ddmpc_time next_pose;         /* earliest stamp of the next stored pose [s] */
+    real residual[3], scatter[2]; /* error of poses against dead reckoning; its variance over the stated variance */
+    real widest[2];               /* largest scatter of poses so far, for position and heading */
     int residuals;
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* turn ratios, as quotients of sums */
-    real misfit[MONITORED_DELAYS];  /* misfit of poses for each candidate delay */
+    real misfit[MONITORED_DELAYS];                                /* misfit of poses for each candidate delay */
     real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* fit of the heading of poses minus the gyro's at each delay:
                                                           * offset [rad], bias [rad/s], share of the turn */
-    real fits, delay_deviation;     /* number of fitted poses, with forgetting; standard deviation of `delay` [s] */
-    real spread[6];                 /* sums of weights of turns, times turns by poses, by the gyro, both squared, and
+    real fits, delay_deviation; /* number of fitted poses, with forgetting; standard deviation of `delay` [s] */
+    real spread[6];             /* sums of weights of turns, times turns by poses, by the gyro, both squared, and
                                      * their product */
-    ddmpc_time unsure;              /* last time at which the delay was uncertain [s] */
-    ddmpc_time delay;               /* age of poses at their stamps, estimated from motion [s] */
-    int creeping;                   /* 1 if poses and gyro start to differ */
-    ddmpc_time slipped, stood;      /* times of the last wheel slip, and of the last pose at rest despite a command [s] */
-    real impossible[2];             /* recent impossible readings of wheels and gyro, with forgetting */
-    real turning[2];                /* sums of gyro times wheels while wheels follow the commands: signed, absolute [rad^2/s] */
-    real direction, directed;       /* mean angle from the heading of poses to their course [rad], and its weight */
-    real apart, anchor[3];          /* total turn of the gyro minus that of poses [rad]; direction, its variance and this
+    ddmpc_time unsure;          /* last time at which the delay was uncertain [s] */
+    ddmpc_time delay;           /* age of poses at their stamps, estimated from motion [s] */
+    int creeping;               /* 1 if poses and gyro start to differ */
+    ddmpc_time slipped, stood;  /* times of the last wheel slip, and of the last pose at rest despite a command [s] */
+    real impossible[2];         /* recent impossible readings of wheels and gyro, with forgetting */
+    real turning[2]; /* sums of gyro times wheels while wheels follow the commands: signed, absolute [rad^2/s] */
+    real direction, directed; /* mean angle from the heading of poses to their course [rad], and its weight */
+    real apart, anchor[3];    /* total turn of the gyro minus that of poses [rad]; direction, its variance and this
                                      * difference at an earlier course */
     int anchored;
-    real witness, settled;          /* evidence of the course in squared deviations, > 0 for the heading of poses, < 0 for
+    real witness, settled; /* evidence of the course in squared deviations, > 0 for the heading of poses, < 0 for
                                      * the gyro; its value up to the anchor */
-    real went[6];                   /* sums over windows: commanded distance squared, times that of wheels, times that of
+    real went[6];          /* sums over windows: commanded distance squared, times that of wheels, times that of
                                      * poses [m^2]; absolute value [m]; turns by poses squared, and times those by wheels
                                      * [rad^2] */
-    int contradictions[3];          /* number of consecutive contradictions, by subject */
+    int contradictions[3]; /* number of consecutive contradictions, by subject */
     ddmpc_time since[3], agreed[3]; /* start of the contradictions [s]; time without a contradiction [s] */
     int accused, repeating, unreal; /* bits 1 << subject */
 } ddmpc_monitor;
@@ -229,15 +229,15 @@ typedef struct {
     real pose[3], slip[DDMPC_MAX_SLIPS], last[2];
     real late[2]; /* delays of the commands in the prediction [samples] */
     real *late_response, *late_twist, *late_mean, *late_heading, *late_hessian; /* response with the delays `late` */
-    int is_stale; /* 1 if `late_hessian` was computed for other delays */
+    int is_stale;             /* 1 if `late_hessian` was computed for other delays */
     real gains[2], turn_gain; /* derivatives of the body's v and omega by the model's, and of the body's v by omega */
-    real *free_twist;   /* [N+1][2] twist of the body for a plan of zeros */
-    real *ahead;        /* [N] turning point of each arc along the guess [m] */
-    real *aim;          /* [N+1][4] */
-    real *feed_forward; /* [N][2] */
-    real fed_before[2]; /* feed-forward of the last tick, computed with the slip of this tick */
-    real *free_output;  /* [N+1][2] output of the model for a plan of zeros */
-    real *by_plan;      /* [2][N+1] effect of a plan on the model's output */
+    real *free_twist;         /* [N+1][2] twist of the body for a plan of zeros */
+    real *ahead;              /* [N] turning point of each arc along the guess [m] */
+    real *aim;                /* [N+1][4] */
+    real *feed_forward;       /* [N][2] */
+    real fed_before[2];       /* feed-forward of the last tick, computed with the slip of this tick */
+    real *free_output;        /* [N+1][2] output of the model for a plan of zeros */
+    real *by_plan;            /* [2][N+1] effect of a plan on the model's output */
     /* For a nonlinear model or curved slip: rows of twist, mean twist and heading at each sample, states and
      * Jacobians. */
     real *twist_rows;   /* [N+1][2][width] */
@@ -245,29 +245,29 @@ typedef struct {
     real *heading_rows; /* [N+1][width] */
     real *model_output; /* [N+1][2] output of a linear model with curved slip for a plan of zeros */
     real *sensitivity;  /* [2][n][width] */
-    real *by_window;     /* [n][2(W+1)] Jacobian of a step, in column-major order */
-    real *held;          /* [2(W+1)] window of a constant command */
-    real *work;          /* memory for the model's step */
-    real *settling;      /* [n+2][n+5] equations of a Newton step */
+    real *by_window;    /* [n][2(W+1)] Jacobian of a step, in column-major order */
+    real *held;         /* [2(W+1)] window of a constant command */
+    real *work;         /* memory for the model's step */
+    real *settling;     /* [n+2][n+5] equations of a Newton step */
     real *poses;        /* [N+1][3] along the guess */
-    real *arc;          /* [8][N] displacement x, y of each arc; gradients of x and of y by the model's twist and heading */
+    real *arc; /* [8][N] displacement x, y of each arc; gradients of x and of y by the model's twist and heading */
     real *cosine, *sine; /* [N] cosine and sine of the path's heading at the samples 1 to N */
-    real *stack;        /* [N STACKED][width] weighted rows of the residuals */
-    real *position;     /* [N][2][width] rows of x and y */
-    real *moves;        /* [2][width] */
-    real *gradient;     /* [width] */
-    real *soft_value;   /* [K][N] values with soft limits for a plan of zeros */
+    real *stack;         /* [N STACKED][width] weighted rows of the residuals */
+    real *position;      /* [N][2][width] rows of x and y */
+    real *moves;         /* [2][width] */
+    real *gradient;      /* [width] */
+    real *soft_value;    /* [K][N] values with soft limits for a plan of zeros */
     real *soft_gradient; /* [K][N][7] derivatives by pose, model output and command */
-    real *term;         /* [8 K or 8 R] value and gradient of a user function */
-    real *H, *g;        /* [2N][2N], [2N] */
+    real *term;          /* [8 K or 8 R] value and gradient of a user function */
+    real *H, *g;         /* [2N][2N], [2N] */
     real *lower, *upper; /* [4+K][N] */
-    real *guess;        /* [2N] */
-    real *minimiser;    /* [2N] minimiser without limits */
-    real *factor;       /* [2N][2N] R of H = R'R, upper triangular */
-    real *multipliers;  /* [4+K][N] of the last tick, shifted by one step */
-    real *values;       /* [4+K][N] */
-    real *plan;         /* [2N] */
-    int *active_kinds;  /* [4+K] see ddmpc_program */
+    real *guess;         /* [2N] */
+    real *minimiser;     /* [2N] minimiser without limits */
+    real *factor;        /* [2N][2N] R of H = R'R, upper triangular */
+    real *multipliers;   /* [4+K][N] of the last tick, shifted by one step */
+    real *values;        /* [4+K][N] */
+    real *plan;          /* [2N] */
+    int *active_kinds;   /* [4+K] see ddmpc_program */
     int has_guess;
 } ddmpc_problem;
 
@@ -285,30 +285,30 @@ struct ddmpc_controller {
     ddmpc_time last_tick, leap;
     int has_last_tick, has_leap;
     /* ladder */
-    real last[2];         /* last command, to which slew is relative */
-    real *last_plan;      /* [2N] last good plan */
-    int plan_age;         /* ticks since it was computed; -1: no plan */
+    real last[2];    /* last command, to which slew is relative */
+    real *last_plan; /* [2N] last good plan */
+    int plan_age;    /* ticks since it was computed; -1: no plan */
     int has_reference, has_result, has_driven, latched, finished, pending;
-    int is_outage;         /* 1 if this tick brakes because measurements are missing */
-    ddmpc_time sound_tick; /* time of the last tick without such an outage [s] */
-    ddmpc_time deadline; /* deadline of this tick's solve, see ddmpc_input; infinite: none */
+    int is_outage;               /* 1 if this tick brakes because measurements are missing */
+    ddmpc_time sound_tick;       /* time of the last tick without such an outage [s] */
+    ddmpc_time deadline;         /* deadline of this tick's solve, see ddmpc_input; infinite: none */
     int max_iterations, is_late; /* see ddmpc_input */
-    int missed;          /* see ddmpc_report */
+    int missed;                  /* see ddmpc_report */
     real share;
     /* fence */
     real fence[3]; /* centre of the fence in the frame of poses [m, m, rad] */
     real allowed;  /* permitted distance outside the fence: the minimum since the start [m] */
     int left_fence;
-    real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
+    real rim[2];             /* smoothed speeds of the right and left wheels by their encoders [m/s] */
     int short_wheel;         /* index of the wheel that falls short of its demand */
     real tried, tried_speed; /* demand and speed of `short_wheel` when the shortfall began [m/s] */
-    real carried;          /* tolerated displacement after turns on the spot [m] */
+    real carried;            /* tolerated displacement after turns on the spot [m] */
     real known, doubt;     /* position variance at the last fresh pose [m^2]; uncertainty gained since, in bands [-] */
     int on_spot;           /* 1 while the reference turns on the spot */
     real reach, rim_reach; /* permitted rim speed of the wheels, and the speed that they attained [m/s] */
     real slowed;           /* time for which the reference has been slowed since `rim_reach` was learned [s] */
-    real *parameters;     /* [N+1][P] */
-    real *reference_pose; /* [SAMPLES][3] */
+    real *parameters;      /* [N+1][P] */
+    real *reference_pose;  /* [SAMPLES][3] */
     real *reference_twist; /* [SAMPLES][2] */
     ddmpc_result result;
 };

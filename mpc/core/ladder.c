@@ -58,9 +58,8 @@ static void report_turn(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real *feed_forward = c->problem.feed_forward;
-    if (COMMAND_TURNS(c) &&
-        ddmpc_fabs(feed_forward[1]) * k->min_commanded_radius >
-            k->turn_held_share * ddmpc_fabs(feed_forward[0]) + k->turn_held_from[1])
+    if (COMMAND_TURNS(c) && ddmpc_fabs(feed_forward[1]) * k->min_commanded_radius >
+                                k->turn_held_share * ddmpc_fabs(feed_forward[0]) + k->turn_held_from[1])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 

@@ -68,7 +68,10 @@ static real direction_at(const ddmpc_controller *c, int k, int end)
 }
 
 /* Direction of the reference at the time when command k acts, one lag later. */
-static real commanded_direction(const ddmpc_controller *c, int k) { return direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1); }
+static real commanded_direction(const ddmpc_controller *c, int k)
+{
+    return direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1);
+}
 
 void ddmpc_directions(const ddmpc_controller *c, real *directions)
 {
@@ -96,9 +99,7 @@ static void evaluate_group(const ddmpc_controller *c, const soft_group *group, i
         shipped[0] = group->radius;
         /* The direction of the last command is that of its sign. */
         if (group->commanded)
-            shipped[1] = k >= 0            ? commanded_direction(c, k)
-                         : p->last[0] < R(0.0) ? R(-1.0)
-                                               : R(1.0);
+            shipped[1] = k >= 0 ? commanded_direction(c, k) : p->last[0] < R(0.0) ? R(-1.0) : R(1.0);
         else
             shipped[1] = direction_at(c, k + 1, STEPS(c));
     } else {
@@ -106,7 +107,7 @@ static void evaluate_group(const ddmpc_controller *c, const soft_group *group, i
         shipped[SLIPS(c)] = c->constants->half_track;
     }
     ddmpc_call_term(c, group->function, k, group->rows, k < 0 ? p->last : p->guess + 2 * k,
-              group->term ? ddmpc_parameters_at(c, k + 1, group->term) : shipped, p->term);
+                    group->term ? ddmpc_parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
 
 /* Contribution of a plan at sample k + 1 to a quantity whose gradient is from `ddmpc_through_slip`. */

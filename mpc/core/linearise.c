@@ -199,7 +199,8 @@ void ddmpc_problem_guess(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int i = 0; i < INPUTS(c); i++) {
-        const real upper = ddmpc_largest_command(c, i / 2, i % 2, 0), lower = -ddmpc_largest_command(c, i / 2, i % 2, 1);
+        const real upper = ddmpc_largest_command(c, i / 2, i % 2, 0),
+                   lower = -ddmpc_largest_command(c, i / 2, i % 2, 1);
         p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], lower), upper);
     }
     p->has_guess = 1;

@@ -119,7 +119,8 @@ static void rebase(ddmpc_monitor *m, int i)
         return;
     }
     /* Subtract only whole turns from the heading, because positions were integrated along it. */
-    const real turn = R(2.0) * DDMPC_PI, offset = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
+    const real turn = R(2.0) * DDMPC_PI,
+               offset = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
     m->now.sum[i] -= offset;
     m->frozen.sum[i] -= offset;
     m->last_motion.sum[i] -= offset;
@@ -164,7 +165,8 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
          * frame of the sums. */
         const real theta = newest[POSE(c) + 2], zero = R(0.0), rotation = sum[HEADING] - theta;
         const real model[2] = {speed - slip[V_OFFSET], turn / (dt * slip[OMEGA_GAIN] * slip[YAW_GAIN])};
-        const real cosine = ddmpc_cos(rotation), sine = ddmpc_sin(rotation), *arguments[5] = {model, slip, &theta, &zero, &dt};
+        const real cosine = ddmpc_cos(rotation), sine = ddmpc_sin(rotation),
+                   *arguments[5] = {model, slip, &theta, &zero, &dt};
         real step[3], *results[2] = {step, 0};
         WITH_SLIP(c, move)(arguments, results, 0, 0, 0);
         sum[FORWARD] += cosine * step[0] - sine * step[1];
@@ -227,13 +229,13 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
 
 /* Motion between two times according to each sensor, in the frame of the mean heading. */
 typedef struct {
-    real pose, wheels, model;            /* forward motion [m]; for wheels and commands with the estimated slip */
-    real left;                           /* lateral motion of the pose minus that of dead reckoning [m] */
+    real pose, wheels, model; /* forward motion [m]; for wheels and commands with the estimated slip */
+    real left;                /* lateral motion of the pose minus that of dead reckoning [m] */
     real pose_turn, wheel_turn, gyro_turn, model_turn; /* turns of the body with the learned gains [rad] */
-    real total_turn;                     /* sum of absolute turns [rad] */
-    real chord, path;                    /* chord over distance travelled [-]; distance travelled by the wheels [m] */
-    real heading;                        /* mean heading of the pose [rad] */
-    real late[2];                        /* change of the commanded motion for a later response of the wheels [m, rad] */
+    real total_turn;                                   /* sum of absolute turns [rad] */
+    real chord, path; /* chord over distance travelled [-]; distance travelled by the wheels [m] */
+    real heading;     /* mean heading of the pose [rad] */
+    real late[2];     /* change of the commanded motion for a later response of the wheels [m, rad] */
 } motions;
 
 static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
@@ -258,7 +260,8 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     by.pose = cosine[0] * dx + sine[0] * dy;
     by.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
     by.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
-    by.chord = ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]) ? ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]) : R(1.0);
+    by.chord =
+        ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]) ? ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]) : R(1.0);
     by.path = sum[WHEEL_DISTANCE];
     by.model = by.wheels + by.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
     return by;
@@ -266,9 +269,9 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
 
 /* Squared residuals of one window. */
 typedef struct {
-    real fault[SENSES];    /* with a fault of each sensor */
-    int slips;             /* 1 if the best hypothesis without a fault is slip or a held robot */
-    real no_fault;         /* with the best hypothesis without a fault */
+    real fault[SENSES]; /* with a fault of each sensor */
+    int slips;          /* 1 if the best hypothesis without a fault is slip or a held robot */
+    real no_fault;      /* with the best hypothesis without a fault */
 } verdict;
 
 /* Squared residuals of each hypothesis for one kind of motion, turning or driving. */
@@ -286,7 +289,8 @@ static residuals explain(const real value[4], const real noise[4], real body_var
     residuals result;
     memset(&result, 0, sizeof result);
     const real body_noise = pose && gyro ? noise[P] * noise[G] / (noise[P] + noise[G]) : pose ? noise[P] : noise[G];
-    const real body = pose && gyro ? (value[P] * noise[G] + value[G] * noise[P]) / (noise[P] + noise[G]) : value[pose ? P : G];
+    const real body =
+        pose && gyro ? (value[P] * noise[G] + value[G] * noise[P]) / (noise[P] + noise[G]) : value[pose ? P : G];
     const real wheel = wheels ? value[W] : value[M], wheel_noise = wheels ? noise[W] : wheel_variance;
     const real body_error = pose && gyro ? square(value[P] - value[G]) / (noise[P] + noise[G]) : R(0.0);
     const real wheel_error = wheels ? square(value[W] - value[M]) / (noise[W] + wheel_variance) : R(0.0);
@@ -294,9 +298,12 @@ static residuals explain(const real value[4], const real noise[4], real body_var
     result.normal = body_error + wheel_error + slip_error;
     result.slip = body_error + wheel_error;
     result.held = body_error + (wheels ? slip_error : R(0.0));
-    result.fault[DDMPC_OF_WHEELS] = body_error + square(body - value[M]) / (body_variance + body_noise + wheel_variance);
-    result.fault[DDMPC_OF_YAW_RATE] = wheel_error + (pose ? square(value[P] - wheel) / (body_variance + noise[P] + wheel_noise) : R(0.0));
-    result.fault[DDMPC_OF_POSE] = wheel_error + (gyro ? square(value[G] - wheel) / (body_variance + noise[G] + wheel_noise) : R(0.0));
+    result.fault[DDMPC_OF_WHEELS] =
+        body_error + square(body - value[M]) / (body_variance + body_noise + wheel_variance);
+    result.fault[DDMPC_OF_YAW_RATE] =
+        wheel_error + (pose ? square(value[P] - wheel) / (body_variance + noise[P] + wheel_noise) : R(0.0));
+    result.fault[DDMPC_OF_POSE] =
+        wheel_error + (gyro ? square(value[G] - wheel) / (body_variance + noise[G] + wheel_noise) : R(0.0));
     return result;
 }
 
@@ -317,7 +324,8 @@ static verdict evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const 
     /* The two turns of an S do not cancel if one side slips more than the other. */
     const real uneven_variance = square(k->uneven * (by->total_turn - net_turn));
     const real body_turn = variance(k->slip_turning, net_turn) + gain_variance / m->body_by_wheels[1] + uneven_variance;
-    const real wheel_turn = variance(k->following, net_turn) + gain_variance / m->wheels_by_model[1] + square(by->late[1]) + uneven_variance;
+    const real wheel_turn = variance(k->following, net_turn) + gain_variance / m->wheels_by_model[1] +
+                            square(by->late[1]) + uneven_variance;
     const real body_forward = variance(k->slip_driving, distance);
     const real wheel_forward = variance(k->following, distance) + square(by->late[0]);
     const residuals turning = explain(turn, turn_noise, body_turn, wheel_turn);
@@ -328,10 +336,13 @@ static verdict evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const 
     const real free_forward[4] = {by->pose, R(0.0), fitted, by->model + fitted - by->wheels};
     const residuals free_driving = explain(free_forward, forward_noise, body_forward, wheel_forward);
     verdict result;
-    result.no_fault = ddmpc_min(turning.normal + driving.normal, ddmpc_min(turning.slip + driving.slip + k->odds[0], turning.held + driving.held + k->odds[1]));
+    result.no_fault = ddmpc_min(turning.normal + driving.normal, ddmpc_min(turning.slip + driving.slip + k->odds[0],
+                                                                           turning.held + driving.held + k->odds[1]));
     for (int i = 0; i < SENSES; i++)
         /* The gyro does not measure driving. */
-        result.fault[i] = turning.fault[i] + (i == DDMPC_OF_YAW_RATE ? ddmpc_min(free_driving.normal, free_driving.slip + k->odds[0]) : driving.fault[i]);
+        result.fault[i] =
+            turning.fault[i] + (i == DDMPC_OF_YAW_RATE ? ddmpc_min(free_driving.normal, free_driving.slip + k->odds[0])
+                                                       : driving.fault[i]);
     result.slips = result.no_fault < turning.normal + driving.normal;
     return result;
 }
@@ -345,7 +356,8 @@ static real drift(const ddmpc_constants *k, const motions *half, const motions *
     const real half_error = half->pose - half->wheels, error = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
     const real size = ddmpc_hypot(error, whole->left);
-    const real along = half_error * (cosine * error - sine * whole->left) + half->left * (sine * error + cosine * whole->left);
+    const real along =
+        half_error * (cosine * error - sine * whole->left) + half->left * (sine * error + cosine * whole->left);
     const real second = size > R(0.0) ? along / size : R(0.0), smaller = ddmpc_min(second, size - second);
     return smaller > R(0.0) ? R(2.0) * square(smaller) / spread : R(0.0);
 }
@@ -390,8 +402,8 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
 }
 
 /* Compare the motions between two times shifted back by a delay; return 0 if these times are no longer stored. */
-static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to,
-                        ddmpc_time delay, const real pose[3], motions *by)
+static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
+                           const ddmpc_motion *to, ddmpc_time delay, const real pose[3], motions *by)
 {
     ddmpc_motion first, last;
     if (!motion_at(m, from->then.time - delay, &first) || !motion_at(m, to->time - delay, &last))
@@ -400,7 +412,8 @@ static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddm
     const ddmpc_time response = (ddmpc_time)k->response_time;
     ddmpc_motion before, after;
     if (motion_at(m, first.time - response, &before) && motion_at(m, last.time - response, &after)) {
-        by->late[0] = by->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
+        by->late[0] = by->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] +
+                                   before.sum[MODEL_DISTANCE]);
         by->late[1] = by->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
     }
     return 1;
@@ -424,8 +437,10 @@ static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motion
 static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by, real noise)
 {
     const real turn_noise = k->gyro[ABSOLUTE] + noise, weight = R(1.0) / square(turn_noise);
-    const real pose = by->pose_turn, gyro = by->gyro_turn, scale = m->spread[4] > R(0.0) ? m->spread[5] / m->spread[4] : R(1.0);
-    if (m->spread[3] > k->late[2] && ddmpc_fabs(pose - scale * gyro) > R(1.5) * turn_noise + k->uneven * ddmpc_fabs(pose))
+    const real pose = by->pose_turn, gyro = by->gyro_turn,
+               scale = m->spread[4] > R(0.0) ? m->spread[5] / m->spread[4] : R(1.0);
+    if (m->spread[3] > k->late[2] &&
+        ddmpc_fabs(pose - scale * gyro) > R(1.5) * turn_noise + k->uneven * ddmpc_fabs(pose))
         return;
     const real terms[6] = {R(1.0), pose, gyro, square(pose), square(gyro), pose * gyro};
     for (int i = 0; i < 6; i++)
@@ -441,7 +456,8 @@ static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
 }
 
 /* Compute the turn between two times by the gyro or, without a gyro, by the wheels. */
-static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to)
+static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const ddmpc_motion *from,
+                         const ddmpc_motion *to)
 {
     return turns_by_wheels(k, m) ? quotient(m->body_by_wheels) * (to->sum[WHEEL_TURN] - from->sum[WHEEL_TURN])
                                  : to->sum[GYRO_TURN] - from->sum[GYRO_TURN];
@@ -451,10 +467,12 @@ static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const
  * offset, a drifting bias and a share of the turn, so that neither bias nor scale appears as a delay; all candidates share one
  * covariance. Forward motion does not determine the delay, because tyres make the body follow its wheels late. For the same
  * reason the wheels can replace the gyro for long delays only. */
-static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+                        real noise)
 {
     const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
-    const real decay = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)), reading = R(0.5) * square(noise) + square(k->delay_fit[3]);
+    const real decay = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)),
+               reading = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real error[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
     ddmpc_motion then;
     const int wheels = turns_by_wheels(k, m);
@@ -476,7 +494,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         high = ddmpc_max(high, error[i]);
     }
     /* Restart after a jump, which no delay explains. An accused gyro may have any scale. */
-    const real initial[3] = {reading, square(k->delay_fit[2]), square(wheels ? k->by_wheels[1] : m->accused & BY_GYRO ? k->delay_fit[7] : k->gyro[SHARE])};
+    const real initial[3] = {reading, square(k->delay_fit[2]),
+                             square(wheels                 ? k->by_wheels[1]
+                                    : m->accused & BY_GYRO ? k->delay_fit[7]
+                                                           : k->gyro[SHARE])};
     const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(total);
     m->fits = restart ? R(1.0) : decay * m->fits + R(1.0);
     int best = 1;
@@ -487,15 +508,18 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         best = i > 1 && i < MONITORED_DELAYS - 1 && m->misfit[i] < m->misfit[best] ? i : best;
     }
     for (int i = 0; i < 9; i++)
-        P[i / 3][i % 3] = !restart ? P[i / 3][i % 3] - gain[i / 3] * gain[i % 3] * total : i % 4 == 0 ? initial[i / 4] : R(0.0);
+        P[i / 3][i % 3] = !restart     ? P[i / 3][i % 3] - gain[i / 3] * gain[i % 3] * total
+                          : i % 4 == 0 ? initial[i / 4]
+                                       : R(0.0);
     /* A parabola through the best candidate and its neighbours gives the delay and, by its curvature, the standard deviation,
      * which is large in steady motion. */
     const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], step = (real)delay_of(k, 1);
     const real curvature = ddmpc_max(misfit[-1] - R(2.0) * misfit[0] + misfit[1], R(1e-6));
     const real delay = ddmpc_max(step * ((real)best + R(0.5) * slope / curvature), R(0.0));
-    const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)), deviation = step * ddmpc_sqrt(R(2.0) * scatter / curvature);
+    const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)),
+               deviation = step * ddmpc_sqrt(R(2.0) * scatter / curvature);
     const int is_certain = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
-                     deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
+                           deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
     /* Require lasting certainty: the turns of a failing sensor may appear late for a moment, and a new delay changes the whole
      * estimate. */
     if (!is_certain || restart || (wheels && delay < k->by_wheels[2]))
@@ -558,7 +582,8 @@ static const ddmpc_seen_pose *pose_before(const ddmpc_monitor *m, ddmpc_time sta
 /* Evaluate each hypothesis at its best delay of poses, because late poses are not a fault. For a faulty pose the delay has no
  * meaning, so the other sensors must agree at all delays. */
 static verdict evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
-                          const ddmpc_motion *now, const real *pose, int available, const real noise[2], int window)
+                               const ddmpc_motion *now, const real *pose, int available, const real noise[2],
+                               int window)
 {
     verdict minimum;
     int first = 1;
@@ -575,7 +600,8 @@ static verdict evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const
         if (first)
             minimum = result;
         for (int j = 0; j < SENSES; j++)
-            minimum.fault[j] = j == DDMPC_OF_POSE ? ddmpc_max(minimum.fault[j], result.fault[j]) : ddmpc_min(minimum.fault[j], result.fault[j]);
+            minimum.fault[j] = j == DDMPC_OF_POSE ? ddmpc_max(minimum.fault[j], result.fault[j])
+                                                  : ddmpc_min(minimum.fault[j], result.fault[j]);
         minimum.slips = result.no_fault < minimum.no_fault ? result.slips : minimum.slips;
         minimum.no_fault = ddmpc_min(minimum.no_fault, result.no_fault);
         first = 0;
@@ -584,8 +610,8 @@ static verdict evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const
 }
 
 /* Compute the course between two poses relative to their mean heading, and its variance; return 0 if they are too close. */
-static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const ddmpc_motion *to, const real pose[3], real noise,
-                  real *direction, real *spread)
+static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const ddmpc_motion *to, const real pose[3],
+                  real noise, real *direction, real *spread)
 {
     const real dx = pose[0] - from->value[0], dy = pose[1] - from->value[1], length = ddmpc_hypot(dx, dy);
     const real distance = to->sum[WHEEL_DISTANCE] - from->then.sum[WHEEL_DISTANCE];
@@ -599,7 +625,8 @@ static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const d
 }
 
 /* If gyro and poses have diverged, find the correct heading by the course, which turns with the correct one. */
-static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
+static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+                          real noise)
 {
     const ddmpc_seen_pose *from = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
     real direction, spread;
@@ -611,7 +638,8 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
         m->witness *= k->late[1];
         m->settled *= k->late[1];
     }
-    const real difference = m->apart - m->anchor[2], change = ddmpc_wrap(direction - m->anchor[0]), total = spread + m->anchor[1];
+    const real difference = m->apart - m->anchor[2], change = ddmpc_wrap(direction - m->anchor[0]),
+               total = spread + m->anchor[1];
     if (m->anchored && ddmpc_fabs(difference) > k->course[1]) {
         const real evidence = (square(ddmpc_wrap(change - difference)) - square(change)) / total, limit = k->course[2];
         m->witness = ddmpc_max(ddmpc_min(m->settled + evidence, limit), -limit);
@@ -632,17 +660,21 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
     const ddmpc_seen_pose *middle = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
     motions by[2];
     if (!middle || middle == from || !compare_delayed(k, m, from, &middle->then, m->delay, middle->value, &by[0]) ||
-        !compare_delayed(k, m, middle, now, m->delay, pose, &by[1]) || !(by[0].left * by[1].left + by[0].pose * by[1].pose > R(0.0)))
+        !compare_delayed(k, m, middle, now, m->delay, pose, &by[1]) ||
+        !(by[0].left * by[1].left + by[0].pose * by[1].pose > R(0.0)))
         return R(0.0);
     real minimum = HUGE_VAL;
     for (int i = 0; i < 2; i++) {
         /* No surface moves a robot in the opposite direction of its wheels and its commands. */
-        const real reverse = by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
+        const real reverse =
+            by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
         const real length = ddmpc_hypot(by[i].pose, by[i].left), distance = ddmpc_fabs(by[i].wheels);
         /* On a sliding surface the distances of poses and wheels differ. */
         if (!(ddmpc_fabs(length - distance) < R(2.0) * (noise + k->slip_driving[SHARE] * distance)))
             return R(0.0);
-        minimum = ddmpc_min(minimum, (square(by[i].left) + reverse) / (square(noise) + variance(k->sideways, by[i].wheels) + square(k->sliding[1] * by[i].total_turn)));
+        minimum =
+            ddmpc_min(minimum, (square(by[i].left) + reverse) / (square(noise) + variance(k->sideways, by[i].wheels) +
+                                                                 square(k->sliding[1] * by[i].total_turn)));
     }
     return R(2.0) * minimum;
 }
@@ -663,7 +695,8 @@ static real wheel_scale_evidence(const ddmpc_constants *k, const ddmpc_monitor *
     if (!(m->went[3] > k->scales[0]))
         return R(0.0);
     const real wheels = m->went[1] / m->went[0], body = m->went[2] / m->went[0];
-    const real wheel_error = square((wheels - R(1.0)) / k->scales[2]), body_error = square((body - R(1.0)) / k->scales[3]);
+    const real wheel_error = square((wheels - R(1.0)) / k->scales[2]),
+               body_error = square((body - R(1.0)) / k->scales[3]);
     return ddmpc_min(wheel_error, square((wheels - body) / k->scales[1]) + body_error) - body_error;
 }
 
@@ -688,7 +721,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         if (window == MIDDLE) {
             const ddmpc_seen_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && used & BY_WHEELS)
-                evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], sideways(k, m, oldest, now, pose->value, noise[0]));
+                evidence[DDMPC_OF_POSE] =
+                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways(k, m, oldest, now, pose->value, noise[0]));
             continue;
         }
         verdict result = evaluate_delays(k, m, from, now, pose->value, used, noise, window);
@@ -700,7 +734,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
                 evidence[i] = ddmpc_max(evidence[i], result.no_fault - result.fault[i]);
         if (window == SHORT && pose->stamp >= m->next_pose) {
             const real model = by->model, decay = R(1.0) - k->pose_spacing / k->memory;
-            const real terms[6] = {model * model, model * by->wheels, model * by->pose, k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
+            const real terms[6] = {model * model,         model * by->wheels,
+                                   model * by->pose,      k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
                                    square(by->pose_turn), by->pose_turn * by->wheel_turn / quotient(m->body_by_wheels)};
             for (int i = 0; i < 6; i++)
                 m->went[i] = decay * m->went[i] + terms[i];
@@ -708,7 +743,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         if (window == SHORT && used & BY_WHEELS)
             evidence[DDMPC_OF_WHEELS] = ddmpc_max(evidence[DDMPC_OF_WHEELS], wheel_scale_evidence(k, m));
         if (window == LONG) {
-            m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
+            m->creeping =
+                square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
             /* Dead reckoning uses wheels and gyro, so it indicates a drift only if both agree with all other data. */
             if (used == both && result.no_fault < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
                 evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], drift(k, &half, &whole, noise[0]));
@@ -720,7 +756,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         const int turns = ddmpc_max(ddmpc_fabs(by->pose_turn), ddmpc_fabs(by->gyro_turn)) > k->frozen[1];
         const real min_distance = k->frozen[0] + R(2.0) * noise[0], min_turn = k->frozen[1] + R(2.0) * noise[1];
         const real distance = ddmpc_fabs(by->pose), turn = ddmpc_fabs(by->pose_turn);
-        const int has_command = ddmpc_fabs(by->model) - distance > k->frozen[0] || ddmpc_fabs(by->model_turn) - turn > R(2.0) * k->frozen[1];
+        const int has_command = ddmpc_fabs(by->model) - distance > k->frozen[0] ||
+                                ddmpc_fabs(by->model_turn) - turn > R(2.0) * k->frozen[1];
         if (has_command && !(distance > min_distance || turn > min_turn))
             m->stood = pose->stamp;
         if (with_accused.no_fault < k->plausible)
@@ -731,14 +768,19 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         const int both_change = m->now.time - changed <= (ddmpc_time)k->silence;
         if (pose->stamp < m->next_pose)
             continue;
-        const int turns_agree = square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
-        if (!accused && both_change && available == both && turns_agree && result.no_fault < k->plausible && !m->creeping)
+        const int turns_agree =
+            square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
+        if (!accused && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
+            !m->creeping)
             learn_gains(k, m, by);
-        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && available & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
+        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && available & BY_GYRO &&
+            m->now.time - m->gyro.changed <= (ddmpc_time)k->silence &&
+            ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_spread(k, m, by, noise[1]);
     }
     /* A reading that repeats despite the commands, or at the end of its range, is not evidence against poses. */
-    const int gyro_repeats = m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
+    const int gyro_repeats =
+        m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
     if ((ddmpc_monitor_doubts(c, m->now.time) | (gyro_repeats ? BY_GYRO : 0)) & ~accused)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* Poses that are not used are not evidence against other sensors. */
@@ -760,12 +802,14 @@ static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreein
             second = j == i ? second : ddmpc_max(second, evidence[j]);
         /* The required margin increases with the contradiction, because the gains of a third sensor were learned from one of
          * the two that contradict each other. */
-        if (evidence[i] > k->enough && evidence[i] > second + k->margin + ddmpc_min(k->share[0] * second, k->share[1])) {
+        if (evidence[i] > k->enough &&
+            evidence[i] > second + k->margin + ddmpc_min(k->share[0] * second, k->share[1])) {
             if (m->contradictions[i]++ == 0)
                 m->since[i] = stamp;
             const ddmpc_time duration = stamp - m->since[i];
             m->agreed[i] = 0.0;
-            if ((m->contradictions[i] < (int)k->often || duration < (ddmpc_time)k->lasting) && duration < (ddmpc_time)k->windows[SHORT])
+            if ((m->contradictions[i] < (int)k->often || duration < (ddmpc_time)k->lasting) &&
+                duration < (ddmpc_time)k->windows[SHORT])
                 continue;
             if (!(m->accused & bit))
                 m->repeating = repeats[i] ? m->repeating | bit : m->repeating & ~bit;
@@ -803,7 +847,8 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         /* A pose that moves further than a faulty sensor can explain has jumped; the estimator handles jumps. */
         const real max_distance = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)elapsed;
         const real max_turn = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)elapsed;
-        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= max_distance && ddmpc_fabs(by.pose_turn - by.gyro_turn) <= max_turn))
+        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= max_distance &&
+              ddmpc_fabs(by.pose_turn - by.gyro_turn) <= max_turn))
             m->poses = m->residuals = m->anchored = 0;
         else if (elapsed <= R(0.25) && m->same == 0)
             learn_scatter(k, m, pose, &by);

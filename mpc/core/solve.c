@@ -136,16 +136,17 @@ void ddmpc_soft_rows(const ddmpc_controller *c, int kind, real *rows)
 ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
-    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->active_kinds,
-                                   p->last, p->aim, p->feed_forward, p->ahead, p->soft_value,
-                                   p->fed_before, p->late};
+    const ddmpc_program program = {
+        p->H,    p->g,   p->lower,        p->upper, p->guess,      p->multipliers, p->active_kinds,
+        p->last, p->aim, p->feed_forward, p->ahead, p->soft_value, p->fed_before,  p->late};
     return program;
 }
 
 void ddmpc_linearise_again(ddmpc_controller *c, const real *plan)
 {
     real shifted[2 * DDMPC_MAX_STEPS], *guess = c->problem.guess, *commands = c->estimator.commands;
-    const size_t plan_bytes = (size_t)INPUTS(c) * sizeof(real), line_bytes = (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real);
+    const size_t plan_bytes = (size_t)INPUTS(c) * sizeof(real),
+                 line_bytes = (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real);
     const real command[2] = {commands[2 * COMMANDS(c) - 2], commands[2 * COMMANDS(c) - 1]};
     memcpy(shifted, guess, plan_bytes);
     memcpy(guess, plan, plan_bytes);
@@ -239,10 +240,22 @@ static int find_active_set(ddmpc_controller *c)
     ddmpc_problem *p = &c->problem;
     ddmpc_report *report = &c->result.solver;
     const int rows = KINDS(c) * STEPS(c), hard = HARD * STEPS(c);
-    const ddmpc_limited_problem problem = {
-        INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
-        c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
-        c->max_iterations, ddmpc_limited_allowance(INPUTS(c), rows, MAX_ACTIVE(c)), c->deadline};
+    const ddmpc_limited_problem problem = {INPUTS(c),
+                                           rows,
+                                           hard,
+                                           p->factor,
+                                           p->minimiser,
+                                           p->lower,
+                                           p->upper,
+                                           c->constants->price,
+                                           c->constants->price_slope,
+                                           ddmpc_limit_values,
+                                           ddmpc_limit_row,
+                                           c,
+                                           c->constants->slack,
+                                           c->max_iterations,
+                                           ddmpc_limited_allowance(INPUTS(c), rows, MAX_ACTIVE(c)),
+                                           c->deadline};
     /* Solve on a copy: a failed solve clears its multipliers, and a backend still needs the old ones. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
     const ddmpc_limited_result solved = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);

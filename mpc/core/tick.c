@@ -125,10 +125,7 @@ static void update_result_estimate(ddmpc_controller *c)
         ddmpc_estimator_estimate(c);
 }
 
-static const real *pose_of(const ddmpc_controller *c)
-{
-    return c->result.estimate.mean + STATES(c) + POSE(c);
-}
+static const real *pose_of(const ddmpc_controller *c) { return c->result.estimate.mean + STATES(c) + POSE(c); }
 
 static real distance_to(const ddmpc_controller *c, const real pose[3])
 {
@@ -192,7 +189,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     /* Deviations are in the frame of the reference; a robot that drives backwards is late if it is ahead in that
      * frame. */
     const real v = twist[0], omega = twist[1];
-    const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
+    const int backwards = v<R(0.0), driving = ddmpc_fabs(v)> k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
     /* A robot with an uncertain pose stays on its path: the uncertainty widens the band. */
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
@@ -256,7 +253,8 @@ static void tolerate_turn_displacement(ddmpc_controller *c)
     /* Use the filter's slip instead of the conservative estimate of the controller: the tolerance is needed before there
      * is enough evidence for the latter. */
     const real *slip = ddmpc_estimator_slip(c), *twist = c->reference_twist;
-    const real offset = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
+    const real offset = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]),
+               slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
     /* The tolerance decays while the robot drives back onto its path. */
     c->carried *= R(1.0) - ddmpc_min((real)k->sample_time / k->carried[1], R(1.0));
     if (ddmpc_fabs(twist[0]) <= k->standing && ddmpc_fabs(twist[1]) > k->turning)
@@ -302,7 +300,8 @@ static void report_rate(ddmpc_controller *c)
 static int is_bridged(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const ddmpc_time wheels = c->monitor.wheels.heard, gyro = c->monitor.gyro.heard, heard = wheels < gyro ? wheels : gyro;
+    const ddmpc_time wheels = c->monitor.wheels.heard, gyro = c->monitor.gyro.heard,
+                     heard = wheels < gyro ? wheels : gyro;
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real variance = deviation[0] * deviation[0] + deviation[1] * deviation[1];
     const real age = *c->result.estimate.pose_age;
@@ -512,7 +511,10 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
     return finish_tick(c, ddmpc_use_plan(c), 1);
 }
 
-int ddmpc_give_up(ddmpc_controller *c) { return c->pending == DDMPC_DONE ? DDMPC_DONE : finish_tick(c, ddmpc_reuse(c), 1); }
+int ddmpc_give_up(ddmpc_controller *c)
+{
+    return c->pending == DDMPC_DONE ? DDMPC_DONE : finish_tick(c, ddmpc_reuse(c), 1);
+}
 
 int ddmpc_set_applied_commands(ddmpc_controller *c, const real *commands, int count)
 {
@@ -538,7 +540,4 @@ real *ddmpc_parameters(ddmpc_controller *c) { return c->parameters; }
 
 const real *ddmpc_last_command(const ddmpc_controller *c) { return c->last; }
 
-const real *ddmpc_commands(const ddmpc_controller *c)
-{
-    return c->estimator.commands + 2 * (COMMANDS(c) - WINDOW(c));
-}
+const real *ddmpc_commands(const ddmpc_controller *c) { return c->estimator.commands + 2 * (COMMANDS(c) - WINDOW(c)); }

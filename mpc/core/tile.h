@@ -12,10 +12,7 @@ enum { DDMPC_LANES = 8 };
 #endif
 
 /* Round `count` up to a multiple of DDMPC_LANES. */
-static inline int ddmpc_whole_lanes(int count)
-{
-    return (count + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES;
-}
+static inline int ddmpc_whole_lanes(int count) { return (count + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES; }
 
 /* sum += left' right for two blocks of DDMPC_LANES columns and `rows` rows, which lie `stride` apart. */
 static inline void ddmpc_tile(const real *left, const real *right, int rows, int stride,

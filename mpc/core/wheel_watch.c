@@ -32,7 +32,8 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
     const real *G = c->constants->inverse_gain, *slip = c->result.estimate.mean + STATES(c);
     const real determinant = G[0] * G[3] - G[1] * G[2], gain = c->on_spot ? slip[OMEGA_GAIN] * slip[YAW_GAIN] : R(1.0);
     const int newest = COMMANDS(c) - 1;
-    const int steady = (int)(c->constants->short_for / (real)c->constants->sample_time), settling = 4 * LONGEST_LAG(c) / 3;
+    const int steady = (int)(c->constants->short_for / (real)c->constants->sample_time),
+              settling = 4 * LONGEST_LAG(c) / 3;
     const int since = LONGEST_LAG(c) + (steady > settling ? steady : settling);
     if (since > newest)
         return 0;
@@ -81,8 +82,8 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
         /* Wheels that turn faster than demanded follow the commands of another node. */
         if (along > highest[i] + k->short_by[0])
             return -1;
-        if (along > k->stuck * wanted && deficit > k->short_by[1] * wanted && deficit > k->short_by[0] && rank > worst &&
-            slower > k->slower * deficit && ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
+        if (along > k->stuck * wanted && deficit > k->short_by[1] * wanted && deficit > k->short_by[0] &&
+            rank > worst && slower > k->slower * deficit && ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
             worst = rank;
             wheel = i;
             *demanded = lowest[i];

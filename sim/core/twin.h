@@ -8,60 +8,60 @@
 
 /* Link that delays commands by a dead time. */
 typedef struct {
-  double dead_time;
-  double *arrivals; /* [room] arrival times of pending commands, a ring buffer with `count` entries from `first` */
-  double *commands; /* [room][2] */
-  int room, first, count;
-  double acting[2]; /* last command that has arrived */
+    double dead_time;
+    double *arrivals; /* [room] arrival times of pending commands, a ring buffer with `count` entries from `first` */
+    double *commands; /* [room][2] */
+    int room, first, count;
+    double acting[2]; /* last command that has arrived */
 } twin_link;
 
 /* Firmware: a first-order lag per channel, followed by set-points in whole pulses per second. */
 typedef struct {
-  double decay[2];
-  double to_pulses[8]; /* [4][2] */
-  double pulse;
-  double state[2];
+    double decay[2];
+    double to_pulses[8]; /* [4][2] */
+    double pulse;
+    double state[2];
 } twin_shaper;
 
 /* Observer of wheel speeds from encoder counts. */
 typedef struct {
-  double angle_gain, speed_gain;
-  double pulse, step;
-  double phase[4];
-  double angle[4];
-  double speed[4];
+    double angle_gain, speed_gain;
+    double pulse, step;
+    double phase[4];
+    double angle[4];
+    double speed[4];
 } twin_observer;
 
 /* Velocity loops of the drivers, and torque-speed lines of the motors. */
 typedef struct {
-  double proportional, integral; /* gains; the integral gain is per step */
-  double no_load_speed, rest_speed;
-  double stall_torque[4];
-  double torque_limit; /* due to the current limit of the drivers */
-  double supply;
-  double sum[4]; /* states of the integrators */
+    double proportional, integral; /* gains; the integral gain is per step */
+    double no_load_speed, rest_speed;
+    double stall_torque[4];
+    double torque_limit; /* due to the current limit of the drivers */
+    double supply;
+    double sum[4]; /* states of the integrators */
 } twin_loops;
 
 /* Body in MuJoCo. */
 typedef struct {
-  const void *model;
-  void *data;
-  void (*step)(const void *model, void *data); /* mj_step */
-  double *position;     /* [11] x, y, z, quaternion, wheel angles */
-  double *velocity;     /* [10] velocity, angular velocity, wheel speeds */
-  double *torque;       /* [4] */
-  double largest;       /* absolute value above which the simulation counts as diverged */
-  double min_upright;   /* cosine of the tilt above which the robot counts as tipped over */
-  double yaw;           /* unwrapped yaw angle */
+    const void *model;
+    void *data;
+    void (*step)(const void *model, void *data); /* mj_step */
+    double *position;                            /* [11] x, y, z, quaternion, wheel angles */
+    double *velocity;                            /* [10] velocity, angular velocity, wheel speeds */
+    double *torque;                              /* [4] */
+    double largest;                              /* absolute value above which the simulation counts as diverged */
+    double min_upright;                          /* cosine of the tilt above which the robot counts as tipped over */
+    double yaw;                                  /* unwrapped yaw angle */
 } twin_chassis;
 
 typedef struct {
-  twin_link *link;
-  twin_shaper *shaper;
-  twin_observer *observer;
-  twin_loops *loops;
-  twin_chassis *chassis;
-  double *motors; /* [steps][2][4] torques during each step, and speeds at the end of the step */
+    twin_link *link;
+    twin_shaper *shaper;
+    twin_observer *observer;
+    twin_loops *loops;
+    twin_chassis *chassis;
+    double *motors; /* [steps][2][4] torques during each step, and speeds at the end of the step */
 } twin;
 
 enum { TWIN_SOUND = 0, TWIN_DIVERGED = 1, TWIN_TIPPED = 2 };
@@ -77,7 +77,8 @@ void twin_observe(twin_observer *observer, const double *angles);
 /* Reset the observer to wheels at rest at angle zero. */
 void twin_observe_rest(twin_observer *observer);
 /* Compute torques [4] from set-points, estimated speeds and true speeds [4]. */
-void twin_torque(twin_loops *loops, const double *set_points, const double *estimates, const double *speeds, double *torques);
+void twin_torque(twin_loops *loops, const double *set_points, const double *estimates, const double *speeds,
+                 double *torques);
 /* Advance the physics by one step under torques [4]; return the state of the body. */
 int twin_move(twin_chassis *chassis, const double *torques);
 

@@ -5,9 +5,17 @@
 
 #define SOFT 5
 
-int custom_update_init_function(tracking_solver_capsule *capsule) { (void)capsule; return 0; }
+int custom_update_init_function(tracking_solver_capsule *capsule)
+{
+    (void)capsule;
+    return 0;
+}
 
-int custom_update_terminate_function(tracking_solver_capsule *capsule) { (void)capsule; return 0; }
+int custom_update_terminate_function(tracking_solver_capsule *capsule)
+{
+    (void)capsule;
+    return 0;
+}
 
 static void shift(ocp_nlp_config *config, ocp_nlp_dims *dims, ocp_nlp_out *out, const char *field, int last)
 {
@@ -25,7 +33,8 @@ int custom_update_function(tracking_solver_capsule *capsule, double *data, int l
     ocp_nlp_in *in = tracking_acados_get_nlp_in(capsule);
     ocp_nlp_out *out = tracking_acados_get_nlp_out(capsule);
     const int N = TRACKING_N, nx = TRACKING_NX, np = TRACKING_NP;
-    if (length != 1 + nx + (N + 1) * np) return 1;
+    if (length != 1 + nx + (N + 1) * np)
+        return 1;
     double *state = data + 1, *parameters = state + nx;
     if (data[0] > 0.5) {
         shift(config, dims, out, "x", N);
@@ -36,8 +45,10 @@ int custom_update_function(tracking_solver_capsule *capsule, double *data, int l
     for (int k = 0; k <= N; k++) {
         double *p = parameters + k * np, lower[SOFT];
         tracking_acados_update_params(capsule, k, p, np);
-        if (TRACKING_NH == 0) continue;
-        for (int i = 0; i < SOFT; i++) lower[i] = -p[np - SOFT + i];
+        if (TRACKING_NH == 0)
+            continue;
+        for (int i = 0; i < SOFT; i++)
+            lower[i] = -p[np - SOFT + i];
         ocp_nlp_constraints_model_set(config, dims, in, k, "lh", lower);
         ocp_nlp_constraints_model_set(config, dims, in, k, "uh", p + np - SOFT);
     }

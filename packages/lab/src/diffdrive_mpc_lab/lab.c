@@ -96,8 +96,8 @@ int CALLED(lab_set_controller)(const double *numbers)
         if (!(mpc.memory[i] = calloc(bytes[i] + 1, 1)))
             return 0;
     mpc.controller = mpc.memory[0];
-    mpc.ready = ddmpc_init(mpc.controller, &mpc.sizes, &mpc.constants, &mpc.functions, mpc.memory[1],
-                            mpc.memory[2], mpc.memory[3]);
+    mpc.ready = ddmpc_init(mpc.controller, &mpc.sizes, &mpc.constants, &mpc.functions, mpc.memory[1], mpc.memory[2],
+                           mpc.memory[3]);
     return mpc.ready;
 }
 
@@ -188,8 +188,16 @@ int CALLED(lab_draw)(const double *points, int count, double max_speed)
         const int last = i == pieces;
         const double duration = last ? 0.0 : 2.0 * drawing.spacing / (speed[i] + speed[i + 1]);
         const double acceleration = last ? 0.0 : 0.5 * (speed[i + 1] - speed[i]) / duration;
-        const double column[ARC_ROWS] = {time, pose[0], pose[1], pose[2], travelled, last ? 0.0 : 1.0,
-                                         last ? 0.0 : curvature[i], 0.0, last ? 0.0 : speed[i], acceleration};
+        const double column[ARC_ROWS] = {time,
+                                         pose[0],
+                                         pose[1],
+                                         pose[2],
+                                         travelled,
+                                         last ? 0.0 : 1.0,
+                                         last ? 0.0 : curvature[i],
+                                         0.0,
+                                         last ? 0.0 : speed[i],
+                                         acceleration};
         const double *arguments[2] = {&duration, column};
         double twist[2], *results[3] = {pose, twist, &travelled};
         for (int row = 0; row < ARC_ROWS; row++)

@@ -79,7 +79,8 @@ typedef struct {
     double pose[3], estimate[3], reference[3], peer[3];
     double command[2], twist[3], peer_command[2], peer_twist[3];
     double mode, reasons, has_estimate, has_plan, iterations, peer_finished;
-    double error, peer_error; /* distance from the reference at that time; for the peer, which has no time law: from its path */
+    double error,
+        peer_error; /* distance from the reference at that time; for the peer, which has no time law: from its path */
     double counted, square_sum, largest; /* statistics of the error up to the end of the reference */
     double controller_seconds, ticks;
     double duration;

@@ -5,8 +5,9 @@
 
 #include "lab.h"
 
-static const double SAMPLE_INTERVAL = 0.005;    /* interval at which the reference is sampled for its path [s] */
-static const double MIN_SQUARE_DISTANCE = 0.001; /* squared distance of the carrot below which the curvature is 0 [m^2] */
+static const double SAMPLE_INTERVAL = 0.005; /* interval at which the reference is sampled for its path [s] */
+static const double MIN_SQUARE_DISTANCE =
+    0.001; /* squared distance of the carrot below which the curvature is 0 [m^2] */
 
 static void append(rpp_peer *peer, const double before[3], const double after[3], double fraction)
 {

@@ -114,8 +114,8 @@ static real gap_bound(const ddmpc_footprint *footprint, const ddmpc_surroundings
            footprint->reach;
 }
 
-real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose, real time,
-               real *normal)
+real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose,
+               real time, real *normal)
 {
     placed_shape robot, obstacle;
     place(footprint, pose, &robot);
@@ -247,8 +247,8 @@ void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surrounding
             for (int j = 0; j < corners_per_piece; j++) {
                 const real *d = footprint->corner + 2 * (j ? second : first);
                 const real distance = keeping->margin + footprint->widening +
-                                  keeping->factor * deviation(a, d, pose, spread + 9 * k) +
-                                  position_doubt(around, piece, keeping, times[k]);
+                                      keeping->factor * deviation(a, d, pose, spread + 9 * k) +
+                                      position_doubt(around, piece, keeping, times[k]);
                 row[0] = keeping->scale * a[0];
                 row[1] = keeping->scale * a[1];
                 row[2] = d[0];
@@ -269,9 +269,9 @@ void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surrounding
     }
 }
 
-ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_keeping *keeping,
-                          int count, const real *poses, const real *times, const real *speeds, const real *spread,
-                          real slow, real play, real min_gap)
+ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surroundings *around,
+                          const ddmpc_keeping *keeping, int count, const real *poses, const real *times,
+                          const real *speeds, const real *spread, real slow, real play, real min_gap)
 {
     ddmpc_contact contact = {-1, -1, keeping->reach, keeping->reach};
     placed_shape robot, obstacle;
@@ -293,9 +293,10 @@ ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surround
             if (k == 0 || !(ddmpc_fabs(speeds[k]) > slow))
                 continue;
             farthest(footprint, normal, pose[2], -1, &corner);
-            const real required = keeping->margin +
-                                keeping->factor * deviation(normal, footprint->corner + 2 * corner, pose, spread + 9 * k) +
-                                position_doubt(around, i, keeping, times[k]);
+            const real required =
+                keeping->margin +
+                keeping->factor * deviation(normal, footprint->corner + 2 * corner, pose, spread + 9 * k) +
+                position_doubt(around, i, keeping, times[k]);
             if (gap >= required)
                 continue;
             /* Motion along or away from a standing piece is allowed; a moving piece has priority. */
@@ -322,8 +323,8 @@ enum { SLOPES = 9, STRAIGHT = 4 };
 #define NARROW_WEIGHT R(1.0)
 
 /* Minimum gap at an offset from the path and with a slope, clipped to `max_gap`. */
-static real gap_at_offset(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const real *path, real travel,
-                       real offset, real slope, real max_gap)
+static real gap_at_offset(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const real *path,
+                          real travel, real offset, real slope, real max_gap)
 {
     const real pose[3] = {path[0] - ddmpc_sin(path[2]) * offset, path[1] + ddmpc_cos(path[2]) * offset,
                           path[2] + travel * atan2(slope, R(1.0))};
@@ -353,25 +354,24 @@ static real gap_at(const path_search *s, int station, int cell, int slope)
         return cached[slope];
     /* A rotation moves each corner by at most reach * angle, so a wide gap needs no computation with the slope. */
     if (cached[STRAIGHT] < -FAR)
-        cached[STRAIGHT] = gap_at_offset(s->footprint, s->around, s->path + 3 * station, s->travel[station], offset, R(0.0),
-                                     comfort + s->footprint->reach);
+        cached[STRAIGHT] = gap_at_offset(s->footprint, s->around, s->path + 3 * station, s->travel[station], offset,
+                                         R(0.0), comfort + s->footprint->reach);
     if (slope != STRAIGHT)
         cached[slope] = cached[STRAIGHT] - s->footprint->reach * ddmpc_fabs(atan2(bend, R(1.0))) >= comfort
-                           ? comfort
-                           : gap_at_offset(s->footprint, s->around, s->path + 3 * station, s->travel[station], offset, bend,
-                                        comfort);
+                            ? comfort
+                            : gap_at_offset(s->footprint, s->around, s->path + 3 * station, s->travel[station], offset,
+                                            bend, comfort);
     return cached[slope];
 }
 
 int ddmpc_find_path(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_round *round,
-                    const real *path, const real *travel, const real *max_offset,
-                    const real *previous, real *cost, real *cached, int *from, real *offsets)
+                    const real *path, const real *travel, const real *max_offset, const real *previous, real *cost,
+                    real *cached, int *from, real *offsets)
 {
     const path_search search = {footprint, around, round, path, travel, cached};
     const int wide = 2 * round->cells + 1, layer = wide * SLOPES, middle = round->cells;
     int reached = 1, best;
-    for (int i = 0; i < round->stations * layer; i++)
-    {
+    for (int i = 0; i < round->stations * layer; i++) {
         cost[i] = FAR;
         cached[i] = R(-2.0) * FAR;
     }
@@ -407,10 +407,9 @@ int ddmpc_find_path(const ddmpc_footprint *footprint, const ddmpc_surroundings *
                 const real shortfall =
                     gap < round->comfort ? (round->comfort - gap) / (round->comfort - round->min_gap) : R(0.0);
                 const real shift = offset - previous[i];
-                cost[i * layer + j * SLOPES + k] = min_cost + OFFSET_WEIGHT * offset * offset +
-                                                   DEVIATION_WEIGHT * shift * shift +
-                                                   SLOPE_WEIGHT * (real)(change * change) +
-                                                   NARROW_WEIGHT * shortfall * shortfall;
+                cost[i * layer + j * SLOPES + k] =
+                    min_cost + OFFSET_WEIGHT * offset * offset + DEVIATION_WEIGHT * shift * shift +
+                    SLOPE_WEIGHT * (real)(change * change) + NARROW_WEIGHT * shortfall * shortfall;
                 from[i * layer + j * SLOPES + k] = predecessor;
                 any = 1;
             }

@@ -29,20 +29,20 @@ typedef struct {
 
 /* Signed distance [m] from the footprint at `pose` (3) to one piece at `time` [s]: the gap, or the negative penetration
    depth. `normal` (2) is the direction of the gap from the footprint. */
-real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose, real time,
-               real *normal);
+real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose,
+               real time, real *normal);
 /* Minimum gap at each of `count` poses (3), clipped to `max_gap` [m], and its piece, -1 if no piece is closer. */
 void ddmpc_clearances(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int count, const real *poses,
                       const real *times, real max_gap, real *gaps, int *pieces);
 
 /* Required distance from pieces. */
 typedef struct {
-    real margin;  /* minimum distance [m] */
-    real factor;  /* number of standard deviations of a corner's position that are added to the margin [-] */
-    real moving;  /* additional distance from moving pieces [m] */
-    real doubt;   /* uncertainty of the speed of moving pieces [m/s] */
-    real reach;   /* pieces further away than this get no half-space [m] */
-    real scale;   /* factor on each row [1/m] */
+    real margin; /* minimum distance [m] */
+    real factor; /* number of standard deviations of a corner's position that are added to the margin [-] */
+    real moving; /* additional distance from moving pieces [m] */
+    real doubt;  /* uncertainty of the speed of moving pieces [m/s] */
+    real reach;  /* pieces further away than this get no half-space [m] */
+    real scale;  /* factor on each row [1/m] */
 } ddmpc_keeping;
 /* Compute the rows of half-spaces at each of `count` stages: scale a (2), corner d (2), scale b of
    a . (position + R(heading) d) <= b, with a unit vector a towards a piece. A plane separates the footprint at `guess`
@@ -62,9 +62,9 @@ typedef struct {
 /* Check `poses` (count, 3) at `times` whose speed (count) exceeds `slow` [m/s]. A standing piece that is already nearer
    than the margin may come nearer by `play` [m], but not nearer than `min_gap` [m]; moving away from it is always
    allowed. The allowance does not apply to moving pieces. */
-ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_keeping *keeping,
-                          int count, const real *poses, const real *times, const real *speeds, const real *spread,
-                          real slow, real play, real min_gap);
+ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surroundings *around,
+                          const ddmpc_keeping *keeping, int count, const real *poses, const real *times,
+                          const real *speeds, const real *spread, real slow, real play, real min_gap);
 
 /* Settings of the search for a path around obstacles, as an offset to the left of the reference at each station. */
 typedef struct {
@@ -78,8 +78,8 @@ typedef struct {
    path; a deviation from it has a cost. `cost`, `cached` and `from` are scratch memory of stations * (2 cells + 1) * 9
    elements. Returns the number of reached stations and their `offsets`. */
 int ddmpc_find_path(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_round *round,
-                    const real *path, const real *travel, const real *max_offset,
-                    const real *previous, real *cost, real *cached, int *from, real *offsets);
+                    const real *path, const real *travel, const real *max_offset, const real *previous, real *cost,
+                    real *cached, int *from, real *offsets);
 
 /* Predict the path under `commands` (count, 2) from the current estimate; the first command replaces the last sent
    command. Computes poses (count + 1, 3) and twists (count + 1, 2) of the body. Returns 0 if there is no estimate. */

@@ -35,10 +35,7 @@ static int is_finite(double x)
     return difference == 0.0;
 }
 
-static double wrapped(double angle)
-{
-    return angle - 6.283185307179586 * floor(angle / 6.283185307179586 + 0.5);
-}
+static double wrapped(double angle) { return angle - 6.283185307179586 * floor(angle / 6.283185307179586 + 0.5); }
 
 static int moves(const ddmon_rules *rules, const double twist[2])
 {
@@ -118,7 +115,7 @@ int ddmon_reference(ddmon_judge *j, double now, const ddmon_point *path, int poi
         if (is_valid && k) {
             double time = p->t - p[-1].t, turn = absolute(wrapped(p->theta - p[-1].theta));
             is_valid = time > 0.0 && hypot(p->x - p[-1].x, p->y - p[-1].y) <= rules->commands_v * time + ROUNDING &&
-                    turn <= rules->commands_omega * time + ROUNDING;
+                       turn <= rules->commands_omega * time + ROUNDING;
         }
     }
     j->path = is_valid && points ? path : 0;
@@ -261,7 +258,7 @@ static void correct_pose(ddmon_judge *j, double step)
         unexplained[i] += correction;
     }
     check_max(j, DDMON_POSE_JUMPS, hypot(current[X], current[Y]),
-            rules->agreement_distance + rules->agreement_distance_share * j->driven, rules->agreement_lasting);
+              rules->agreement_distance + rules->agreement_distance_share * j->driven, rules->agreement_lasting);
     check_max(j, DDMON_POSE_TURNS, absolute(current[THETA]), rules->agreement_turn, rules->agreement_lasting);
 }
 
@@ -282,8 +279,8 @@ static void judge_rest(ddmon_judge *j, double step)
 void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double omega, double x, double y, double theta)
 {
     advance_clock(j, now);
-    if (!(is_usable_stamp(j, stamp, j->has_odometry, j->odometry_stamp) && is_finite(v) && is_finite(omega) && is_finite(x) &&
-          is_finite(y) && is_finite(theta)))
+    if (!(is_usable_stamp(j, stamp, j->has_odometry, j->odometry_stamp) && is_finite(v) && is_finite(omega) &&
+          is_finite(x) && is_finite(y) && is_finite(theta)))
         return; /* the last odometry ages */
     double step = j->has_odometry ? min_of(max_of(stamp - j->odometry_stamp, 0.0), MAX_STEP) : 0.0;
     integrate_motion(j, stamp, step, v, omega);
@@ -315,7 +312,8 @@ void ddmon_gyro(ddmon_judge *j, double now, double stamp, double omega)
 void ddmon_pose(ddmon_judge *j, double now, double stamp, double x, double y, double theta)
 {
     advance_clock(j, now);
-    if (!(j->rules->sensors_pose_age > 0.0 && is_usable_stamp(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) && is_finite(y) && is_finite(theta)))
+    if (!(j->rules->sensors_pose_age > 0.0 && is_usable_stamp(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) &&
+          is_finite(y) && is_finite(theta)))
         return;
     double step = j->has_pose ? min_of(stamp - j->pose_stamp, MAX_STEP) : 0.0;
     j->has_pose = 1;
@@ -348,7 +346,8 @@ void ddmon_outside(ddmon_judge *j, double now, int verdict)
 
 /* Compute the distance of a pose from the path section that the reference covers from `start` to `end` [s], and its angle
    to the headings of the part within the distance `close`. */
-static void compare_section(const ddmon_judge *j, const double pose[3], double start, double end, double close, double error[2])
+static void compare_section(const ddmon_judge *j, const double pose[3], double start, double end, double close,
+                            double error[2])
 {
     const ddmon_point *path = j->path;
     int last = j->points - 1;
@@ -447,7 +446,8 @@ static void judge_time(ddmon_judge *j)
         moved = 0;
     check_max(j, DDMON_SILENT, moved ? j->now - j->command_at : 0.0, rules->commands_silence, 0.0);
     int must_stand = j->may_move == 0 && j->now - j->may_move_since > rules->commands_stop_within;
-    judge_rule(j, DDMON_NOT_TO_MOVE, j->now - j->may_move_since, rules->commands_stop_within, moved && must_stand, rules->path_grace);
+    judge_rule(j, DDMON_NOT_TO_MOVE, j->now - j->may_move_since, rules->commands_stop_within, moved && must_stand,
+               rules->path_grace);
     judge_ages(j);
     judge_path(j);
 }
@@ -460,7 +460,7 @@ static void brake(ddmon_judge *j)
     double slew[2] = {rules->commands_v_braking * step, rules->commands_omega_braking * step};
     int rule = j->verdict.rule;
     int has_effect = rule != DDMON_ANSWER_V && rule != DDMON_ANSWER_OMEGA && rule != DDMON_GYRO_WHEELS &&
-                rule != DDMON_ODOMETRY && rule != DDMON_OUTSIDE;
+                     rule != DDMON_ODOMETRY && rule != DDMON_OUTSIDE;
     for (int i = 0; i < 2; i++) {
         double magnitude = has_effect ? max_of(absolute(j->output[i]) - slew[i], 0.0) : 0.0;
         j->output[i] = j->output[i] < 0.0 ? -magnitude : magnitude;
@@ -502,8 +502,8 @@ static void judge_slew(ddmon_judge *j, const double twist[2], double step)
         int is_decrease = twist[i] * *followed >= 0.0 && absolute(twist[i]) < absolute(*followed);
         double slew = is_decrease ? max_of(away[i], towards[i]) : away[i], max_change = slew * step;
         *followed += min_of(max_of(change, -max_change), max_change);
-        check_max(j, i == V ? DDMON_SLEW : DDMON_YAW_SLEW, absolute(twist[i] - *followed), slew * rules->commands_jitter,
-                0.0);
+        check_max(j, i == V ? DDMON_SLEW : DDMON_YAW_SLEW, absolute(twist[i] - *followed),
+                  slew * rules->commands_jitter, 0.0);
     }
 }
 
@@ -526,7 +526,8 @@ static void judge_stamp(ddmon_judge *j, double stamp, int moved)
     double ahead = known ? stamp - j->now : 0.0;
     check_max(j, DDMON_OLD_COMMAND, moved && known ? -ahead : 0.0, rules->commands_oldest, 0.0);
     check_max(j, DDMON_COMMAND_AHEAD, moved && known ? ahead : 0.0, rules->sensors_ahead, 0.0);
-    check_max(j, DDMON_COMMAND_ORDER, moved && known && j->has_command_stamp ? j->command_stamp - stamp : 0.0, 0.0, 0.0);
+    check_max(j, DDMON_COMMAND_ORDER, moved && known && j->has_command_stamp ? j->command_stamp - stamp : 0.0, 0.0,
+              0.0);
     if (known && is_finite(stamp)) {
         j->command_stamp = stamp;
         j->has_command_stamp = 1;
@@ -546,7 +547,8 @@ void ddmon_command(ddmon_judge *j, double now, double stamp, double v, double om
         double step = has_stamp ? stamp - j->command_stamp : j->now - j->command_at;
         step = j->commanded ? min_of(max_of(step, 0.0), MAX_STEP) : 0.0;
         double speed = v < 0.0 && rules->commands_v_reverse > 0.0 ? rules->commands_v_reverse : rules->commands_v;
-        double turn = omega < 0.0 && rules->commands_omega_right > 0.0 ? rules->commands_omega_right : rules->commands_omega;
+        double turn =
+            omega < 0.0 && rules->commands_omega_right > 0.0 ? rules->commands_omega_right : rules->commands_omega;
         check_max(j, DDMON_SPEED, absolute(v), speed * (1.0 + ROUNDING), 0.0);
         check_max(j, DDMON_YAW_RATE, absolute(omega), turn * (1.0 + ROUNDING), 0.0);
         judge_stamp(j, stamp, moved);
@@ -598,8 +600,8 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
         verdict.rule = DDMON_STILL_MOVED;
         return verdict;
     }
-    const int measured[] = {DDMON_ANSWER_V, DDMON_ANSWER_OMEGA, DDMON_GYRO_WHEELS, DDMON_POSE_JUMPS, DDMON_POSE_TURNS,
-                            DDMON_OUTSIDE};
+    const int measured[] = {DDMON_ANSWER_V,   DDMON_ANSWER_OMEGA, DDMON_GYRO_WHEELS,
+                            DDMON_POSE_JUMPS, DDMON_POSE_TURNS,   DDMON_OUTSIDE};
     for (unsigned i = 0; i < sizeof measured / sizeof *measured; i++) {
         if (j->broken[measured[i]]) {
             verdict.rule = measured[i];
@@ -630,7 +632,8 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
         return verdict;
     }
     if (j->path && j->placed)
-        compare_section(j, j->place, j->now - j->rules->returning_late, j->now + j->rules->returning_early, HUGE_VAL, away);
+        compare_section(j, j->place, j->now - j->rules->returning_late, j->now + j->rules->returning_early, HUGE_VAL,
+                        away);
     int lost = away[DISTANCE] > j->rules->returning_distance;
     memset(j->broken, 0, sizeof j->broken);
     memset(&j->verdict, 0, sizeof j->verdict);

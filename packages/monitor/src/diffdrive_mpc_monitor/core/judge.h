@@ -13,58 +13,62 @@
 /* Limits of the rules, which docs/safety.md describes. A rule that is violated for longer than its limit stops the
    robot. */
 typedef struct {
-    double commands_v;               /* maximum |v| [m/s] */
-    double commands_omega;           /* maximum |omega| [rad/s] */
-    double commands_v_reverse;       /* maximum speed in reverse [m/s]; 0: as v */
-    double commands_omega_right;     /* maximum yaw rate to the right [rad/s]; 0: as omega */
-    double commands_v_slew;          /* maximum rate of change of v away from zero [m/s^2] */
-    double commands_omega_slew;      /* maximum rate of change of omega away from zero [rad/s^2] */
-    double commands_v_braking;       /* maximum rate of change of v towards zero; also the braking rate of the monitor [m/s^2] */
-    double commands_omega_braking;   /* maximum rate of change of omega towards zero; also the braking rate of the monitor [rad/s^2] */
-    double commands_jitter;          /* tolerated error in the timing of commands, for the slew check [s] */
-    double commands_silence;         /* maximum time without a command while the last command moves the robot [s] */
-    double commands_slowest;         /* maximum mean interval between commands while the robot moves [s] */
-    double commands_quickest;        /* minimum mean interval between commands [s] */
-    double commands_oldest;          /* maximum age of a command that moves the robot, by its stamp [s] */
-    double commands_stop_within;     /* time for commands to become zero after the controller reports standstill [s] */
-    double commands_standing_v;      /* maximum speed of a command or motion that counts as standstill [m/s] */
-    double commands_standing_omega;  /* maximum yaw rate of a command or motion that counts as standstill [rad/s] */
-    double commands_rest_distance;   /* maximum distance that the robot moves after the controller reports standstill [m] */
-    double commands_rest_turn;       /* maximum angle by which the robot turns after that report [rad] */
-    double path_distance;            /* maximum distance from the path section around the reference [m] */
-    double path_lasting;             /* maximum time for which the distance may be exceeded [s] */
-    double path_far;                 /* maximum distance of the pose at rest after braking now [m] */
-    double path_reaction;            /* delay until braking begins [s] */
-    double path_heading;             /* maximum angle to the headings of the path section [rad] */
-    double path_far_lasting;         /* maximum time for which `far` or `heading` may be exceeded [s] */
-    double path_late;                /* start of the path section, as a time before the present reference [s] */
-    double path_early;               /* end of the path section, as a time after the present reference [s] */
-    double path_grace;               /* maximum time of motion without a reference, or while the controller reports standstill [s] */
-    double returning_within;         /* maximum time away from the path section while returning [s] */
-    double returning_distance;       /* maximum distance of the pose at rest after braking now, while returning [m] */
-    double returning_late;           /* start of the path section while returning, as a time before the present reference [s] */
-    double returning_early;          /* end of the path section while returning, as a time after the present reference [s] */
-    double sensors_odometry_age;     /* maximum age of the odometry [s] */
-    double sensors_pose_age;         /* maximum age of the pose; 0: no pose sensor, the pose of the odometry is used [s] */
-    double sensors_gyro_age;         /* maximum age of the yaw rate; 0: no gyro, the wheels measure the yaw rate [s] */
-    double sensors_ahead;            /* maximum time by which a stamp may be in the future [s] */
-    double agreement_window;         /* time over which sensors are compared [s] */
-    double agreement_blend;          /* time constant with which poses correct the pose predicted by wheels and gyro [s] */
-    double agreement_distance;       /* maximum difference between poses and wheels within the window [m] */
+    double commands_v;           /* maximum |v| [m/s] */
+    double commands_omega;       /* maximum |omega| [rad/s] */
+    double commands_v_reverse;   /* maximum speed in reverse [m/s]; 0: as v */
+    double commands_omega_right; /* maximum yaw rate to the right [rad/s]; 0: as omega */
+    double commands_v_slew;      /* maximum rate of change of v away from zero [m/s^2] */
+    double commands_omega_slew;  /* maximum rate of change of omega away from zero [rad/s^2] */
+    double
+        commands_v_braking; /* maximum rate of change of v towards zero; also the braking rate of the monitor [m/s^2] */
+    double
+        commands_omega_braking; /* maximum rate of change of omega towards zero; also the braking rate of the monitor [rad/s^2] */
+    double commands_jitter;         /* tolerated error in the timing of commands, for the slew check [s] */
+    double commands_silence;        /* maximum time without a command while the last command moves the robot [s] */
+    double commands_slowest;        /* maximum mean interval between commands while the robot moves [s] */
+    double commands_quickest;       /* minimum mean interval between commands [s] */
+    double commands_oldest;         /* maximum age of a command that moves the robot, by its stamp [s] */
+    double commands_stop_within;    /* time for commands to become zero after the controller reports standstill [s] */
+    double commands_standing_v;     /* maximum speed of a command or motion that counts as standstill [m/s] */
+    double commands_standing_omega; /* maximum yaw rate of a command or motion that counts as standstill [rad/s] */
+    double
+        commands_rest_distance; /* maximum distance that the robot moves after the controller reports standstill [m] */
+    double commands_rest_turn;  /* maximum angle by which the robot turns after that report [rad] */
+    double path_distance;       /* maximum distance from the path section around the reference [m] */
+    double path_lasting;        /* maximum time for which the distance may be exceeded [s] */
+    double path_far;            /* maximum distance of the pose at rest after braking now [m] */
+    double path_reaction;       /* delay until braking begins [s] */
+    double path_heading;        /* maximum angle to the headings of the path section [rad] */
+    double path_far_lasting;    /* maximum time for which `far` or `heading` may be exceeded [s] */
+    double path_late;           /* start of the path section, as a time before the present reference [s] */
+    double path_early;          /* end of the path section, as a time after the present reference [s] */
+    double path_grace; /* maximum time of motion without a reference, or while the controller reports standstill [s] */
+    double returning_within;   /* maximum time away from the path section while returning [s] */
+    double returning_distance; /* maximum distance of the pose at rest after braking now, while returning [m] */
+    double returning_late;  /* start of the path section while returning, as a time before the present reference [s] */
+    double returning_early; /* end of the path section while returning, as a time after the present reference [s] */
+    double sensors_odometry_age; /* maximum age of the odometry [s] */
+    double sensors_pose_age;     /* maximum age of the pose; 0: no pose sensor, the pose of the odometry is used [s] */
+    double sensors_gyro_age;     /* maximum age of the yaw rate; 0: no gyro, the wheels measure the yaw rate [s] */
+    double sensors_ahead;        /* maximum time by which a stamp may be in the future [s] */
+    double agreement_window;     /* time over which sensors are compared [s] */
+    double agreement_blend;      /* time constant with which poses correct the pose predicted by wheels and gyro [s] */
+    double agreement_distance;   /* maximum difference between poses and wheels within the window [m] */
     double agreement_distance_share; /* additional difference per distance driven [m/m] */
-    double agreement_turn;           /* maximum difference in heading of poses and gyro (no gyro: wheels) within the window [rad] */
-    double agreement_gyro_gain;      /* maximum ratio of the yaw rate of the gyro to that of the wheels [-] */
-    double agreement_gyro_least;     /* minimum ratio of these yaw rates [-] */
-    double agreement_gyro_turn;      /* tolerance of the turn over the window [rad] */
-    double agreement_lasting;        /* maximum time for which sensors may contradict each other [s] */
-    double answer_dead_time;         /* maximum delay until a command acts [s] */
-    double answer_lag_v;             /* maximum time constant with which v follows [s] */
-    double answer_lag_omega;         /* maximum time constant with which omega follows [s] */
-    double answer_gain_v;            /* maximum ratio of v to its command [-] */
-    double answer_gain_omega;        /* maximum ratio of omega to its command [-] */
-    double answer_margin_v;          /* tolerance of the bounds of v [m/s] */
-    double answer_margin_omega;      /* tolerance of the bounds of omega [rad/s] */
-    double answer_lasting;           /* maximum time for which the robot may be outside the bounds [s] */
+    double
+        agreement_turn; /* maximum difference in heading of poses and gyro (no gyro: wheels) within the window [rad] */
+    double agreement_gyro_gain;  /* maximum ratio of the yaw rate of the gyro to that of the wheels [-] */
+    double agreement_gyro_least; /* minimum ratio of these yaw rates [-] */
+    double agreement_gyro_turn;  /* tolerance of the turn over the window [rad] */
+    double agreement_lasting;    /* maximum time for which sensors may contradict each other [s] */
+    double answer_dead_time;     /* maximum delay until a command acts [s] */
+    double answer_lag_v;         /* maximum time constant with which v follows [s] */
+    double answer_lag_omega;     /* maximum time constant with which omega follows [s] */
+    double answer_gain_v;        /* maximum ratio of v to its command [-] */
+    double answer_gain_omega;    /* maximum ratio of omega to its command [-] */
+    double answer_margin_v;      /* tolerance of the bounds of v [m/s] */
+    double answer_margin_omega;  /* tolerance of the bounds of omega [rad/s] */
+    double answer_lasting;       /* maximum time for which the robot may be outside the bounds [s] */
 } ddmon_rules;
 
 /* Rules; `ddmon_words` returns a sentence for each. */
@@ -154,8 +158,8 @@ DDMON_EXPORT void ddmon_init(ddmon_judge *judge, const ddmon_rules *rules, doubl
 DDMON_EXPORT int ddmon_reference(ddmon_judge *judge, double now, const ddmon_point *path, int points);
 
 /* Add odometry with `stamp`: twist of the wheels, and the integrated pose. */
-DDMON_EXPORT void ddmon_odometry(ddmon_judge *judge, double now, double stamp, double v, double omega,
-                                 double x, double y, double theta);
+DDMON_EXPORT void ddmon_odometry(ddmon_judge *judge, double now, double stamp, double v, double omega, double x,
+                                 double y, double theta);
 
 /* Add a yaw rate of the gyro. */
 DDMON_EXPORT void ddmon_gyro(ddmon_judge *judge, double now, double stamp, double omega);

@@ -21,7 +21,10 @@ int main(void)
     if (!ddmon_reference(&judge, now, line, 101))
         return 2;
     for (int tick = 0; tick < 400; tick++, now += SAMPLE) {
-        double command[2] = {SPEED < 2.0 * SAMPLE * tick ? SPEED : 2.0 * SAMPLE * tick, tick < 100 ? 0.0 : tick < 105 ? 0.1 * (tick - 100) : 0.5};
+        double command[2] = {SPEED < 2.0 * SAMPLE * tick ? SPEED : 2.0 * SAMPLE * tick, tick < 100 ? 0.0
+                                                                                        : tick < 105
+                                                                                            ? 0.1 * (tick - 100)
+                                                                                            : 0.5};
         ddmon_gyro(&judge, now, now, omega);
         ddmon_odometry(&judge, now, now, v, omega, x, y, theta);
         ddmon_pose(&judge, now, now, x, y, theta);

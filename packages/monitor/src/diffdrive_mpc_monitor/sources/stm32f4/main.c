@@ -30,17 +30,43 @@ static void handle_message(const double in[8], double out[8])
     const double now = in[1], stamp = in[2], *value = in + 3;
     ddmon_verdict verdict;
     switch ((int)in[0]) {
-    case START: ddmon_init(&judge, &ddmon_default_rules, now); points = 0; break;
-    case POINT: add_point(value); break;
-    case REFERENCE: out[0] = ddmon_reference(&judge, now, path[buffer], points); buffer = !buffer; points = 0; break;
-    case ODOMETRY: ddmon_odometry(&judge, now, stamp, value[0], value[1], value[2], value[3], value[4]); break;
-    case GYRO: ddmon_gyro(&judge, now, stamp, value[0]); break;
-    case POSE: ddmon_pose(&judge, now, stamp, value[0], value[1], value[2]); break;
-    case SAYS: ddmon_says(&judge, now, value[0] != 0.0); break;
-    case COMMAND: ddmon_command(&judge, now, stamp, value[0], value[1], out + 1); out[0] = 1.0; break;
-    case TICK: out[0] = ddmon_tick(&judge, now, out + 1); break;
-    case RESET: verdict = ddmon_reset(&judge, now); out[0] = verdict.rule; break;
-    default: break;
+    case START:
+        ddmon_init(&judge, &ddmon_default_rules, now);
+        points = 0;
+        break;
+    case POINT:
+        add_point(value);
+        break;
+    case REFERENCE:
+        out[0] = ddmon_reference(&judge, now, path[buffer], points);
+        buffer = !buffer;
+        points = 0;
+        break;
+    case ODOMETRY:
+        ddmon_odometry(&judge, now, stamp, value[0], value[1], value[2], value[3], value[4]);
+        break;
+    case GYRO:
+        ddmon_gyro(&judge, now, stamp, value[0]);
+        break;
+    case POSE:
+        ddmon_pose(&judge, now, stamp, value[0], value[1], value[2]);
+        break;
+    case SAYS:
+        ddmon_says(&judge, now, value[0] != 0.0);
+        break;
+    case COMMAND:
+        ddmon_command(&judge, now, stamp, value[0], value[1], out + 1);
+        out[0] = 1.0;
+        break;
+    case TICK:
+        out[0] = ddmon_tick(&judge, now, out + 1);
+        break;
+    case RESET:
+        verdict = ddmon_reset(&judge, now);
+        out[0] = verdict.rule;
+        break;
+    default:
+        break;
     }
 }
 

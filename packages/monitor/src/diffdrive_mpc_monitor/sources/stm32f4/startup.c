@@ -31,5 +31,4 @@ typedef void (*handler)(void);
 __attribute__((section(".vectors"), used)) static const struct {
     uint32_t *stack;
     handler entry[15];
-} vectors = {&_stack_top,
-             {reset_handler, halt, halt, halt, halt, halt, 0, 0, 0, 0, halt, halt, 0, halt, halt}};
+} vectors = {&_stack_top, {reset_handler, halt, halt, halt, halt, halt, 0, 0, 0, 0, halt, halt, 0, halt, halt}};

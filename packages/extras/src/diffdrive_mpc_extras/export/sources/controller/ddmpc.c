@@ -30,7 +30,8 @@ static int keeps_limits(const ddmpc_controller *c, const ddmpc_reference *refere
         real pose[3], twist[2], arc_length;
         reference->sample(reference->context, t, pose, twist, &arc_length);
         for (int channel = 0; channel < 2; channel++)
-            if (!(ddmpc_fabs(twist[channel]) <= SPEED_EXCESS * c->constants->largest_command[2 * channel + (twist[channel] < R(0.0))]))
+            if (!(ddmpc_fabs(twist[channel]) <=
+                  SPEED_EXCESS * c->constants->largest_command[2 * channel + (twist[channel] < R(0.0))]))
                 return 0;
     }
     return 1;
