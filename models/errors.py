@@ -57,7 +57,7 @@ def wrong_type(argument: str, expected: str, value: object, remedy: str) -> Argu
 
 
 def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a function: a call with a missing or an unknown argument raises ArgumentError, which lists all.
+    """Return a decorator: a call with a missing or an unknown argument raises ArgumentError, which lists all.
 
     `remedies` are sentences for names that are arguments of something else.
     """

@@ -20,7 +20,7 @@ AnyArray = NDArray[Any]
 
 
 def _checked_init(kind: type[T]) -> type[T]:
-    """Decorate a class whose creation with a missing or an unknown argument raises ArgumentError."""
+    """Return the class; its creation with a missing or an unknown argument raises ArgumentError."""
     kind.__init__ = checked_call()(kind.__init__)  # type: ignore[method-assign]
     return kind
 
