@@ -238,8 +238,8 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         As for `load_checked`.
     """
     if not isinstance(data, Mapping):
-        found = "nothing" if data is None else type(data).__name__
-        raise ConfigError(f"{where}: expected keys and values, found {found}; write each value as KEY: VALUE")
+        kind = "nothing" if data is None else type(data).__name__
+        raise ConfigError(f"{where}: expected keys and values, found {kind}; write each value as KEY: VALUE")
     try:
         return schema.model_validate(data)
     except SchemaError as error:
