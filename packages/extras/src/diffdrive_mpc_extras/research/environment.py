@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diffdrive_mpc.models.errors import MissingPackageError
+from diffdrive_mpc.models.errors import MissingPackageError, checked_call
 from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_config
 
 if TYPE_CHECKING:
     from diffdrive_mpc_extras.research.tracking_env import TrackingEnv
 
 
+@checked_call()
 def make_env(
     trajectory: str | Path | Trajectory = "circle",
     config: str | Path | ControllerConfig = "ssm",

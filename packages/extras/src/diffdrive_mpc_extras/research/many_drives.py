@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
-from diffdrive_mpc.models.errors import load_pandas
+from diffdrive_mpc.models.errors import checked_call, load_pandas, wrong_type
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Config = str | Path | ControllerConfig
 
 
+@checked_call()
 def drive_many(
     configs: Mapping[str, Config] | Iterable[Config] | Config = "ssm",
     trajectories: Iterable[str | Path | Trajectory] | str | Path | Trajectory = "circle",
@@ -62,8 +63,12 @@ def drive_many(
         If a name is unknown or a file has a mistake; nothing is driven then.
     MissingPackageError
         If pandas is not installed.
+    ArgumentError
+        If `seeds` is a number.
     """
     pandas = load_pandas("drive_many")
+    if not hasattr(seeds, "__iter__"):
+        raise wrong_type("seeds", "several seeds", seeds, "give range(5), or a list")
     named = (
         dict(configs)
         if isinstance(configs, Mapping)
