@@ -10,9 +10,12 @@
 static const real SMALL_STEP = R(1e-4);
 enum { NEWTON_STEPS = 8 };
 
+/* A delay that is not a number counts as none: it must not become an index. */
+static int whole_samples(real samples) { return samples > R(0.0) ? (int)samples : 0; }
+
 real ddmpc_delayed(const real *sent, real samples)
 {
-    const int whole = (int)samples;
+    const int whole = whole_samples(samples);
     const real rest = samples - (real)whole, now = sent[-2 * whole];
     /* The older command is read only if needed, since it may lie outside the stored commands. */
     return rest > R(0.0) ? now + rest * (sent[-2 * whole - 2] - now) : now;
@@ -44,7 +47,7 @@ void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, cons
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time;
     for (int channel = 0; channel < 2; channel++) {
-        const real *acting = newest - 2 * (DELAY(c, channel) + (int)(late[channel] / dt)) + channel;
+        const real *acting = newest - 2 * (DELAY(c, channel) + whole_samples(late[channel] / dt)) + channel;
         const real recent = (acting[-2] - acting[0]) / dt, older = (acting[-4] - acting[-2]) / dt;
         for (int i = 0; i < STATES(c); i++)
             by_delay[2 * i + channel] = k->B0[2 * i + channel] * recent + k->B1[2 * i + channel] * older;
