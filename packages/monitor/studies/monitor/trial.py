@@ -81,7 +81,7 @@ class MonitoredController:
         step: ControlStep = self._inner.step(t, fault.sees(measurement) if is_faulty else measurement)
         command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
         sent = fault.sends(command) if is_faulty else [command]
-        fault.went(sent)
+        fault.record(sent)
         planned = getattr(self._inner, "planned_delay", 0.0)
         if mode not in _STANDING and abs(planned - self._planned) >= _MIN_SHIFT:
             self._publish_reference(t, planned)
