@@ -232,7 +232,7 @@ class PlanSearch:
         if path is None:
             return None
         complete = tree.open_bound >= tree.prune_cost
-        return PlanSearchResult(self._pieces(path), tree.least, min(tree.least, tree.open_bound), count, complete)
+        return PlanSearchResult(self._pieces(path), tree.min_cost, min(tree.min_cost, tree.open_bound), count, complete)
 
     def _connect(self, tree: _Tree, nodes: list[int], leg: int, *, is_root: bool) -> None:
         """Connect states to the end of the leg in closed form; a reached via point becomes a state of the next leg."""
@@ -240,7 +240,7 @@ class PlanSearch:
         words = self._words(poses, leg, is_root=is_root)
         total = costs[words.start] + words.costs
         last = leg == len(self._via)
-        for row in self._cheapest(words, total, poses, tree.least, 1 if last else 4 * len(nodes)):
+        for row in self._cheapest(words, total, poses, tree.min_cost, 1 if last else 4 * len(nodes)):
             held, node, cost = self._input_sequence(words, row), nodes[words.start[row]], float(total[row])
             if last:
                 tree.arrive(node, held, cost)
