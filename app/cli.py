@@ -43,7 +43,7 @@ class CommandEntry(NamedTuple):
     function: str = ""
     """Name of the function; if empty, the name of the command."""
     passed_on: bool = False
-    """Whether the command forwards unknown arguments, for instance to ROS."""
+    """True if the command forwards unknown arguments, for instance to ROS."""
 
 
 _COMMANDS = {
