@@ -39,7 +39,7 @@ class Check(NamedTuple):
     finding: str
     remedy: str = ""
     is_required: bool = False
-    """True if the controller requires that the check succeeds."""
+    """True if the controller cannot run unless the check succeeds."""
 
     @property
     def line(self) -> str:
