@@ -294,7 +294,7 @@ RING = [
         ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=[BOX])}, "overlaps an obstacle"),
         ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=RING)}, "obstacles block all paths"),
         ((8.0, 0.0, 0.0), {"via": [(5.0, 0.0)], "obstacles": Surroundings(polygons=[BOX])}, "via 1"),
-        ((0.0, 1.0, 0.0), {}, r"least radius of .* m for 1.00 m of distance; allow driving backward"),
+        ((0.0, 1.0, 0.0), {}, r"minimum radius of .* m for 1.00 m of distance; allow driving backward"),
     ],
 )
 def test_impossible_plan_is_refused_in_one_sentence(goal, changes, words):
