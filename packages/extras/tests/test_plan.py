@@ -290,11 +290,11 @@ RING = [
         ((0.0, 0.0, 2 * math.pi), {}, "start and goal are the same"),
         ((1.0, math.nan, 0.0), {}, "finite numbers"),
         ((1.0, 0.0), {}, "give x, y"),
-        ((5.0, 0.0, 0.0), {"speed": 3.0}, "at most 1 m/s"),
+        ((5.0, 0.0, 0.0), {"speed": 3.0}, "exceeds 1 m/s"),
         ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=[BOX])}, "overlaps an obstacle"),
-        ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=RING)}, "obstacles leave no way"),
+        ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=RING)}, "obstacles block all paths"),
         ((8.0, 0.0, 0.0), {"via": [(5.0, 0.0)], "obstacles": Surroundings(polygons=[BOX])}, "via 1"),
-        ((0.0, 1.0, 0.0), {}, r"least radius of .* m for 1.00 m of distance; allow driving backward"),
+        ((0.0, 1.0, 0.0), {}, r"minimum radius of .* m for 1.00 m of distance; allow driving backward"),
     ],
 )
 def test_impossible_plan_is_refused_in_one_sentence(goal, changes, words):
