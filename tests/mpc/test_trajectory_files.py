@@ -143,7 +143,7 @@ def test_limits_hold_on_legs_with_few_pieces() -> None:
 def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[Segment]) -> None:
     """The first path would need 149 GiB."""
     tracemalloc.start()
-    with pytest.raises(ConfigError, match=r"^here: it needs .* pieces"):
+    with pytest.raises(ConfigError, match=r"^here: its length requires .* pieces"):
         lay_smooth(segments, _LIMITS, name="x", where="here")
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
