@@ -53,7 +53,7 @@ def test_plant_example_tracks(tmp_path):
 
 def test_narrow_places_example_waits_and_arrives(tmp_path):
     output = run("narrow_places.py", tmp_path)
-    assert "waits for disc 0, which crosses its way" in output
+    assert "waits for disc 0, which crosses the path" in output
     assert abs(float(re.search(r"at x = (\S+) m", output)[1]) - 8.0) < 0.05
     assert (tmp_path / "narrow-places.png").stat().st_size > 10_000
 

@@ -406,7 +406,7 @@ def test_unpacked_data_equal_the_packed_data() -> None:
     for packed, how in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
         assert unpacked(Path("x"), packed, how, len(data)) == data
         for size in (len(data) - 1, len(data) + 1):
-            with pytest.raises(ConfigError, match="says"):
+            with pytest.raises(ConfigError, match="declared"):
                 unpacked(Path("x"), packed, how, size)
     with pytest.raises(ConfigError, match="packed by 'rar'"):
         unpacked(Path("x"), data, "rar")

@@ -86,7 +86,7 @@ REFUSED = {
     "no header": (text_of(None, rows()), "line 1 holds numbers, not the names of the columns; add a line of 9 names"),
     "decimal comma between commas": (
         "t,v\n0,02,1,5\n0,04,1,6\n",
-        "line 2: 4 cells, expected 2 as in the header; where decimals are written with a comma, put semicolons between",
+        "line 2: 4 cells, expected 2 as in the header; if decimals have a comma, put semicolons between",
     ),
     "points and commas": (
         text_of(NAMES, [*rows(with_comma), *rows()], delimiter=";"),

@@ -83,7 +83,7 @@ def test_every_constant_is_accepted_with_its_value_only():
         assert getattr(getattr(ControllerConfig(), group), name) == value
         with pytest.raises(ConfigError, match=f"{key}: .* differs from the constant {value} in .*remove it"):
             load_config("sm", {key: 1.5 * value})
-        assert present_place(key) == f"the constant {key} of mpc/config/fixed_values.yaml"
+        assert present_place(key) == f"the constant {key} in mpc/config/fixed_values.yaml"
     assert load_config({"model": "sm", **groups}) == load_config({"model": "sm"})
 
 

@@ -36,7 +36,8 @@ def write(folder, texts):
 
 
 def clear_caches():
-    for cached in (library.load_core, library.load_functions, compiler.find_compiler, cache._process_folder):
+    loaders = library.load_core, library.load_functions, library._pointers, sources.header_text
+    for cached in (*loaders, compiler.find_compiler, cache._process_folder):
         cached.cache_clear()
 
 

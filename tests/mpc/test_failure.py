@@ -159,7 +159,7 @@ def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, m
         assert order[-1] is Mode.STOPPED
         message = results[-1].message
         assert f"poses come every {interval * DT:.2f} s and {latency * DT:.2f} s late" in message
-        assert f"raise it beyond {(interval + latency) * DT:.2f} s" in message
+        assert f"raise it above {(interval + latency) * DT:.2f} s" in message
         first = next(k for k, r in enumerate(results) if "poses come every" in r.message)
         assert first == interval + latency, "as soon as two poses show their rate"
     else:

@@ -356,4 +356,4 @@ def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     results, _ = run(misreport, seconds=5.0)
     steps = np.abs(np.diff([result.command for result in results], axis=0))
     assert (steps <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-12).all()
-    assert any("beyond the limits" in result.message for result in results)
+    assert any("exceeds the command limits" in result.message for result in results)

@@ -198,7 +198,7 @@ def test_unusable_poses_raise_error_in_one_line(poses, words):
 def test_long_zigzag_is_rejected_quickly():
     steps = np.arange(10_000)
     start = time.process_time()
-    with pytest.raises(ConfigError, match="turns back 9998 times"):
+    with pytest.raises(ConfigError, match="reverses 9998 times"):
         lay(np.column_stack([0.05 * steps, 0.2 * (steps % 2), 0.0 * steps]))
     assert time.process_time() - start < 3.0
 

@@ -76,7 +76,7 @@ def test_planned_reference_equals_the_tracked_one(rate, delay):
     clock.advance(5.0, driving=True)
     clock.set(delay, rate)
     clock.plan(FASTEST, catch_up=True)
-    sampled = clock.clocked(reference).sample(5.0 + DT * np.arange(1, 60)).pose
+    sampled = clock.apply(reference).sample(5.0 + DT * np.arange(1, 60)).pose
     expected = []
     for k in range(1, 60):
         time = clock.advance(5.0 + k * DT, driving=True)
@@ -92,7 +92,7 @@ def test_twist_matches_the_slowed_motion(rate, delay):
     clock.set(delay, rate)
     clock.plan(FASTEST, catch_up=True)
     times = 6.0 + np.linspace(0.0, 0.6, 601)
-    sample = clock.clocked(reference).sample(times)
+    sample = clock.apply(reference).sample(times)
     turned = np.diff(sample.pose[:, 2]) / np.diff(times)
     assert turned == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
 

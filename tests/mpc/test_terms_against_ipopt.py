@@ -79,7 +79,7 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
         return Controller(config, terms=terms)
 
     controller = make()
-    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, set_points)
+    drive = record(controller, IdealRobot(controller._prediction.sampled, np.zeros(3)), CIRCLE, 160, set_points)
     again, result = iterate_to_convergence(make, drive, CIRCLE, set_points)
     plan, without = solve_with_ipopt(again, terms=terms), solve_with_ipopt(again)
     assert result.planned_commands == pytest.approx(plan, abs=tolerance)
@@ -102,7 +102,7 @@ def test_rows_of_the_minimum_radii_converge_to_ipopts_solution_while_active(limi
         return Controller(config)
 
     controller = make()
-    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turn])
+    robot = IdealRobot(controller._prediction.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turn])
     drive = record(controller, robot, CIRCLE, ticks, lambda *_: None)
     again, result = iterate_to_convergence(make, drive, CIRCLE, lambda *_: None)
     plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {f"limits.{limit}": None}))

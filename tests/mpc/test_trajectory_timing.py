@@ -371,7 +371,7 @@ def test_unknown_passport_entry_is_reported_in_one_line(
 
 @pytest.mark.parametrize("segment", ["{v: -0.4, omega: 0.1, duration: 2}", "{v: 0.0, omega: 0.5, duration: 2}"])
 def test_unmeasured_motion_raises_error(segment: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="covers no backward driving and no turn on the spot"):
+    with pytest.raises(ConfigError, match="does not cover backward driving and turns on the spot"):
         load_trajectory(write(tmp_path, f"segments:\n- {segment}\n", {"tolerance": 0.02}))
 
 

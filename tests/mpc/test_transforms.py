@@ -145,7 +145,7 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
     buffer.insert("map", "base_link", later, planar(1.0, 0.0, 0.0), later)
     assert buffer.lookup("map", "base_link", later).transform.x == 1.0
     buffer.insert("odom", "base_link", later + 1, planar(2.0, 0.0, 0.0), later + 1)
-    with pytest.raises(TransformError, match="'base_link' is placed in 'odom' and in 'map' by turns"):
+    with pytest.raises(TransformError, match="'base_link' has two alternating parents, 'odom' and 'map'"):
         buffer.lookup("odom", "base_link", later + 1)
     # Once it has been settled for as long as anything is kept, it is forgotten.
     settled = later + limits.STORED_TIME + 2

@@ -26,7 +26,7 @@ from studies.tracking.study import TrackingStudy, evaluate_targets, load_study, 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("variant: [as shipped, no", "variant: [long sight, no", "unknown variant 'long sight'; available: as shipped"),
+        ("variant: [as shipped, no", "variant: [long sight, no", "there is no 'long sight'; known: as shipped"),
         (
             "compensation.side_slip: false",
             "compensation.side_slop: false",

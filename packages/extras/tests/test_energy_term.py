@@ -74,7 +74,7 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
         return Controller(config)
 
     controller = make()
-    robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
+    robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
     drive = record(controller, robot, GENTLE, 120, lambda *_: None)
     again, result = iterate_to_convergence(make, drive, GENTLE, lambda *_: None)
     plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {"energy.weight": 0.0}))
@@ -100,7 +100,7 @@ def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
     controllers[0].set_parameters(energy=[0.1])
     commands = []
     for controller in controllers:
-        robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
+        robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
         commands.append(record(controller, robot, GENTLE, 90, lambda *_: None).commands)
     assert np.array(commands[0]) == pytest.approx(np.array(commands[1]), abs=0.0)
 

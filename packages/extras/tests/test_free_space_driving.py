@@ -348,7 +348,7 @@ def test_active_half_spaces_converge_to_the_solution_of_ipopt():
         return controller
 
     controller = record_rows(make())
-    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
+    drive = record(controller, IdealRobot(controller._prediction.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
 
     def keep_rows(again, time):
         """Use the planes of the drive, which are data of the problem."""
