@@ -59,7 +59,8 @@ class RichTables:
                 yield Text()
             yield self._part(widths)
         if self.table.note:
-            yield Text(self.table.note, style="table.caption")
+            # Wrapped here, since a console without a terminal prints lines of any length.
+            yield Text("\n").join(Text(self.table.note, style="table.caption").wrap(console, options.max_width))
 
     def _parts(self, width: int) -> list[dict[int, int]]:
         """Return the widths by column of each part of at most `width` characters."""

@@ -408,7 +408,7 @@ def test_unpacked_data_equal_the_packed_data() -> None:
         for size in (len(data) - 1, len(data) + 1):
             with pytest.raises(ConfigError, match="declared"):
                 unpacked(Path("x"), packed, how, size)
-    with pytest.raises(ConfigError, match="packed by 'rar'"):
+    with pytest.raises(ConfigError, match="compression 'rar' is not supported"):
         unpacked(Path("x"), data, "rar")
 
 
