@@ -30,6 +30,8 @@ _ABBREVIATIONS = {
 """Abbreviations of words that would make columns too wide for a terminal of 80 characters."""
 _GAP = 2
 """Number of characters between two columns."""
+_NOTE_WIDTH = 80
+"""Maximum number of characters in a line of a note."""
 
 
 class Table(plain.TextTable):
@@ -59,8 +61,9 @@ class RichTables:
                 yield Text()
             yield self._part(widths)
         if self.table.note:
-            # Wrapped here, since a console without a terminal prints lines of any length.
-            yield Text("\n").join(Text(self.table.note, style="table.caption").wrap(console, options.max_width))
+            # A console without a terminal is wide.
+            note = Text(self.table.note, style="table.caption")
+            yield Text("\n").join(note.wrap(console, min(options.max_width, _NOTE_WIDTH)))
 
     def _parts(self, width: int) -> list[dict[int, int]]:
         """Return the widths by column of each part of at most `width` characters."""

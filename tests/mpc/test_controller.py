@@ -216,7 +216,7 @@ def test_updates_take_effect_between_two_ticks():
     commands = []
     for k in range(150):
         if k == 100:
-            with pytest.warns(UserWarning, match=r"will lag behind its reference: reference 'circle': v = 0.5 at .* limits.v = 0.2"):
+            with pytest.warns(UserWarning, match=r"lag behind .* reference 'circle': v = 0.5 at .* limits.v = 0.2"):
                 changed = driver.update(limits={"v": 0.2})
             assert changed.limits.v == 0.2
             assert driver.config.limits.v == 1.5
