@@ -151,7 +151,7 @@ def test_plant_uses_the_sharp_step(name):
 def test_invalid_file_raises_a_one_line_error(tmp_path):
     path = tmp_path / "drive.yaml"
     path.write_text(model_path("p2_experimental").read_text().replace("lag:", "lagg:"), encoding="utf-8")
-    with pytest.raises(ConfigError, match="key 'v.lag' is missing"):
+    with pytest.raises(ConfigError, match="unknown key 'v.lagg'; did you mean 'v.lag'"):
         load_model(path)
 
 

@@ -65,10 +65,10 @@ def test_a_configuration_has_its_twin_or_its_identified_robot_or_a_refusal(folde
     assert own_plant(config) == f"mujoco:{folder / 'plant.yaml'}"
     for name in ("plant.yaml", "robot.yaml"):
         (folder / name).unlink()
-    with one_line_error(ConfigError, match="no plant belongs to it.*give --plant"):
+    with one_line_error(ConfigError, match="neither plant.yaml .* give --plant"):
         own_plant(config)
     for words in (["prove", config], ["prove", config, "--tolerance", "0.05"]):
-        assert "no plant belongs to it" in refusal(*words, "--out", folder / "out")
+        assert "neither plant.yaml" in refusal(*words, "--out", folder / "out")
     assert "give --plant" in refusal("predict-error", "--config", config, "--trajectory", "s", "--out", folder / "out")
 
 
@@ -183,5 +183,5 @@ def test_the_node_predicts_for_the_identified_robot(folder):
     assert summary["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
     with one_line_error(ConfigError, match="with follow_error_limit give a population"):
         ErrorPredictor.build(controller, settings.model_copy(update={"follow_error_limit": 0.1}), config)
-    with one_line_error(ConfigError, match="no plant belongs to it"):
+    with one_line_error(ConfigError, match="neither plant.yaml"):
         ErrorPredictor.build(controller, settings, str(folder / "elsewhere" / "config.yaml"))

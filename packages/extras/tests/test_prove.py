@@ -60,7 +60,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     report = (out / "prove.md").read_text(encoding="utf-8")
     for part in ("Outcomes", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
         assert f"## {part}\n" in report
-    assert "0 of 20 runs had an unsafe command: with 95 % confidence fewer than 13.9 %" in report
+    assert "0 of 20 runs had an unsafe command: with 95 % confidence, the rate is below 13.9 %" in report
     assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
     page = content_of(out / "report.html")
     assert {view["kind"] for view in page["views"]} == {"chart", "map"}
@@ -98,7 +98,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     output = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
     assert "1 of " in output
     assert "values differ: position_rmse_m is" in output
-    assert "other than then: numpy (1.0, now" in output
+    assert "changed: numpy (1.0, now" in output
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
             ("trajectory: short", "model: sm\n  trajectory: short"),
             "factors.model: remove it; the controller under test is ssm",
         ),
-        (("low: 0.0, high", "low: 0.4, high"), "low (0.4) has to be below high (0.3)"),
+        (("low: 0.0, high", "low: 0.4, high"), "low (0.4) must be below high (0.3)"),
     ],
 )
 def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:

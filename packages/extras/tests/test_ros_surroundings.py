@@ -100,7 +100,7 @@ BAD_GRIDS = {
     "lying": (change(info__width=2**32 - 1, info__height=2**32 - 1), "says 4294967295 x 4294967295"),
     "large": (
         change(info__width=600, info__height=500, data=array("b", bytes(300_000))),
-        "cells, at most 250,000|300[0-9]+ bytes",
+        "exceed the limit of 250,000|300[0-9]+ bytes",
     ),
     "origin NaN": (change(info__origin__position__x=math.nan), "not finite"),
     "no orientation": (change(info__origin__orientation__w=0.0), "not a unit quaternion"),

@@ -86,7 +86,7 @@ def test_a_passport_is_a_table_a_page_and_a_file(measured: Path) -> None:
     assert all(close <= wide for close, wide in zip(*(row["speeds"] for row in passport["rows"]), strict=True))
     text = (measured / "passport.md").read_text(encoding="utf-8")
     assert "within 10 mm [m/s]" in text
-    assert "one-sided with 90.0 %, as there are 2 tries" in text
+    assert "one-sided lower bound at 90.0 % is at least 70 %; there are 2 tries" in text
     assert (measured / "report.html").is_file()
 
 

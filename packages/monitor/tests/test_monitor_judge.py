@@ -174,7 +174,7 @@ def test_robot_with_wrong_response_is_stopped_at_once(robot):
         ("pose", lambda r: (setattr(r, "has_no_pose", True), r.drive(3.0))),
         ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
         ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
-        ("outside", lambda r: r.judge.outside(r.now, is_faulty=True)),
+        ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
         ("off_heading", lambda r: (stand(r), r.judge.reference(r.now, [[r.now, *r.state]]), r.drive(4.5, (0.0, 0.3)))),
         ("pose_jumps", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
         ("pose_turns", lambda r: (r.state.__setitem__(2, 0.7), r.drive(0.6))),
