@@ -106,7 +106,7 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert "1 of 20 runs had an unsafe command: with 95 % confidence, the rate is below 21.6 %" in text
     assert "1 runs ended in an error" in text
     unsafe = next(table for table in tables(runs, [], {}, 3, BAND) if table.title == "Unsafe commands")
-    assert {row[0]: row[1:3] for row in unsafe.rows}["beyond the slew or the braking limit"] == ("3", "1 of 20")
+    assert {row[0]: row[1:3] for row in unsafe.rows}["above the slew or the braking limit"] == ("3", "1 of 20")
 
 
 def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
