@@ -43,6 +43,8 @@ PART_OF_CI = {
 RUN_IN_TESTS = {
     "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "packages/extras/tests/test_speed_passport.py",
     "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "packages/extras/tests/test_model_comparison.py",
+    "diffdrive-mpc predict-error --config my_robot/config.yaml --trajectory path.yaml "
+    "--learn-from 1.mcap --learn-from 2.mcap --out predicted": "packages/extras/tests/test_own_robot.py",
 }
 PLACES = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""

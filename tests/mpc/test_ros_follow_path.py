@@ -57,7 +57,7 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         follow.tick(10)
         assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"
         # The same goal again is reached where it is, also where something in the server's thread fails meanwhile.
-        fault = follow.made.node.parts["follow_path"].server._side.create_timer(0.05, lambda: 1 / 0)
+        fault = follow.made.node.parts["follow_path"].server._server_node.create_timer(0.05, lambda: 1 / 0)
         since = len(follow.base.commands)
         follow.client.send("again", path[-2:])
         assert follow.wait_for_end("again")["status"] == parts.SUCCEEDED
@@ -237,7 +237,7 @@ def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
         "nan": ([[0, 0, 0], [math.nan, 0, 0]], {}, 103, "pose 1: its pose is not finite"),
         "frame": (STRAIGHT, {"frame": "map"}, 102, "'map'"),
         "far": (STRAIGHT + [3.0, 0.0, 0.0], {}, 103, "begins 3.00 m from the robot"),
-        "wild": (wild, {}, 103, "turns back"),
+        "wild": (wild, {}, 103, "reverses"),
         "many": (np.repeat(STRAIGHT, 2, axis=0), {}, 103, "82 poses, the limit is 50"),
         "controller": (STRAIGHT, {"controller": "other"}, 101, "controller_id is 'other'"),
     }

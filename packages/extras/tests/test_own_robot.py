@@ -88,6 +88,8 @@ def test_recorded_drives_scale_the_tubes_or_are_refused_as_too_few(folder):
     assert inside[0].sum() >= 19 and not inside[1].all()
     with one_line_error(ConfigError, match="3 recorded drives: 95 % needs 19"):
         learn_from(logs[:3], predicted, load_config(config), plant, 20, 1)
+    words = ["predict-error", "--config", config, "--trajectory", path, "--draws", "20", "--out", folder / "predicted"]
+    assert "1 recorded drive" in refusal(*words, "--learn-from", logs[0])
 
 
 def test_runs_differ_by_seed_and_repeat_and_grow_with_the_unexplained_motion(folder):
