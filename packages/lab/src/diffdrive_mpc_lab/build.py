@@ -98,7 +98,7 @@ def page_data() -> tuple[dict[str, Any], bytes]:
             for model in values_of("model")
         },
         "ice": settings["ice"],
-        "variants": settings["drawing"],
+        "drawn": settings["drawing"],
         "push": settings["push"],
         "longest_link": settings["longest_link"],
         "outline": plant_outline("model:ssm"),
