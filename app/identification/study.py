@@ -17,11 +17,10 @@ from diffdrive_mpc.app.identification.trial_drives import (
     first_circle,
     recipe,
     trial_doubts,
-    trial_settings,
     trial_table,
 )
 from diffdrive_mpc.app.identification.unexplained_motion import write_robot
-from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
+from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -144,8 +143,7 @@ def _trial_verdict(identification: Identification, bar: ProgressBar, force: bool
     """Run the trial drives of the configuration, unless the identification is refused."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), failure=identification.refusal)
-    count = DRIVES + trial_settings().unexplained
-    return judge_by_drives(identification, lambda text: bar.start_stage(text, count), bar.advance, force=force)
+    return judge_by_drives(identification, bar.start_stage, bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:

@@ -40,7 +40,7 @@ from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot
 SIMPLEST = "sm"
 _WIDTH = 80
 _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
-DRIVES = 2 * len(PATHS)
+_DRIVES = 2 * len(PATHS)
 """Number of trial drives of one configuration without unexplained motion."""
 
 
@@ -108,10 +108,14 @@ class TrialVerdict:
         return (*self.changes, *words, *self._unexplained_reasons, *trust.reasons)
 
     @property
+    def _lost(self) -> int:
+        """Number of drives with unexplained motion that do not arrive."""
+        return len(self.unexplained) - len(_errors(self.unexplained))
+
+    @property
     def _unexplained_reasons(self) -> tuple[str, ...]:
-        count = len(self.unexplained)
-        if lost := count - len(_errors(self.unexplained)):
-            return (f"{lost} of {count} drives of {UNEXPLAINED} do not arrive",)
+        if self._lost:
+            return (f"{self._lost} of {len(self.unexplained)} drives of {UNEXPLAINED} do not arrive",)
         if all(drive.passed for drive in self.unexplained):
             return ()
         return (f"{UNEXPLAINED} leaves its path by more than {100 * trial_settings().lateral_share:g} % of a radius",)
@@ -127,8 +131,7 @@ class TrialVerdict:
         if arrived:
             max_errors = np.maximum(max_errors, trial_settings().promise_factor * gmean(arrived))
         lateral, position = (math.ceil(1000 * error) / 1000 for error in max_errors)
-        count = len(self.unexplained)
-        share = f"{len(arrived)} of {count}" if len(arrived) < count else "95 of 100"
+        share = f"{len(arrived)} of {len(self.unexplained)}" if self._lost else "95 of 100"
         return Promise(float(v), float(omega), lateral, position, share)
 
     @property
@@ -200,7 +203,7 @@ def next_command(folder: Path = Path()) -> list[str]:
 
 def judge_by_drives(
     identification: Identification,
-    on_try: Callable[[str], None] = lambda _: None,
+    on_try: Callable[[str, int], None] = lambda *_: None,
     on_run: Callable[[], None] = lambda: None,
     *,
     force: bool = False,
@@ -212,7 +215,7 @@ def judge_by_drives(
     identification
         Identification to assess.
     on_try
-        Called with a description of each configuration before its drives.
+        Called with a description of each configuration and the number of its drives before them.
     on_run
         Called after each drive.
     force
@@ -224,7 +227,7 @@ def judge_by_drives(
         If the files of a configuration cannot be written for its drives.
     """
     plants = stand_ins(identification)
-    on_try("driving")
+    on_try("driving", _DRIVES)
     first = _run_drives(identification, plants, on_run, run_all=True)
     if force or not first.failure:
         return _with_unexplained(first, on_try, on_run)
@@ -235,13 +238,15 @@ def judge_by_drives(
     return _with_unexplained(reduced or first, on_try, on_run)
 
 
-def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
+def _with_unexplained(
+    verdict: TrialVerdict, on_try: Callable[[str, int], None], on_run: Callable[[], None]
+) -> TrialVerdict:
     """Drive curved paths with unexplained motion, and add the result to the verdict; most of the drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     robot = None if verdict.config is None else identified_robot(identification, verdict.config)
     if verdict.failure or verdict.config is None or robot is None:
         return verdict
-    on_try("driving with unexplained motion")
+    on_try("driving with unexplained motion", settings.unexplained)
     stand_in = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
     for seed in range(settings.unexplained):
         disturbance = robot.disturbance(verdict.config.sample_time, np.random.default_rng(seed))
@@ -249,17 +254,15 @@ def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_r
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
-    lost = sum(not drive.metrics.completed for drive in drives)
-    return (
-        replace(result, failure=result._unexplained_reasons[0]) if lost > settings.lost_share * len(drives) else result
-    )
+    is_unusable = result._lost > settings.lost_share * len(drives)
+    return replace(result, failure=result._unexplained_reasons[0]) if is_unusable else result
 
 
 def _with_fastest_limits(
     candidate: Identification,
     plants: Sequence[StandIn],
     changes: tuple[str, ...],
-    on_try: Callable[[str], None],
+    on_try: Callable[[str, int], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
     """Find the maximum configured share of the limits whose drives pass, by bisection; None if the minimum fails."""
@@ -267,7 +270,7 @@ def _with_fastest_limits(
 
     def attempt(i: int) -> TrialVerdict:
         reduced, reductions = _with_reduced_limits(candidate, shares[i])
-        on_try(", ".join(["driving", *changes, *reductions]))
+        on_try(", ".join(["driving", *changes, *reductions]), _DRIVES)
         return replace(_run_drives(reduced, plants, on_run, run_all=False), changes=(*changes, *reductions))
 
     failing, passing = -1, len(shares) - 1
