@@ -13,7 +13,8 @@ and Student's distribution). If parts of a log differ by more than S predicts, t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -95,7 +96,8 @@ def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-class Sandwich(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Sandwich:
     """Covariance of the parameters, with measures of the information in the data."""
 
     white: FloatArray
@@ -107,7 +109,7 @@ class Sandwich(NamedTuple):
     condition: float
     """Condition number of the information matrix, scaled to unit diagonal."""
 
-    @property
+    @cached_property
     def covariance(self) -> FloatArray:
         """(q, q) with the variance of blocks where it is larger than by chance."""
         return _with_block_variance(self.white, self.blocks)
@@ -115,7 +117,7 @@ class Sandwich(NamedTuple):
     def derived(self, slope: FloatArray) -> Sandwich:
         """Return the covariance of functions of the parameters with derivatives `slope` (r, q)."""
         blocks = {count: slope @ block @ slope.T for count, block in self.blocks.items()}
-        return self._replace(white=slope @ self.white @ slope.T, blocks=blocks)
+        return replace(self, white=slope @ self.white @ slope.T, blocks=blocks)
 
 
 def sandwich(
