@@ -26,18 +26,18 @@ EXAMPLES = {
 }
 
 
-def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
+def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer has no type for options
     """Create the option that selects parts of a study."""
     return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all parts")
 
 
-def _names(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+def _names_option(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer has no type for options
     """Create an option that accepts names separated by commas."""
     return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{content}.", show_default=default)
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """Run a study with `bench.study.carry_out`."""
+    """Plan and run a study, write its report to `out`, and return its results."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)
@@ -67,7 +67,7 @@ def reproduce(
     only: Annotated[str | None, _parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
     data: Annotated[
         Path | None,
-        typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="without them"),
+        typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="no real logs"),
     ] = None,
     jobs: Jobs = None,
 ) -> None:
@@ -83,7 +83,7 @@ def peers(
     *,
     out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
     quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, as a test.")] = False,
-    only: Annotated[str | None, _names("Peers to tune", "all of them", "--peers")] = None,
+    only: Annotated[str | None, _names_option("Peers to tune", "all of them", "--peers")] = None,
     settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
     jobs: Jobs = None,
 ) -> None:
@@ -91,13 +91,14 @@ def peers(
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does not need it
 
-    loaded = load_settings(settings, quick=quick)
-    results = _carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    study_settings = load_settings(settings, quick=quick)
+    results = _carry_out(PeersStudy(study_settings, None if only is None else split_names(only, "--peers")), out, jobs)
     with whole_file(out / GAINS_FILE) as draft:
-        draft.write_text(gains_text(results, loaded), encoding="utf-8")
+        draft.write_text(gains_text(results, study_settings), encoding="utf-8")
 
 
-def _rates(text: str) -> list[float]:
+def _parse_rates(text: str) -> list[float]:
+    """Parse a list of rates of false alarms [1/h]; raise ConfigError if an entry is not a number."""
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
 
     try:
@@ -110,15 +111,15 @@ def robustness(
     *,
     out: Annotated[Path, out_option("report.html, robustness.json, robustness.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
-    only: Annotated[str | None, _names("Conditions", "all of them")] = None,
+    only: Annotated[str | None, _names_option("Conditions", "all of them")] = None,
     conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
-    controllers: Annotated[str, _names("mpc, or peers")] = "mpc,kanayama",
-    models: Annotated[str, _names("Models of mpc")] = "ssm",
-    trajectories: Annotated[str | None, _names("Paths", "circle,s; circle with --quick")] = None,
+    controllers: Annotated[str, _names_option("Controllers: mpc, and names of peers")] = "mpc,kanayama",
+    models: Annotated[str, _names_option("Models of mpc")] = "ssm",
+    trajectories: Annotated[str | None, _names_option("Paths", "circle,s; circle with --quick")] = None,
     seeds: Annotated[str, typer.Option(metavar="LIST", help="Number of seeds, or a list of seeds.")] = "1",
     robots: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of random robots of the market's range; without conditions."),
+        typer.Option(min=1, help="Number of random robots of the market; replaces conditions not set by --only."),
     ] = None,
     tuning_robots: Annotated[
         bool,
@@ -127,7 +128,7 @@ def robustness(
     rates: Annotated[
         str | None,
         typer.Option(
-            metavar="LIST", help="Additional rates of false alarms [1/h] for these robots.", show_default="none"
+            metavar="LIST", help="Additional rates of false alarms [1/h] for the random robots.", show_default="none"
         ),
     ] = None,
     jobs: Jobs = None,
@@ -136,18 +137,18 @@ def robustness(
     from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does not need it
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
-    loaded = load_conditions(conditions)
-    names = split_names(only, "--only") if only is not None else loaded.quick if quick else None
+    campaign = load_conditions(conditions)
+    names = split_names(only, "--only") if only is not None else campaign.quick if quick else None
     study = RobustnessStudy(
-        loaded.select(names) if names is not None or robots is None else {},
-        loaded.settled,
+        campaign.select(names) if names is not None or robots is None else {},
+        campaign.settled,
         controllers=split_names(controllers, "--controllers"),
         models=split_names(models, "--models"),
         trajectories=split_names(trajectories or ("circle" if quick else "circle,s"), "--trajectories"),
         seeds=parse_seeds(seeds),
         robots=robots or 0,
         tuning=tuning_robots,
-        rates=[] if rates is None else _rates(rates),
+        rates=[] if rates is None else _parse_rates(rates),
     )
     _carry_out(study, out, jobs)
 
@@ -156,8 +157,8 @@ def speed(
     *,
     out: Annotated[Path, out_option("report.html, speed.json, speed.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One model, two horizons, a short drive.")] = False,
-    peers: Annotated[str | None, _names("Subjects; `ours` and `casadi` are groups", "all of them")] = None,
-    models: Annotated[str | None, _names("Models", "mbm,sm,ssm")] = None,
+    peers: Annotated[str | None, _names_option("Subjects; `ours` and `casadi` are groups", "all of them")] = None,
+    models: Annotated[str | None, _names_option("Models", "mbm,sm,ssm")] = None,
     horizons: Annotated[
         str | None, typer.Option(metavar="NUMBERS", help="Horizons.", show_default="10,20,30,50,100")
     ] = None,
@@ -174,14 +175,14 @@ def speed(
     from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does not need it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
-    loaded = load_speed_settings(settings, quick=quick)
+    study_settings = load_speed_settings(settings, quick=quick)
     changes: dict[str, object] = {}
     if models is not None:
         changes["models"] = split_names(models, "--models")
     if horizons is not None:
         changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MAX_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
-    _carry_out(SpeedStudy(select_subjects(loaded.model_copy(update=changes), names), environment), out)
+    _carry_out(SpeedStudy(select_subjects(study_settings.model_copy(update=changes), names), environment), out)
 
 
 STUDIES: dict[str, Callable[..., None]] = {
@@ -191,7 +192,7 @@ STUDIES: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "speed": speed,
 }
-"""Functions of the studies by NAME of the command `python -m studies NAME`."""
+"""Command functions of the studies by NAME in `python -m studies NAME`."""
 
 
 shipped_models_app = typer.Typer(
@@ -304,10 +305,10 @@ def calibrate(
 def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Use five models instead of all.")] = False,
 ) -> None:
-    """Identify random models with known parameters and count how often the intervals contain the parameters."""
+    """Identify random models and count how often the confidence intervals contain the true parameters."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 
-    with ProgressBar("known truths (a few seconds each)") as bar:
+    with ProgressBar("random models (a few seconds each)") as bar:
         recoveries = recover_all(5 if quick else None, on_progress=bar.show)
     output_console().print(coverage_table(recoveries).rich())

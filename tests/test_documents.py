@@ -15,7 +15,7 @@ from diffdrive_mpc.app.cli import app
 from quick_settings import quick_settings
 from studies.cli import app as studies_app
 from studies.documents import documents as twelve_drives
-from studies.documents.documents import SHOWN, with_report
+from studies.documents.documents import REPORTS, with_report
 
 ROOT = Path(__file__).parents[1]
 PACKAGE_PAGES = list(ROOT.glob("packages/*/docs/*.md"))
@@ -211,7 +211,7 @@ def test_links_resolve(document):
             assert (document.parent / target).exists(), f"{name_of(document)}: {target}"
 
 
-@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+@pytest.mark.parametrize("shown", REPORTS, ids=lambda shown: shown.name)
 def test_pages_link_the_committed_report_and_show_its_tables(shown):
     """README shows the tables of `bench`; a report without a page of tables states its own revision and date."""
     report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
@@ -226,10 +226,10 @@ def test_pages_link_the_committed_report_and_show_its_tables(shown):
 
 def test_reports_are_current_or_marked_as_older():
     known = json.loads((ROOT / twelve_drives.RECORD).read_text(encoding="utf-8"))
-    assert twelve_drives.alike(known["drives"], twelve_drives.drives()), (
+    assert twelve_drives.sums_agree(known["drives"], twelve_drives.drives()), (
         "the controller's commands have changed: make results, or python -m studies.documents.documents"
     )
-    for shown in SHOWN:
+    for shown in REPORTS:
         report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
         assert (twelve_drives.OLDER in report) == (shown.name not in known["reports"]), shown.name
 

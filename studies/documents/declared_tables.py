@@ -1,6 +1,6 @@
-"""Tables in documents that are generated from declarations: parameters of the node, and scalars of a step.
+"""Tables of documents, generated from declarations: parameters of the node, and scalars of a step.
 
-Run by ``python -m studies.documents.declared_tables`` in the root folder of the repository.
+Run as ``python -m studies.documents.declared_tables`` in the root folder of the repository.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HEAD = (
     "| parameter | unit | default | range | what it does | when to change it |\n| --- | --- | --- | --- | --- | --- |"
 )
 _TITLES = {
-    "": "The controller as a whole",
+    "": "Controller",
     "extra_dead_time": "Dead time in addition to that of the model file",
     "weights": "Weights, also while driving",
     "margin": "Delay margin of the loop",
@@ -34,10 +34,10 @@ _TITLES = {
     "sensors.yaw_rate": "Measurements of the gyroscope",
     "sensors.pose": "Measured poses",
     "solver": "Solver",
-    "solver.osqp": "OSQP, where solver.method is osqp",
+    "solver.osqp": "OSQP, if solver.method is osqp",
     "compensation": "Compensation",
     "estimator": "Estimator",
-    "monitor": "Sensors that contradict each other",
+    "monitor": "Detection of contradictory sensors",
     "failure": "Failure",
     "fence": "Fence",
     "reentry": "Re-entry",
@@ -50,12 +50,12 @@ _TITLES = {
 
 
 def parameter_tables() -> str:
-    """Tabulate all parameters of the node by group from the schemas and the file of advice.
+    """Tabulate all parameters of the node by group, from the schemas and `parameter_advice.yaml`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a parameter has no entry in the file of advice, or an entry is not a parameter.
+        If `parameter_advice.yaml` has no entry for a parameter, or an entry that is neither a parameter nor a group.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
@@ -74,34 +74,34 @@ def parameter_tables() -> str:
 
 
 def node_rows() -> list[FieldRow]:
-    """Return the parameters of the node without those of its parts."""
+    """Return the parameters of the node, without the parameters of its parts."""
     return [row for row in schema_rows(NodeSettings) if row.key != "parts"]
 
 
 def part_rows() -> dict[str, list[FieldRow]]:
-    """Return the parameters of each installed part of the node by name of the part."""
+    """Return the parameters of the installed parts of the node by name of the part."""
     return {
         name: schema_rows(plug_in("node_parts", name).schema, f"parts.{name}.") for name in plug_in_names("node_parts")
     }
 
 
 def _title(group: str) -> str:
-    """Return the title of a group's table, with a prefix for groups for experts."""
-    inner = group.removeprefix(EXPERT).removeprefix(".")
-    return f"For experts: {_TITLES[inner]}" if group != inner else _TITLES[group]
+    """Return the title of a group's table, with a prefix for expert groups."""
+    title_key = group.removeprefix(EXPERT).removeprefix(".")
+    return f"For experts: {_TITLES[title_key]}" if group != title_key else _TITLES[group]
 
 
 def _controller_rows() -> list[FieldRow]:
     """Return the keys of the configuration and of installed features that are parameters of the node."""
-    return [row for row in _keys() if not row.default.startswith("[")]
+    return [row for row in _schema_rows() if not row.default.startswith("[")]
 
 
 def _list_rows() -> list[FieldRow]:
-    """Return the keys whose value is a list, which can be set in the file only."""
-    return [row for row in _keys() if row.default.startswith("[")]
+    """Return the keys whose values are lists, which can be set only in a file."""
+    return [row for row in _schema_rows() if row.default.startswith("[")]
 
 
-def _keys() -> list[FieldRow]:
+def _schema_rows() -> list[FieldRow]:
     rows = (*schema_rows(ControllerConfig), *feature_rows())
     return [row for row in rows if not row.key.startswith("terms")]
 
@@ -117,18 +117,18 @@ def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
 
 
 def _line(row: FieldRow, advice: dict[str, str]) -> str:
-    plain = plain_key(row.key)
-    *_, name = plain.split(".")
-    when = (
-        advice.get(plain)
+    key = plain_key(row.key)
+    *_, name = key.split(".")
+    row_advice = (
+        advice.get(key)
         or (name in SIDES and "if the two sides of your robot differ")
-        or advice.get(plain.partition(".")[0])
+        or advice.get(key.partition(".")[0])
     )
-    if not when:
+    if not row_advice:
         raise ConfigError(f"{_ADVICE.name}: no advice on '{row.key}'; add when to change it")
     # A ROS parameter cannot be null.
     default = "0 (none)" if row.default == "null" else row.default
-    cells = (f"`{row.key}`", row.unit, default, row.range, row.help, when)
+    cells = (f"`{row.key}`", row.unit, default, row.range, row.help, row_advice)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

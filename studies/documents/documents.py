@@ -1,9 +1,9 @@
 """Copy reports to the documents and insert their tables into pages.
 
-Run by ``python -m studies.documents.documents OUT ...`` in the root folder of the repository.
+Run as ``python -m studies.documents.documents OUT ...`` in the root folder of the repository.
 
-The command also checks whether reports are up to date: `docs/twelve-drives.json` contains sums of the commands of
-twelve drives and the names of the reports that correspond to these commands. Older reports are marked in their text.
+The command also checks whether reports are up to date: `docs/twelve-drives.json` contains checksums of the commands of
+twelve drives, and the names of the reports that correspond to these commands. A line marks older reports.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 _NOT_RUN = "This part was not run."
-_OWN_TARGETS = {
+_TARGETS = {
     "bench": "bench-full",
     **{name: name for name in ("edge", "robustness", "market", "prove", "tune")},
 }
-"""Targets of make by name of the report; all other reports are written by the target `study`."""
+"""Make targets by name of the report; the target `study` writes all other reports."""
 
 
 @dataclass(frozen=True)
-class ShownReport:
-    """Parts of the report `NAME.md` that are shown in the documents.
+class DocumentedReport:
+    """Parts of the report `NAME.md` that the documents contain.
 
     Attributes
     ----------
     name
         Name of the study.
     figures, records
-        Names of the figures, and of data files, that are copied to the documents.
+        Names of the figures and of the data files that are copied to the documents.
     page
-        Path relative to `docs` of the document with tables between markers; empty if documents only link to the report.
+        Path, relative to `docs`, of the document with the tables between markers; empty if documents only link to the
+        report.
     brief
-        Whether the document also contains the first table and the facts between markers with the name of the study.
+        True if the document also contains the first table and the facts, between markers with the name of the study.
     study
-        Name of the study if the study writes several reports; `name` is then the name of the folder.
+        Name of the study if it writes several reports; `name` is then the name of the folder.
     """
 
     name: str
@@ -57,44 +58,44 @@ class ShownReport:
     study: str = ""
 
     @property
-    def made_by(self) -> str:
-        """Target of make that writes the report."""
-        return _OWN_TARGETS.get(self.name, f"study NAME={self.name}")
+    def target(self) -> str:
+        """Make target that writes the report."""
+        return _TARGETS.get(self.name, f"study NAME={self.name}")
 
     @property
     def file(self) -> str:
-        """Name of the report."""
+        """File name of the report."""
         return f"{self.study or self.name}.md"
 
 
-BENCH = ShownReport(
+BENCH = DocumentedReport(
     "bench",
     ("overview.png", "speed.png", "dead-time.png", "horizon.png"),
     ("bench.json",),
     "../README.md",
     brief=True,
 )
-TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), ())
-REPRODUCE = ShownReport(
+TRACKING = DocumentedReport("tracking", ("ablation.png", "error-sources.png"), ())
+REPRODUCE = DocumentedReport(
     "reproduce",
     ("odometry.png", "orders.png", "virtual-track.png"),
     (),
     "reproduce.md",
 )
-SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "results.md")
-PEERS = ShownReport("peers", (), ())
-EDGE = ShownReport("edge", ("overview.png",), (), study="bench")
-ROBUSTNESS = ShownReport("robustness", ("ratios.png",), ())
-MARKET = ShownReport("market", (), (), study="robustness")
-PROVE = ShownReport(
+SPEED = DocumentedReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "results.md")
+PEERS = DocumentedReport("peers", (), ())
+EDGE = DocumentedReport("edge", ("overview.png",), (), study="bench")
+ROBUSTNESS = DocumentedReport("robustness", ("ratios.png",), ())
+MARKET = DocumentedReport("market", (), (), study="robustness")
+PROVE = DocumentedReport(
     "prove",
     ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"),
     (),
     "../packages/extras/docs/prove.md",
 )
-TUNE = ShownReport("tune", ("search.png",), (), "tuning.md")
-PREDICTED_ERROR = ShownReport("predicted-error", (), (), "../packages/extras/docs/predicted-error.md")
-SHOWN = (
+TUNE = DocumentedReport("tune", ("search.png",), (), "tuning.md")
+PREDICTED_ERROR = DocumentedReport("predicted-error", (), (), "../packages/extras/docs/predicted-error.md")
+REPORTS = (
     BENCH,
     TRACKING,
     REPRODUCE,
@@ -109,45 +110,45 @@ SHOWN = (
 )
 
 
-def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
-    """Copy the report in `out` to `documents`, omit links to figures that are not shown, and remove old figures.
+def copy_report(entry: DocumentedReport, out: Path, documents: Path) -> None:
+    """Copy the report in `out` to `documents`, without links to other figures, and remove outdated figures.
 
     Raises ConfigError if `out` contains no report.
     """
-    if not (out / shown.file).is_file():
-        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.made_by}` first")
+    if not (out / entry.file).is_file():
+        raise ConfigError(f"{out}: no {entry.file}; run `make {entry.target}` first")
     documents.mkdir(parents=True, exist_ok=True)
-    report = (out / shown.file).read_text(encoding="utf-8")
-    for figure in shown.figures:
+    report = (out / entry.file).read_text(encoding="utf-8")
+    for figure in entry.figures:
         (documents / figure).unlink(missing_ok=True)
         if f"](figures/{figure})" in report:
             shutil.copyfile(out / "figures" / figure, documents / figure)
-    for record in shown.records:
+    for record in entry.records:
         shutil.copyfile(out / record, documents / record)
     lines = report.replace("](figures/", "](").splitlines()
-    shown_lines = [
-        line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures
+    selected_lines = [
+        line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in entry.figures
     ]
-    (documents / f"{shown.name}.md").write_text("\n".join(shown_lines) + "\n", encoding="utf-8")
+    (documents / f"{entry.name}.md").write_text("\n".join(selected_lines) + "\n", encoding="utf-8")
 
 
-def sections(shown: ShownReport, report: str) -> dict[str, str]:
+def sections(entry: DocumentedReport, report: str) -> dict[str, str]:
     """Split a report into facts, figures and tables by name of their markers."""
-    folder = os.path.relpath(f"docs/{shown.name}", Path("docs", shown.page).parent)
+    folder = os.path.relpath(f"docs/{entry.name}", Path("docs", entry.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
     facts = "\n".join(line for line in lines if line.startswith("* "))
-    parts = {f"{shown.name}-runs": facts}
-    if shown.brief:
+    parts = {f"{entry.name}-runs": facts}
+    if entry.brief:
         first = tables[0].partition("\n")[2].strip()
-        parts[shown.name] = f"{first}\n\n{facts}"
+        parts[entry.name] = f"{first}\n\n{facts}"
     for line in lines:
         if line.startswith("!["):
             name = line[2:].partition("]")[0]
-            parts[f"{shown.name}-figure-{name}"] = line.replace("](", f"]({folder}/")
+            parts[f"{entry.name}-figure-{name}"] = line.replace("](", f"]({folder}/")
     for table in tables:
         title, _, body = table.partition("\n")
-        parts[f"{shown.name}-{title.lower().replace(' ', '-')}"] = body.strip()
+        parts[f"{entry.name}-{title.lower().replace(' ', '-')}"] = body.strip()
     return parts
 
 
@@ -159,16 +160,16 @@ def insert(document: str, text: str, name: str) -> str:
 
 
 def measured_on() -> str:
-    """Format revision, date and computer of this run for the end of a note below a table."""
+    """Format revision, date and computer of this run for a note below a table."""
     run = describe_run(0.0)
     machine = run["machine"]
     return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
-def with_report(shown: ShownReport, document: str, report: str) -> str:
-    """Insert every part of the report between its markers in `document`; a note replaces a missing part."""
-    parts = sections(shown, report)
-    for name in re.findall(rf"<!-- ({shown.name}(?:-[a-z-]+)?):begin -->", document):
+def with_report(entry: DocumentedReport, document: str, report: str) -> str:
+    """Insert the parts of a report between their markers in `document`; a note replaces missing parts."""
+    parts = sections(entry, report)
+    for name in re.findall(rf"<!-- ({entry.name}(?:-[a-z-]+)?):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
     return document
 
@@ -178,41 +179,42 @@ def update(out: Path) -> str:
 
     Raises ConfigError if there is no report.
     """
-    present = [candidate for candidate in SHOWN if (out / candidate.file).is_file()]
+    present = [candidate for candidate in REPORTS if (out / candidate.file).is_file()]
     if not present:
-        raise ConfigError(f"{out}: no report of {', '.join(candidate.name for candidate in SHOWN)}")
-    # If a study writes several reports, the folder has the name of the report.
-    shown = next((candidate for candidate in present if candidate.name == out.name), present[0])
-    folder = Path("docs") / shown.name
-    copy_report(shown, out, folder)
-    show(shown)
-    return shown.name
+        raise ConfigError(f"{out}: contains no report of {', '.join(candidate.name for candidate in REPORTS)}")
+    # If a study writes several reports, the name of the folder is the name of the report.
+    entry = next((candidate for candidate in present if candidate.name == out.name), present[0])
+    folder = Path("docs") / entry.name
+    copy_report(entry, out, folder)
+    update_page(entry)
+    return entry.name
 
 
-def show(shown: ShownReport) -> None:
+def update_page(entry: DocumentedReport) -> None:
     """Insert the tables of docs/NAME into the page of the report, if there is a page."""
-    if shown.page:
-        report, page = Path("docs") / shown.name / f"{shown.name}.md", Path("docs") / shown.page
-        text = with_report(shown, page.read_text(encoding="utf-8"), report.read_text(encoding="utf-8"))
+    if entry.page:
+        report, page = Path("docs") / entry.name / f"{entry.name}.md", Path("docs") / entry.page
+        text = with_report(entry, page.read_text(encoding="utf-8"), report.read_text(encoding="utf-8"))
         page.write_text(text, encoding="utf-8")
 
 
 RECORD = Path("docs/twelve-drives.json")
-MODELS = ("mbm", "sm", "ssm")
+DRIVE_MODELS = ("mbm", "sm", "ssm")
 TRAJECTORIES = ("circle", "square", "s", "cane")
-OLDER = "* Older than the last change of the controller's commands: `make results` makes it anew."
+OLDER = "* Older than the last change of the controller's commands; `make results` updates it."
+"""Line in reports that do not correspond to the current commands."""
 TOLERANCE = 1e-6
-"""Relative tolerance of the sums, because rounding differs between processors [-]."""
+"""Relative tolerance of the checksums [-]; rounding differs between processors."""
 
 
 def drives() -> dict[str, list[float]]:
-    """Drive the simulated robot; return checksums of the commands by name of the drive.
+    """Drive the simulated robot and return checksums of the commands by name of the drive.
 
-    The checksums are the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega
+    The checksums are the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega, each
     multiplied by the number of the tick.
     """
     sums = {}
-    for model in MODELS:
+    for model in DRIVE_MODELS:
         for trajectory in TRAJECTORIES:
             commands = np.asarray(simulate(model, "mujoco", trajectory).command)
             ticks = np.arange(1, len(commands) + 1)
@@ -220,7 +222,7 @@ def drives() -> dict[str, list[float]]:
     return {name: [float(number) for number in row] for name, row in sums.items()}
 
 
-def alike(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool:
+def sums_agree(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool:
     """Return True if the checksums of two sets of drives agree within `TOLERANCE`."""
     return first.keys() == second.keys() and all(
         np.allclose(first[name], second[name], rtol=TOLERANCE, atol=0.0) for name in first
@@ -235,7 +237,7 @@ def record(documents: Path, updated: Collection[str], names: Iterable[str]) -> N
     path = documents / RECORD.name
     current_sums = drives()
     recorded = json.loads(path.read_text(encoding="utf-8"))
-    current_reports = set(recorded["reports"]) if alike(recorded["drives"], current_sums) else set()
+    current_reports = set(recorded["reports"]) if sums_agree(recorded["drives"], current_sums) else set()
     current = sorted(current_reports | set(updated))
     for name in set(names) - set(current):
         mark_as_older(documents / name / f"{name}.md")
@@ -243,7 +245,7 @@ def record(documents: Path, updated: Collection[str], names: Iterable[str]) -> N
 
 
 def mark_as_older(report: Path) -> None:
-    """Add the line `OLDER` to the facts of a report, unless the report contains it."""
+    """Add the line `OLDER` to the facts of a report that does not contain it."""
     text = report.read_text(encoding="utf-8")
     if OLDER not in text:
         title, _, after = text.partition("\n\n")
@@ -252,6 +254,6 @@ def mark_as_older(report: Path) -> None:
 
 if __name__ == "__main__":
     updated = [update(Path(argument)) for argument in sys.argv[1:]]
-    record(Path("docs"), updated, [shown.name for shown in SHOWN])
-    for shown in SHOWN:
-        show(shown)
+    record(Path("docs"), updated, [entry.name for entry in REPORTS])
+    for entry in REPORTS:
+        update_page(entry)

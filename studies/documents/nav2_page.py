@@ -1,4 +1,4 @@
-"""Table and figure of docs/nav2.md: the control law of Nav2 and this project's controller on equal robots and paths.
+"""Table and figure of docs/nav2.md: Nav2's control law and this project's controller on the same robot and paths.
 
 `python -m studies.documents.nav2_page` writes both. Errors are distances from the path, because the path of a
 FollowPath goal has no times.
@@ -25,63 +25,65 @@ MARKER = "side-by-side"
 PATHS = ("circle", "s", "square", "cane")
 SEEDS = range(5)
 _EXTRA_TIME = 15.0
-"""Duration of the run after the end of the reference, for a slower controller [s]."""
-_AT_REST = 0.01
+"""Time limit after the end of the reference, for slower controllers [s]."""
+_REST_SPEED = 0.01
+"""Maximum |v| [m/s] and |omega| [rad/s] of a robot at rest."""
 _SPACING = 0.002
+"""Distance of the points of the path for the evaluation [m]."""
 
 
 @dataclass(frozen=True)
-class Followed:
+class PathRun:
     """Result of a run along a path.
 
     Attributes
     ----------
     away
-        (n,) distance between the true position and the path at each tick [m].
+        Distance (n,) between the true position and the path at each tick [m].
     end, turned
-        Distance from the end of the path [m] and heading error [rad] at rest.
+        Distance from the end of the path [m] and heading error [rad], both at rest.
     time, speed
-        Time until the robot is at rest [s], and mean speed in that time [m/s].
+        Time until the robot is at rest [s], and mean speed until then [m/s].
     position
-        (n, 2) position of the robot [m].
+        Position (n, 2) of the robot [m].
     """
 
-    away: FloatArray
-    end: float
-    turned: float
+    distances: FloatArray
+    end_distance: float
+    heading_error: float
     time: float
     speed: float
     position: FloatArray
 
 
-def short_carrot() -> TrackingController:
-    """Create the control law of Nav2 with half its look-ahead distance."""
+def short_look_ahead() -> TrackingController:
+    """Create Nav2's control law with half the default look-ahead distance."""
     return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
 
 
 CONTROLLERS: dict[str, Callable[[], TrackingController]] = {
     "regulated pure pursuit, Nav2's defaults": RegulatedPurePursuit,
-    "the same, `lookahead_dist: 0.3`": short_carrot,
+    "regulated pure pursuit, `lookahead_dist: 0.3`": short_look_ahead,
     "this project, `ssm`": lambda: Controller(load_config("ssm")),
 }
 
 
-def follow(make: Callable[[], TrackingController], reference: Reference, seed: int) -> Followed:
+def run_path(make: Callable[[], TrackingController], reference: Reference, seed: int) -> PathRun:
     """Drive the simulated skid-steer robot along a path, with the default surface and sensors."""
     plant = make_plant("mujoco", surface="default", sensors="default", seed=seed)
     run = simulate(make(), plant, reference, extra_time=_EXTRA_TIME)
     path = path_of(reference, _SPACING)
-    moving = np.flatnonzero(np.abs(run.true_twist).max(axis=1) > _AT_REST)
-    last = int(moving[-1]) + 1
-    position = run.true_pose[: last + 1, :2]
-    end = run.true_pose[min(last, len(run.true_pose) - 1)]
+    moving_ticks = np.flatnonzero(np.abs(run.true_twist).max(axis=1) > _REST_SPEED)
+    stop = int(moving_ticks[-1]) + 1
+    position = run.true_pose[: stop + 1, :2]
+    end_distance = run.true_pose[min(stop, len(run.true_pose) - 1)]
     travelled = float(np.hypot(*np.diff(position, axis=0).T).sum())
-    return Followed(
+    return PathRun(
         _distances(position, path[:, :2]),
-        float(np.hypot(*(end - path[-1])[:2])),
-        abs(float(np.angle(np.exp(1j * (end[2] - path[-1, 2]))))),
-        last * run.sample_time,
-        travelled / (last * run.sample_time),
+        float(np.hypot(*(end_distance - path[-1])[:2])),
+        abs(float(np.angle(np.exp(1j * (end_distance[2] - path[-1, 2]))))),
+        stop * run.sample_time,
+        travelled / (stop * run.sample_time),
         position,
     )
 
@@ -90,34 +92,35 @@ def _distances(points: FloatArray, path: FloatArray) -> FloatArray:
     return np.array([np.hypot(*(path - point).T).min() for point in points])
 
 
-def study() -> dict[tuple[str, str], list[Followed]]:
+def run_all() -> dict[tuple[str, str], list[PathRun]]:
     """Run every controller on every path with each seed."""
     results = {}
     for path in PATHS:
         reference = load_trajectory(path)
         for name, make in CONTROLLERS.items():
-            results[path, name] = [follow(make, reference, seed) for seed in SEEDS]
+            results[path, name] = [run_path(make, reference, seed) for seed in SEEDS]
     return results
 
 
-def table(results: dict[tuple[str, str], list[Followed]]) -> str:
-    """Tabulate the means over the seeds and the maximum distance of all seeds."""
+def table(results: dict[tuple[str, str], list[PathRun]]) -> str:
+    """Tabulate means over the seeds, and the maximum distance over all seeds."""
     lines = [
         "| path | controller | distance RMS [mm] | maximum [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for (path, name), runs in results.items():
-        away = 1e3 * float(np.sqrt(np.mean(np.concatenate([run.away for run in runs]) ** 2)))
-        maximum = 1e3 * max(float(run.away.max()) for run in runs)
-        mean = [float(np.mean([getattr(run, each) for run in runs])) for each in ("end", "turned", "time", "speed")]
+        rms = 1e3 * float(np.sqrt(np.mean(np.concatenate([run.distances for run in runs]) ** 2)))
+        maximum = 1e3 * max(float(run.distances.max()) for run in runs)
+        keys = ("end_distance", "heading_error", "time", "speed")
+        mean = [float(np.mean([getattr(run, key) for run in runs])) for key in keys]
         lines.append(
-            f"| {path} | {name} | {away:.1f} | {maximum:.0f} | {1e3 * mean[0]:.0f} | {mean[1]:.3f} | {mean[2]:.1f} "
+            f"| {path} | {name} | {rms:.1f} | {maximum:.0f} | {1e3 * mean[0]:.0f} | {mean[1]:.3f} | {mean[2]:.1f} "
             f"| {mean[3]:.2f} |"
         )
     return "\n".join(lines)
 
 
-def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> None:
+def draw(results: dict[tuple[str, str], list[PathRun]], path: Path = FIGURE) -> None:
     """Draw the driven paths of the first seed."""
     path.parent.mkdir(exist_ok=True)
     with new_figure(path, 11.0, 3.2) as figure:
@@ -139,9 +142,9 @@ def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) ->
 
 def main() -> None:
     """Write the table and the figure."""
-    results = study()
-    facts = f"Means of {len(SEEDS)} seeds; the maximum distance is that of all seeds; {measured_on()}"
-    text = f"{table(results)}\n\n{facts}"
+    results = run_all()
+    note = f"Means over {len(SEEDS)} seeds; the maximum distance is over all seeds; {measured_on()}"
+    text = f"{table(results)}\n\n{note}"
     PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), text, MARKER), encoding="utf-8")
     draw(results)
 

@@ -1,4 +1,4 @@
-"""Tune the peers and check that neighbouring gains are not better."""
+"""Study `peers`: tune the gains of every peer, and check that neighbouring gains are not better."""
 
 from __future__ import annotations
 
@@ -36,40 +36,40 @@ _DIGITS = 4
 
 @dataclass
 class GainSearch:
-    """Minimisation of a function of positive values in given ranges, on a logarithmic scale.
+    """Minimisation of a function of positive variables within ranges, on a logarithmic scale.
 
     Attributes
     ----------
     objective
         Function to minimise.
     ranges
-        Minimum and maximum of each value.
+        Minimum and maximum of each variable.
     evaluations
         Maximum number of calls of `objective`.
-    tried
-        Evaluated settings with their objectives, in order.
+    trials
+        Evaluated settings and their objectives, in order of evaluation.
     """
 
     objective: Objective
     ranges: Mapping[str, tuple[float, float]]
     evaluations: int
-    tried: list[tuple[Values, float]] = field(default_factory=list)
+    trials: list[tuple[Values, float]] = field(default_factory=list)
 
     @property
     def best(self) -> tuple[Values, float]:
-        """First setting with the minimum objective, and this objective."""
-        return min(self.tried, key=lambda row: row[1])
+        """First setting with the minimum objective, and its objective."""
+        return min(self.trials, key=lambda row: row[1])
 
     def scan(self, count: int, seed: int) -> None:
         """Evaluate the middle of the ranges and `count` - 1 points of a scrambled Sobol sequence."""
         low, high = np.log(np.array(list(self.ranges.values()), dtype=float)).T
         points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))
         for point in [np.full(len(low), 0.5), *points][:count]:
-            self._try(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
+            self._evaluate(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
 
     def refine(self, factor: float) -> None:
-        """Multiply and divide each value in turn by `factor`, which is reduced if nothing improves."""
-        while len(self.tried) < self.evaluations:
+        """Multiply and divide each variable in turn by `factor`; reduce `factor` if no step improves the objective."""
+        while len(self.trials) < self.evaluations:
             former_minimum = self.best[1]
             for name in self.ranges:
                 if not self._step(name, factor):
@@ -80,38 +80,38 @@ class GainSearch:
                     return
 
     def _step(self, name: str, factor: float) -> bool:
-        """Change a value repeatedly while the objective decreases; return True if the objective has decreased."""
+        """Change a variable as long as the objective decreases; return True if it has decreased."""
         has_improved = False
-        while len(self.tried) < self.evaluations:
+        while len(self.trials) < self.evaluations:
             values, minimum = self.best
             low, high = self.ranges[name]
             candidate = values | {name: float(np.clip(values[name] * factor, low, high))}
-            if candidate == values or not self._try(candidate) < minimum:
+            if candidate == values or not self._evaluate(candidate) < minimum:
                 return has_improved
             has_improved = True
         return has_improved
 
-    def _try(self, values: Values) -> float:
+    def _evaluate(self, values: Values) -> float:
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
-        for known, objective in self.tried:
-            if known == rounded:
+        for trial, objective in self.trials:
+            if trial == rounded:
                 return objective
         objective = self.objective(rounded)
-        self.tried.append((rounded, objective))
+        self.trials.append((rounded, objective))
         return objective
 
 
 GAINS_FILE = "gains.yaml"
-TUNED = (*LAWS, "mppi", "mppi+slip")
+TUNED_PEERS = (*LAWS, "mppi", "mppi+slip")
 """Peers with gains, in the order of the file."""
 _FOLDER = Path(__file__).parent
-_FAILED_ERROR = 1.0
-"""Error of a run that is not completed [m]."""
+_INCOMPLETE_ERROR = 1.0
+"""Error of a run that does not complete [m]."""
 Count = Annotated[int, Field(ge=1, le=MAX_CASES)]
 
 
 class PeersSettings(StrictModel):
-    """Settings for the tuning of peers."""
+    """Settings for the tuning of peers; `settings.yaml` describes each setting."""
 
     plant: str
     runs: dict[str, tuple[Annotated[int, Field(ge=0)], ...]]
@@ -130,16 +130,16 @@ def load_settings(path: Path | None = None, *, quick: bool = False) -> PeersSett
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Result with one gain multiplied by a factor; `worse` (runs,) is the increase of each run's position RMSE [m]."""
+    """Result with one gain multiplied by a factor; `increase` (runs,) is the change of the position RMSE [m]."""
 
     gain: str
     factor: float
-    worse: FloatArray
+    increase: FloatArray
 
     @property
     def spread(self) -> float:
-        """Standard error of the mean difference [m]."""
-        return float(np.std(self.worse, ddof=1) / np.sqrt(len(self.worse))) if len(self.worse) > 1 else 0.0
+        """Standard error of the mean of `increase` [m]."""
+        return float(np.std(self.increase, ddof=1) / np.sqrt(len(self.increase))) if len(self.increase) > 1 else 0.0
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class TunedPeer:
     peer: str
     gains: Values
     rmse: float
-    tried: Sequence[tuple[Values, float]]
+    trials: Sequence[tuple[Values, float]]
     neighbours: Sequence[Neighbour]
 
 
@@ -160,13 +160,13 @@ def position_errors(settings: PeersSettings, peer: str, values: Values) -> Float
         reference = load_trajectory(trajectory)
         for seed in seeds:
             run = simulate(make_tracking_peer(peer, gains), make_plant(settings.plant, seed=seed), reference)
-            gap = (run.true_pose - run.reference_pose)[run.counted, :2]
-            errors.append(_FAILED_ERROR if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
+            error = (run.true_pose - run.reference_pose)[run.counted, :2]
+            errors.append(_INCOMPLETE_ERROR if run.ended else float(np.sqrt(np.mean(np.sum(error * error, axis=1)))))
     return np.array(errors)
 
 
 def tune(settings: PeersSettings, peer: str) -> TunedPeer:
-    """Search for the gains of a peer within the budget, then evaluate neighbouring gains."""
+    """Search for the best gains of a peer within the budget, then evaluate neighbouring gains."""
     errors = partial(position_errors, settings, peer)
     search = GainSearch(
         lambda values: float(errors(values).mean()), settings.ranges[peer.partition("+")[0]], settings.evaluations
@@ -180,7 +180,7 @@ def tune(settings: PeersSettings, peer: str) -> TunedPeer:
         for name, value in gains.items()
         for factor in settings.proof
     ]
-    return TunedPeer(peer, gains, rmse, search.tried, neighbours)
+    return TunedPeer(peer, gains, rmse, search.trials, neighbours)
 
 
 class PeersStudy(Study[list[str], list[TunedPeer]]):
@@ -201,11 +201,11 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
 
     def plan(self) -> list[str]:
         """Return the names of the peers, starting with the slowest."""
-        known = [name for name in TUNED if name.partition("+")[0] in self._settings.ranges]
-        selected = known if self._only is None else list(self._only)
+        trial = [name for name in TUNED_PEERS if name.partition("+")[0] in self._settings.ranges]
+        selected = trial if self._only is None else list(self._only)
         for name in selected:
-            if name not in known:
-                raise ConfigError(f"--peers: unknown peer {not_among(name, known)}")
+            if name not in trial:
+                raise ConfigError(f"--peers: unknown peer {not_among(name, trial)}")
         return sorted(selected, key=lambda name: not name.startswith("mppi"))
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
@@ -214,7 +214,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:
-        """Build the report with the gains and the results with neighbouring gains."""
+        """Build the report with the tuned gains and the results of neighbouring gains."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
         facts = [
@@ -222,7 +222,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
             f"plant {settings.plant}; trajectories (seeds): {runs}; in {seconds:.0f} s."
         ]
         rows = [
-            {"peer": result.peer, "gains": result.gains, "position_rmse_m": result.rmse, "tried": list(result.tried)}
+            {"peer": result.peer, "gains": result.gains, "position_rmse_m": result.rmse, "tried": list(result.trials)}
             for result in results
         ]
         proof = [
@@ -230,47 +230,47 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
                 "peer": result.peer,
                 "gain": neighbour.gain,
                 "factor": neighbour.factor,
-                "worse_m": float(neighbour.worse.mean()),
+                "worse_m": float(neighbour.increase.mean()),
                 "se_m": neighbour.spread,
             }
             for result in results
             for neighbour in result.neighbours
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
-        tables = [_summary(results, settings.scan), *(_proof(result) for result in results)]
+        tables = [_tuning_table(results, settings.scan), *(_neighbours_table(result) for result in results)]
         return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables)
 
 
-def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
-    columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
+def _tuning_table(results: Sequence[TunedPeer], scan: int) -> Table:
+    columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "significant")
     rows = []
     for result in results:
-        better = [neighbour for neighbour in result.neighbours if neighbour.worse.mean() < 0]
-        beyond = [neighbour for neighbour in better if -neighbour.worse.mean() > 2 * neighbour.spread]
-        counts = (str(len(result.tried)), str(len(better)), str(len(beyond)))
+        better = [neighbour for neighbour in result.neighbours if neighbour.increase.mean() < 0]
+        significant = [neighbour for neighbour in better if -neighbour.increase.mean() > 2 * neighbour.spread]
+        counts = (str(len(result.trials)), str(len(better)), str(len(significant)))
         rows.append(
             (
                 result.peer,
-                number(1e3 * min(rmse for _, rmse in result.tried[:scan]), 2),
+                number(1e3 * min(rmse for _, rmse in result.trials[:scan]), 2),
                 number(1e3 * result.rmse, 2),
                 *counts,
             )
         )
     note = (
-        "Mean position RMSE of the runs. Neighbours: one gain multiplied by a factor of the settings; beyond "
-        "spread: better by more than two standard errors of the difference between runs."
+        "Mean position RMSE of the runs. Neighbours: one gain multiplied by a factor; significant: better by more than "
+        "two standard errors of the mean difference."
     )
     return Table("Tuning", columns, tuple(rows), 1, note)
 
 
-def _proof(peer: TunedPeer) -> Table:
+def _neighbours_table(peer: TunedPeer) -> Table:
     factors = sorted({neighbour.factor for neighbour in peer.neighbours})
     fields = law_kind(peer.peer).gains.model_fields
     columns = ("gain", "meaning", "value", *(f"x {factor:g} [mm]" for factor in factors))
     rows = []
     for name, value in peer.gains.items():
         by_factor = {neighbour.factor: neighbour for neighbour in peer.neighbours if neighbour.gain == name}
-        cells = [f"{1e3 * by_factor[f].worse.mean():+.2f} ± {1e3 * by_factor[f].spread:.2f}" for f in factors]
+        cells = [f"{1e3 * by_factor[f].increase.mean():+.2f} ± {1e3 * by_factor[f].spread:.2f}" for f in factors]
         rows.append((name, str(fields[name].description), f"{value:g}", *cells))
     note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± standard error over the runs."
     return Table(f"Neighbours of {peer.peer}", columns, tuple(rows), 2, note)
@@ -278,14 +278,13 @@ def _proof(peer: TunedPeer) -> Table:
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
     """Format the file of gains for the peers in `bench/peers` and in `packages/extras`."""
-    head = (
+    header = (
         "# Gains of the peers; the fields of each law state the units. Written by `python -m studies peers`: a\n"
         f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. The comment of a\n"
         "# peer is its mean position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
-    for result in sorted(results, key=lambda result: TUNED.index(result.peer)):
-        flow: Mapping[str, float] = result.gains
-        text = yaml.safe_dump({result.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
+    for result in sorted(results, key=lambda result: TUNED_PEERS.index(result.peer)):
+        text = yaml.safe_dump({result.peer: dict(result.gains)}, sort_keys=False, default_flow_style=False)
         lines.append(text.replace(":\n", f":  # {1e3 * result.rmse:.2f} mm\n", 1))
-    return head + "".join(lines)
+    return header + "".join(lines)

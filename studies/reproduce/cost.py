@@ -52,19 +52,19 @@ class Cost:
     memory: tuple[float, float]
 
 
-def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
-    """Simulate the built-in models from commands to poses, one after another, on one core with one BLAS thread.
+def measure_cost(study: CostStudy, on_progress: Callable[[], None] = lambda: None) -> dict[str, Cost]:
+    """Measure time and memory of simulations of the built-in models, from commands to poses.
 
-    The parameters of a model do not influence the computing time. Times are processor times, which equal the elapsed
-    time on an idle computer and exclude other programs. Memory is measured in separate runs, because the measurement
-    takes time.
+    The models run one after another on one core with one BLAS thread. The values of a model's parameters do not affect
+    the computing time. Times are processor times, which equal the elapsed time on an idle computer and exclude other
+    programs. Memory is measured in separate runs, because its measurement slows down the simulation.
 
     Parameters
     ----------
     study
         Number of runs, and number of steps in a run.
     on_done
-        Function that is called after each run.
+        Function that is called after each run of all models.
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
@@ -74,13 +74,13 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     network = load_model(NETWORK)
     assert isinstance(network, NonlinearModel)
     factories[NETWORK] = lambda: network
-    models = {name: get() for name, get in factories.items()}
+    models = {name: make() for name, make in factories.items()}
     inputs = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 
     def run(model: Sampled) -> None:
         predict_path(model, commands, np.zeros(3))
 
-    simulated: dict[str, list[float]] = {name: [] for name in models}
+    simulation_times: dict[str, list[float]] = {name: [] for name in models}
     step_times: dict[str, list[float]] = {name: [] for name in models}
     memory: dict[str, list[float]] = {name: [] for name in models}
     with quiet_core():
@@ -93,17 +93,17 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
                 step_times[name].append((time.thread_time() - start) / study.steps)
                 start = time.thread_time()
                 predict_path(factories[name](), inputs[name], np.zeros(3))
-                simulated[name].append(time.thread_time() - start)
-            on_done()
+                simulation_times[name].append(time.thread_time() - start)
+            on_progress()
         for _ in range(study.runs):
             for name, model in models.items():
                 tracemalloc.start()
                 run(model)
                 memory[name].append(tracemalloc.get_traced_memory()[1] / _BYTES_PER_MB)
                 tracemalloc.stop()
-            on_done()
+            on_progress()
     return {
-        name: Cost(model.order, *(_mean_and_std(values[name]) for values in (simulated, step_times, memory)))
+        name: Cost(model.order, *(_mean_and_std(values[name]) for values in (simulation_times, step_times, memory)))
         for name, model in models.items()
     }
 
@@ -116,53 +116,53 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperF
     """Compare ratios of mean costs with the papers, because absolute times depend on the computer."""
     step_times = {name: entry.time_per_step[0] for name, entry in cost.items()}
     memory = {name: entry.memory[0] for name, entry in cost.items()}
-    simulated = {name: entry.simulation_time[0] for name, entry in cost.items()}
-    paper_costs, rules = published.cost, published.rules
+    simulation_times = {name: entry.simulation_time[0] for name, entry in cost.items()}
+    paper, rules = published.cost, published.rules
     return [
         PaperFinding(
             f"a simulation of SM takes less than {rules.quicker:g} of the time of a simulation of MBM",
             "P0, Table 3",
-            f"{paper_costs['sm'].simulation_time[0] / paper_costs['mbm'].simulation_time[0]:.2f}",
-            f"{simulated['sm'] / simulated['mbm']:.2f}",
-            (simulated["sm"] < rules.quicker * simulated["mbm"],),
+            f"{paper['sm'].simulation_time[0] / paper['mbm'].simulation_time[0]:.2f}",
+            f"{simulation_times['sm'] / simulation_times['mbm']:.2f}",
+            (simulation_times["sm"] < rules.quicker * simulation_times["mbm"],),
         ),
         PaperFinding(
             f"a step of SM takes less than {rules.quicker:g} of the time of a step of MBM",
             "P0, Table 3",
-            f"{paper_costs['sm'].time_per_step[0] / paper_costs['mbm'].time_per_step[0]:.2f}",
+            f"{paper['sm'].time_per_step[0] / paper['mbm'].time_per_step[0]:.2f}",
             f"{step_times['sm'] / step_times['mbm']:.2f}",
             (step_times["sm"] < rules.quicker * step_times["mbm"],),
         ),
         PaperFinding(
             "a simulation of SM requires less memory than a simulation of MBM",
             "P0, Table 3",
-            f"{paper_costs['sm'].memory[0] / paper_costs['mbm'].memory[0]:.2f} of it",
+            f"{paper['sm'].memory[0] / paper['mbm'].memory[0]:.2f} of it",
             f"{memory['sm'] / memory['mbm']:.2f} of it",
             (memory["sm"] < memory["mbm"],),
         ),
         PaperFinding(
             f"a step of SSM is more than {rules.much_quicker:g} times as fast as a step of SM",
             "P0, Table 3 and P1, Table 5",
-            f"{paper_costs['sm'].time_per_step[0] / paper_costs['ssm'].time_per_step[0]:.0f} times",
+            f"{paper['sm'].time_per_step[0] / paper['ssm'].time_per_step[0]:.0f} times",
             f"{step_times['sm'] / step_times['ssm']:.1f} times",
             (step_times["sm"] > rules.much_quicker * step_times["ssm"],),
         ),
-        *([_network(step_times, paper_costs, rules.much_quicker)] if NETWORK in step_times else []),
+        *([_network_finding(step_times, paper, rules.much_quicker)] if NETWORK in step_times else []),
     ]
 
 
-def _network(times: Mapping[str, float], paper_costs: Mapping[str, PublishedCost], ratio: float) -> PaperFinding:
+def _network_finding(times: Mapping[str, float], paper: Mapping[str, PublishedCost], ratio: float) -> PaperFinding:
     return PaperFinding(
         f"a step of SSM is more than {ratio:g} times as fast as a step of LSTM",
         "P1, Table 5",
-        f"{paper_costs[NETWORK].time_per_step[0] / paper_costs['ssm'].time_per_step[0]:.0f} times",
+        f"{paper[NETWORK].time_per_step[0] / paper['ssm'].time_per_step[0]:.0f} times",
         f"{times[NETWORK] / times['ssm']:.1f} times",
         (times[NETWORK] > ratio * times["ssm"],),
     )
 
 
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
-    """Tabulate the means and standard deviations over runs."""
+    """Tabulate means and standard deviations over runs, published and measured."""
     rows = []
     for name, ours in cost.items():
         paper = published.cost[name]
@@ -174,7 +174,7 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     values = [column for quantity in quantities for column in (f"published {quantity}", quantity)]
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
-        "and 5.3 MB where Table 3 prints 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
+        "and 5.3 MB instead of 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
         "LSTM, whose windows are evaluated in one batch here). Ours: from commands "
         "to poses, one process, one BLAS thread, processor time; a simulation has the number of steps in the paper, "
         "and discretises the model first; memory is the peak."
@@ -184,5 +184,5 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
 
 def _pair(values: tuple[float, float], factor: float) -> str:
     mean, deviation = (factor * value for value in values)
-    # For runs with equal values, the deviation consists of rounding errors of the mean.
+    # If all runs have the same value, the deviation consists of rounding errors of the mean.
     return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

@@ -1,7 +1,7 @@
-"""Comparison of P2: measured velocities, and predictions without a model, by the two drive models of P2, and by SM.
+"""Velocity errors of the two drive models of P2, of SM, and of predictions without a model.
 
-P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and maximum errors of an open-loop simulation, for drives
-of the simulated robot with changes of direction, and for logs of real robots by the protocol of `real_logs.yaml`.
+P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. The errors are means and maxima of open-loop simulations, for
+drives of the simulated robot with changes of direction, and for logs of real robots as divided by `real_logs.yaml`.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
 from diffdrive_mpc_extras.drives.drive_model import Kind
 from diffdrive_mpc_extras.drives.fitting import DriveFit, fit_drive
-from studies.reproduce.drives import record_of
+from studies.reproduce.drives import record_drive
 from studies.reproduce.published import DriveStudy, PaperFinding, Published, PublishedDriveErrors
 from studies.reproduce.real_logs import divide, load_protocol
 
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
 SHARP = ", sharp"
-"""Suffix for predictions with the same parameters but without the smoothing that derivatives require."""
+"""Suffix of predictions without the smoothing that derivatives require, with unchanged parameters."""
 TWIN = "simulated robot"
-_SEEDS_EACH, _FIRST_SEED = 1000, 500
-"""Number of seeds of a repetition, and first seed of this part, which is not used by other drives."""
+_SEEDS_PER_REPETITION, _FIRST_SEED = 1000, 500
+"""Number of seeds of a repetition, and offset of the first seed of this part; other drives do not use these seeds."""
 
 
 @dataclass(frozen=True)
@@ -44,22 +44,22 @@ class VelocityErrors:
 
 @dataclass(frozen=True)
 class DriveModelsResult:
-    """Result for a source of data.
+    """Errors and parameters of all models for one source of data.
 
     Attributes
     ----------
     source
         Name of the source: the simulated robot or a log.
     repetition
-        Number of the repetition on the simulated robot; 0 for a log.
+        Number of the repetition for the simulated robot; 0 for a log.
     errors
         Errors by model.
     values
-        Parameters of v and omega by drive model, in the units of `extras/drives/settings.yaml`.
+        Parameters of the v and omega channels by drive model, in the units of `extras/drives/settings.yaml`.
     dead_time
         Dead times of v and omega by drive model [s].
     at_bound
-        Names of parameters at a bound of the search by drive model.
+        Names of the parameters that are at a bound of the search, by drive model.
     """
 
     source: str
@@ -81,9 +81,9 @@ def reversing_commands(study: DriveStudy, seed: int, *, smooth: bool) -> FloatAr
 
 def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list[Record]]:
     """Simulate training and validation drives, alternately with smoothed and stepped set-points."""
-    seed = _SEEDS_EACH * repetition + _FIRST_SEED
+    seed = _SEEDS_PER_REPETITION * repetition + _FIRST_SEED
     records = [
-        record_of(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
+        record_drive(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
         for k in range(2 * study.drives)
     ]
     return records[: study.drives], records[study.drives :]
@@ -95,11 +95,14 @@ def compare_on_twin(study: DriveStudy, repetition: int) -> DriveModelsResult:
 
 
 def compare_on_log(name: str, data: Path) -> DriveModelsResult:
-    """Fit the models to the first rows of a log and validate them on the rest; raise ConfigError without the log."""
+    """Fit the models to the first rows of a log and validate them on the rest.
+
+    Raises ConfigError if the log is missing or unusable.
+    """
     protocol = load_protocol()
-    read = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
-    read.require_sound()
-    return compare(name, 0, *divide(read.records, protocol.share))
+    log = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
+    log.require_sound()
+    return compare(name, 0, *divide(log.records, protocol.share))
 
 
 def compare(source: str, repetition: int, train: Sequence[Record], held_out: Sequence[Record]) -> DriveModelsResult:
@@ -125,7 +128,7 @@ def _dead_time(fit: DriveFit) -> tuple[float, float]:
 
 
 def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) -> VelocityErrors:
-    """Compute the errors of the simulated v [m/s] and omega [rad/s] (K, 2) at every measurement in the records."""
+    """Compute the errors of simulated twists (K, 2), v [m/s] and omega [rad/s], at the measurements in the records."""
     units = (1e3, np.degrees(1.0))
     experiments = twist_experiments(records)
     pairs = []
@@ -141,7 +144,7 @@ def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) 
 
 
 def drive_model_tables(results: Sequence[DriveModelsResult], published: Published) -> list[Table]:
-    """Tabulate the errors of the paper and of this study, and the identified parameters."""
+    """Tabulate the published and the measured errors, and the identified parameters."""
     paper = published.drive_models
     rows = [
         (f"P2, {data}", name, *(f"{value:.2f}" for value in (*errors.v, *errors.omega)))
@@ -154,15 +157,15 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
             mean = np.mean([[*result.errors[name].v, *result.errors[name].omega] for result in group], axis=0)
             rows.append((source, name, *(f"{value:.2f}" for value in mean)))
         for name in KINDS:
-            parameter_rows.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
+            parameter_rows.append((source, name, *(_format_parameters(group, name, row) for row in (0, 1))))
     errors = Table(
         "Drive models",
         ("data", "model", "v, mean [mm/s]", "v, maximum [mm/s]", "omega, mean [deg/s]", "omega, maximum [deg/s]"),
         tuple(rows),
         text_columns=2,
         note="Published: P2, Tables 3 to 7, without gains and with omega of the wheels instead of the gyroscope. "
-        "On validation data: the last 40 % of the rows of a log. No model: the command. "
-        "'sharp': the same parameters without smoothing. Simulated robot: means over repetitions.",
+        "Logs: errors on the last 40 % of the rows. No model: the command is the prediction. "
+        "'sharp': without smoothing, with unchanged parameters. Simulated robot: means over repetitions.",
     )
     parameters = Table(
         "Parameters of the drive models",
@@ -175,13 +178,13 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
     return [errors, parameters]
 
 
-def _numbers(group: Sequence[DriveModelsResult], name: str, row: int) -> str:
+def _format_parameters(group: Sequence[DriveModelsResult], name: str, row: int) -> str:
     first, channel = group[0], ("v", "omega")[row]
-    words = [f"dead time {first.dead_time[name][row]:.3f}"]
+    entries = [f"dead time {first.dead_time[name][row]:.3f}"]
     for key, value in first.values[name][row].items():
         mark = "*" if f"{channel} {key}" in first.at_bound[name] else ""
-        words.append(f"{key.replace('_', ' ')} {value:.3g}{mark}")
-    return ", ".join(words)
+        entries.append(f"{key.replace('_', ' ')} {value:.3g}{mark}")
+    return ", ".join(entries)
 
 
 def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveModelsResult]]:
@@ -192,8 +195,8 @@ def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveMode
 
 
 def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[PaperFinding]:
-    """Check the findings of P2 for each repetition on the simulated robot and for each log."""
-    second = published.drive_models["second data set"]
+    """Evaluate the findings of P2 for each repetition on the simulated robot and for each log."""
+    data_set = published.drive_models["second data set"]
     findings = []
     for data_kind, group in (
         ("drives of the simulated robot", [result for result in results if result.repetition]),
@@ -203,7 +206,7 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
             continue
         for claim, better, worse in (
             ("both drive models predict v and omega better than no model", (PHYSICAL, EXPERIMENTAL), NO_MODEL),
-            ("the experimental model predicts v and omega better than the physical one", (EXPERIMENTAL,), PHYSICAL),
+            ("the experimental model predicts v and omega better than the physical model", (EXPERIMENTAL,), PHYSICAL),
             ("SM predicts v and omega better than the experimental model", (SM,), EXPERIMENTAL),
         ):
             holds = tuple(
@@ -214,9 +217,9 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
                 )
                 for result in group
             )
-            paper = "-" if SM in better else "; ".join(_means(second[name]) for name in (*better, worse))
-            ours = "; ".join(
-                _means(
+            paper = "-" if SM in better else "; ".join(_mean_text(data_set[name]) for name in (*better, worse))
+            measured = "; ".join(
+                _mean_text(
                     VelocityErrors(
                         (float(np.mean([result.errors[name].v[0] for result in group])), 0.0),
                         (float(np.mean([result.errors[name].omega[0] for result in group])), 0.0),
@@ -225,9 +228,9 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
                 for name in (*better, worse)
             )
             source = "ours" if SM in better else "P2, Tables 5 to 7"
-            findings.append(PaperFinding(f"{claim} (mean error, {data_kind})", source, paper, ours, holds))
+            findings.append(PaperFinding(f"{claim} (mean error, {data_kind})", source, paper, measured, holds))
     return findings
 
 
-def _means(errors: VelocityErrors | PublishedDriveErrors) -> str:
+def _mean_text(errors: VelocityErrors | PublishedDriveErrors) -> str:
     return f"{errors.v[0]:.2f} mm/s, {errors.omega[0]:.2f} deg/s"

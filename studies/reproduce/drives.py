@@ -1,4 +1,4 @@
-"""Records of drives of the simulated robot, and poses that a model predicts from their commands alone."""
+"""Records of drives of the simulated robot, and poses that a model predicts from the commands alone."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from studies.reproduce.published import PaperRange
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
 STATISTICS = {"RMSE": "rmse", "mean": "mean", "standard deviation": "std", "max": "max"}
-"""Field of `Spread` by the papers' name of the statistic, in the order of their tables."""
+"""Fields of `Spread` by name of the statistic in the papers, in the order of their tables."""
 QUANTITIES = {"position": "m", "heading": "rad"}
-"""Unit of each part of a pose error."""
-_SEEDS_EACH = 1000
+"""Units of the two parts of a pose error."""
+_SEEDS = 1000
+"""Number of seeds of a repetition."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +43,12 @@ class Spread:
     @classmethod
     def of_errors(cls, error: ArrayLike) -> Spread:
         """Compute the spread of signed errors (K,)."""
-        size = np.abs(np.asarray(error, dtype=float))
+        magnitude = np.abs(np.asarray(error, dtype=float))
         return cls(
-            float(np.sqrt(np.mean(size**2))),
-            float(np.mean(size)),
-            float(np.std(size)),
-            float(np.max(size, initial=0.0)),
+            float(np.sqrt(np.mean(magnitude**2))),
+            float(np.mean(magnitude)),
+            float(np.std(magnitude)),
+            float(np.max(magnitude, initial=0.0)),
         )
 
     @property
@@ -58,14 +59,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class PathError:
-    """Errors of a predicted path against the driven path at the same times.
+    """Error statistics of a predicted path, relative to the driven path at equal times.
 
     Attributes
     ----------
     position
-        Distance [m].
+        Statistics of the distance [m].
     heading
-        Difference of the unwrapped headings [rad].
+        Statistics of the difference of the unwrapped headings [rad].
     """
 
     position: Spread
@@ -73,7 +74,7 @@ class PathError:
 
 
 def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
-    """Integrate a twist (K, 2) v [m/s], omega [rad/s] to poses (K, 3) from `start` (3,).
+    """Integrate twists (K, 2) of v [m/s] and omega [rad/s] to poses (K, 3) from `start` (3,).
 
     Between two samples the path is an exact arc of the mean twist, without side-slip (Guffanti et al., Sensors 2025,
     25(11), 3553).
@@ -81,16 +82,16 @@ def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
     start = np.asarray(start, dtype=float)
     v, omega = (0.5 * (twist[1:] + twist[:-1])).T
     theta = start[2] + np.concatenate([[0.0], np.cumsum(omega * dt)])
-    starts = np.column_stack([np.zeros((len(v), 2)), theta[:-1]])
-    legs = integrate_pose(starts, v, omega, dt)[:, :2]
-    return np.column_stack([np.vstack([start[:2], start[:2] + np.cumsum(legs, axis=0)]), theta])
+    start_poses = np.column_stack([np.zeros((len(v), 2)), theta[:-1]])
+    displacements = integrate_pose(start_poses, v, omega, dt)[:, :2]
+    return np.column_stack([np.vstack([start[:2], start[:2] + np.cumsum(displacements, axis=0)]), theta])
 
 
-def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
-    """Sample an identified system without its sensor offsets, with `dt` [s].
+def discretise(system: LinearSystem, dt: float) -> DiscreteModel:
+    """Discretise an identified system without its sensor offsets, with sample time `dt` [s].
 
-    Unlike `VelocityModel`, this accepts any poles: an identification may place a pole far out if the data do not
-    determine it.
+    Unlike `VelocityModel`, this function accepts any pole. An identification may return a very fast pole if the data do
+    not determine it.
     """
     return zero_order_hold(system.A, system.B, system.C, system.dead_time, dt)
 
@@ -101,15 +102,15 @@ def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, st
 
 
 def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
-    """Compute error statistics of predicted poses (K, 3) against driven poses (K, 3), with unwrapped headings."""
+    """Compute error statistics of predicted poses (K, 3) relative to driven poses (K, 3), with unwrapped headings."""
     error = predicted - driven
     return PathError(Spread.of_errors(np.hypot(error[:, 0], error[:, 1])), Spread.of_errors(error[:, 2]))
 
 
 class RobotLogs:
-    """Source of the drives of one repetition; each requested drive takes the next seed.
+    """Source of the drives of one repetition; each drive uses the next seed.
 
-    The records contain true poses: the papers compare predictions with a localisation, whose error is small compared
+    The records contain true poses. The papers compare predictions with a localisation, whose error is small compared
     with the prediction error.
 
     Parameters
@@ -119,19 +120,19 @@ class RobotLogs:
     """
 
     def __init__(self, repetition: int) -> None:
-        self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
+        self._seeds: Iterator[int] = iter(range(_SEEDS * repetition, _SEEDS * (repetition + 1)))
 
     def steps(self, kind: StepKind) -> list[Record]:
         """Record the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
         return self._record_drives(f"step of {kind}", step_commands(kind))
 
-    def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
-        """Record drives of `duration` [s] each with smoothed random set-points, scaled to the maximum `largest`."""
+    def free(self, drives: int, duration: float, maximum: PaperRange | None = None) -> list[Record]:
+        """Record drives of `duration` [s] with smoothed random set-points, scaled to the speeds in `maximum`."""
         ranges = load_command_parameters().random
-        ends = np.array([ranges.v_range[1], ranges.omega_range[1]])
-        stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
+        upper_ends = np.array([ranges.v_range[1], ranges.omega_range[1]])
+        scale = np.array([maximum.v, maximum.omega]) / upper_ends if maximum else np.ones(2)
         return [
-            record_of(f"free drive, seed {seed}", seed, stretch * random_commands(seed, duration=duration))
+            record_drive(f"free drive, seed {seed}", seed, scale * random_commands(seed, duration=duration))
             for seed in (next(self._seeds) for _ in range(drives))
         ]
 
@@ -140,19 +141,19 @@ class RobotLogs:
         return self._record_drives(name, [trajectory_commands(name)])[0]
 
     def _record_drives(self, name: str, commands: Iterable[FloatArray]) -> list[Record]:
-        return [record_of(name, next(self._seeds), rows) for rows in commands]
+        return [record_drive(name, next(self._seeds), rows) for rows in commands]
 
 
 def trajectory_commands(name: str) -> FloatArray:
-    """Return v [m/s], omega [rad/s] (K, 2) of a trajectory's segments, one row per sample, without ramps."""
+    """Return twists (K, 2) of a trajectory's segments, v [m/s] and omega [rad/s] per sample, without ramps."""
     segments, dt = load_segments(name), load_robot().sample_time
-    ends = np.cumsum([segment.duration for segment in segments])
-    rows = np.searchsorted(ends, dt * np.arange(round(ends[-1] / dt)), side="right")
+    end_times = np.cumsum([segment.duration for segment in segments])
+    rows = np.searchsorted(end_times, dt * np.arange(round(end_times[-1] / dt)), side="right")
     return np.array([(segment.v, segment.omega) for segment in segments])[np.minimum(rows, len(segments) - 1)]
 
 
-def record_of(name: str, seed: int, commands: FloatArray) -> Record:
-    """Drive the simulated robot on the default surface and record it."""
+def record_drive(name: str, seed: int, commands: FloatArray) -> Record:
+    """Drive the simulated robot in open loop on the default surface and record the drive."""
     log = drive_open_loop(make_plant("mujoco", seed=seed), commands)
     return Record(
         name,

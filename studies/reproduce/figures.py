@@ -1,4 +1,4 @@
-"""Figures of `reproduce`: responses and odometry of MBM, SM, SSM and LSTM, trainings, orders, and the virtual track."""
+"""Figures of the study `reproduce`: responses, odometry, trainings, orders, and the virtual track."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from studies.reproduce.drives import QUANTITIES, sampled, trajectory_commands
+from studies.reproduce.drives import QUANTITIES, discretise, trajectory_commands
 from studies.reproduce.mbm_and_sm import COMPARED, MBM, SM, MbmSmResult
 from studies.reproduce.networks import LSTM, MEASURED, SSM, NetworkRow
 from studies.reproduce.published import load_published
@@ -21,7 +21,9 @@ from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, published_sys
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
 
 _BAR = 0.16
+"""Width of a bar, in units of the distance of two groups."""
 _PARTS = {"position": slice(2), "heading": slice(2, 3)}
+"""Columns of a pose by name of the quantity."""
 
 
 def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
@@ -30,27 +32,27 @@ def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
     with new_figure(path, 10.0, 6.2) as figure:
         halves = figure.add_gridspec(2, 1)
         upper, lower = (figure.add_subfigure(halves[row]) for row in (0, 1))
-        upper.suptitle("Driven on the simulated robot, and predicted from commands alone")
+        upper.suptitle("Driven paths of the simulated robot, and paths predicted from commands alone")
         for axes, (name, paths) in zip(
             upper.subplots(1, len(first.paths), squeeze=False)[0], first.paths.items(), strict=True
         ):
-            _paths(axes, paths)
+            _draw_paths(axes, paths)
             axes.set_title(name)
             if name == next(iter(first.paths)):
                 axes.legend(loc="center", fontsize=7.0)
         for axes, quantity in zip(lower.subplots(1, 2), QUANTITIES, strict=True):
-            _bars(axes, results, quantity)
+            _draw_error_bars(axes, results, quantity)
         lower.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5)
 
 
-def _paths(axes: Axes, paths: Mapping[str, FloatArray]) -> None:
+def _draw_paths(axes: Axes, paths: Mapping[str, FloatArray]) -> None:
     axes.plot(*paths["driven"][:, :2].T, color=REFERENCE_COLOUR, linewidth=3.0, label="driven")
     for k, model in enumerate(COMPARED):
         axes.plot(*paths[model][:, :2].T, color=colour(k), linestyle=line_style(k), linewidth=1.1, label=model)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
+def _draw_error_bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
     names = list(results[0].errors[SM])
     printed = load_published().odometry
     bars: dict[str, tuple[list[float], str, str]] = {
@@ -67,15 +69,15 @@ def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
         ]
         bars[model] = (values, colour(k), "")
     for k, (label, (values, shade, hatch)) in enumerate(bars.items()):
-        places = np.arange(len(names)) + (k - 2) * _BAR
-        axes.bar(places, values, _BAR, color=shade, hatch=hatch, edgecolor="white", linewidth=0.4, label=label)
+        positions = np.arange(len(names)) + (k - 2) * _BAR
+        axes.bar(positions, values, _BAR, color=shade, hatch=hatch, edgecolor="white", linewidth=0.4, label=label)
     axes.set(yscale="log", ylabel=f"{quantity} RMSE [{QUANTITIES[quantity]}]", title=quantity)
     axes.set_xticks(range(len(names)), names)
     axes.grid(axis="x", visible=False)
 
 
 def draw_error_maps(results: Sequence[MbmSmResult], path: Path) -> None:
-    """Draw commands and errors along the trajectories of the first repetition; a cross marks the largest error."""
+    """Draw commands and errors along the trajectories of the first repetition; a cross marks the maximum error."""
     with new_figure(path, 12.0, 12.0) as figure:
         columns = figure.subplots(1 + 2 * len(QUANTITIES), len(results[0].paths), squeeze=False).T
         for column, (name, paths) in zip(columns, results[0].paths.items(), strict=True):
@@ -83,27 +85,27 @@ def draw_error_maps(results: Sequence[MbmSmResult], path: Path) -> None:
             for label, values, style in zip(("v [m/s]", "omega [rad/s]"), commands.T, ("-", "--"), strict=True):
                 column[0].plot(_times(len(commands)), values, style, label=label)
             column[0].set(title=name, xlabel="time [s]", ylim=(-1.2, 1.2))
-            _maps(column[1:], paths["driven"], {model: paths[model] for model in (MBM, SM)})
+            _draw_error_maps(column[1:], paths["driven"], {model: paths[model] for model in (MBM, SM)})
         columns[0][0].legend(loc="lower left", fontsize=7.0)
 
 
-def _maps(grid: Sequence[Axes], driven: FloatArray, predicted: Mapping[str, FloatArray]) -> None:
+def _draw_error_maps(grid: Sequence[Axes], driven: FloatArray, predicted: Mapping[str, FloatArray]) -> None:
     """Draw predicted paths coloured by their error: position by model, then heading by model."""
     for k, (quantity, unit) in enumerate(QUANTITIES.items()):
-        sizes = [np.linalg.norm((poses - driven)[:, _PARTS[quantity]], axis=1) for poses in predicted.values()]
-        for axes, size, (model, poses) in zip(grid[k * len(sizes) :], sizes, predicted.items(), strict=False):
+        errors = [np.linalg.norm((poses - driven)[:, _PARTS[quantity]], axis=1) for poses in predicted.values()]
+        for axes, error, (model, poses) in zip(grid[k * len(errors) :], errors, predicted.items(), strict=False):
             axes.plot(*driven[:, :2].T, color=REFERENCE_COLOUR, linewidth=0.8)
-            shown = axes.scatter(poses[:, 0], poses[:, 1], c=size, s=5.0, vmin=0.0, vmax=max(map(np.max, sizes)))
-            axes.plot(*poses[size.argmax(), :2], "x", color="black")
-            axes.set(title=f"{model}: {size.max():.3f} {unit}", aspect="equal")
-            axes.figure.colorbar(shown, ax=axes, label=f"{quantity} error [{unit}]")
+            mesh = axes.scatter(poses[:, 0], poses[:, 1], c=error, s=5.0, vmin=0.0, vmax=max(map(np.max, errors)))
+            axes.plot(*poses[error.argmax(), :2], "x", color="black")
+            axes.set(title=f"{model}: {error.max():.3f} {unit}", aspect="equal")
+            axes.figure.colorbar(mesh, ax=axes, label=f"{quantity} error [{unit}]")
 
 
 def draw_experiment(motions: Mapping[str, FloatArray], path: Path) -> None:
     """Draw errors and velocities of SSM and LSTM on a free drive (P1, Figures 6 and 7)."""
     with new_figure(path, 12.0, 6.0) as figure:
         grid = figure.subplots(2, 3)
-        _maps(grid[:, :2].flat, motions[MEASURED], {name: motions[name] for name in (SSM, LSTM)})
+        _draw_error_maps(grid[:, :2].flat, motions[MEASURED], {name: motions[name] for name in (SSM, LSTM)})
         for k, (axes, quantity) in enumerate(zip(grid[:, 2], ("v [m/s]", "omega [rad/s]"), strict=True), start=3):
             for name, shade in ((MEASURED, "black"), (SSM, colour(0)), (LSTM, colour(1))):
                 axes.plot(_times(len(motions[name])), motions[name][:, k], color=shade, linewidth=0.9, label=name)
@@ -112,7 +114,7 @@ def draw_experiment(motions: Mapping[str, FloatArray], path: Path) -> None:
 
 
 def draw_training(rows: Sequence[NetworkRow], path: Path) -> None:
-    """Draw the validation error of each network while it is trained (P1, Figure 3)."""
+    """Draw the validation error of each network during its training (P1, Figure 3)."""
     with new_figure(path, 9.0, 4.0) as figure:
         axes = figure.subplots()
         for k, row in enumerate(sorted(rows, key=lambda row: row.row)):
@@ -131,7 +133,7 @@ def draw_training(rows: Sequence[NetworkRow], path: Path) -> None:
 
 
 def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
-    """Draw measured and simulated speeds over the held-out steps: the motors by MBM, v and omega by SM."""
+    """Draw measured and simulated speeds of the validation steps: motors by MBM, v and omega by SM."""
     with new_figure(path, 11.0, 5.6) as figure:
         grid = figure.subplots(2, 3).flat
         for axes, (name, speeds) in zip(grid, results[0].responses.items(), strict=False):
@@ -142,9 +144,9 @@ def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
 
 
 def draw_steps(_: Sequence[SsmResult], path: Path) -> None:
-    """Draw the responses of v and omega to unit steps of either command, by the printed matrices of SSM."""
+    """Draw the responses of v and omega to a unit step of each command, from the printed matrices of SSM."""
     dt = load_robot().sample_time
-    model, rows = sampled(published_system(load_linear_model("ssm")), dt), round(1.2 / dt)
+    model, rows = discretise(published_system(load_linear_model("ssm")), dt), round(1.2 / dt)
     with new_figure(path, 9.0, 3.2) as figure:
         for axes, channel, command in zip(figure.subplots(1, 2), CHANNELS, np.eye(2), strict=True):
             axes.plot(_times(rows), model.simulate(np.tile(command, (rows, 1))), label=CHANNELS)
@@ -157,9 +159,9 @@ def _times(count: int) -> FloatArray:
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
-    """Draw the improvement of each order over order 2, in v and in omega; bars span the repetitions."""
+    """Draw the improvement of each order over order 2, in v and in omega; error bars span the repetitions."""
     printed = load_published().orders
-    tested = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
+    orders = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
     with new_figure(path, 9.0, 3.4) as figure:
         for row, (channel, axes) in enumerate(zip(CHANNELS, figure.subplots(1, 2), strict=True)):
             paper = {order: getattr(fit.fit_percent, channel) for order, fit in printed.items()}
@@ -171,29 +173,29 @@ def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
                 label=f"published; order 2: {paper[PAPERS_ORDER]:.2f} %",
             )
             fits = np.array(
-                [[result.orders[order - 1].test.fit_percent[row] for order in tested] for result in results]
+                [[result.orders[order - 1].test.fit_percent[row] for order in orders] for result in results]
             )
-            gains = fits - fits[:, :1]
-            mean = gains.mean(axis=0)
-            reach = np.abs(np.array([gains.min(axis=0), gains.max(axis=0)]) - mean)
+            improvements = fits - fits[:, :1]
+            mean = improvements.mean(axis=0)
+            deviations = np.abs(np.array([improvements.min(axis=0), improvements.max(axis=0)]) - mean)
             label = f"our plant; order 2: {fits[:, 0].mean():.2f} %"
-            axes.errorbar(tested, mean, yerr=reach, fmt="o-", color=colour(0), capsize=3.0, label=label)
+            axes.errorbar(orders, mean, yerr=deviations, fmt="o-", color=colour(0), capsize=3.0, label=label)
             axes.axhline(0.0, color="black", linewidth=0.6)
-            axes.set(title=channel, xlabel="order", xticks=tested, ylabel="test FIT over order 2 [points]")
+            axes.set(title=channel, xlabel="order", xticks=orders, ylabel="test FIT over order 2 [points]")
             axes.legend(loc="best")
 
 
 def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:
-    """Draw the tests as printed and with exchanged tracks, each with the printed and the fitted line."""
+    """Draw the tests as printed, and with exchanged tracks, each with the printed and the fitted line."""
     with new_figure(path, 9.0, 3.6) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
-        _draw(left, result.tests, result.printed, result.fitted)
-        _draw(right, result.exchanged, result.printed, result.fitted_exchanged)
+        _draw_track_tests(left, result.tests, result.printed, result.fitted)
+        _draw_track_tests(right, result.exchanged, result.printed, result.fitted_exchanged)
         left.set(title="tests as printed", ylabel="virtual track [m]")
         right.set_title("tracks of tests 1, 2 and 7, 8 exchanged")
 
 
-def _draw(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) -> None:
+def _draw_track_tests(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) -> None:
     rates = np.array([0.0, 1.1])
     for k, (name, line) in enumerate({"printed": printed, "least squares": fitted}.items()):
         label = f"{name}: {line.p1:.3f} |yaw rate| + {line.p0:.3f}"

@@ -25,31 +25,32 @@ from studies.reproduce.drives import (
     STEP_KINDS,
     PathError,
     RobotLogs,
+    discretise,
     pose_error,
     predict_path,
-    sampled,
 )
 from studies.reproduce.published import MbmSmStudy, PaperFinding, Published, as_flags
 
-MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
+MBM, MBM_TRACKS, SM = "MBM", "MBM, identified tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)
 """MBM as in the paper, MBM with identified tracks, and SM."""
-DATA = ("steps used", "steps held out", "free drives")
-_HELD_OUT = DATA[1]
+DATA = ("training steps", "validation steps", "free drives")
+"""Names of the data sets, in the order of the table."""
+_VALIDATION = DATA[1]
 _CIRCLE = "circle"
 _MOTORS = ("front left", "front right", "rear left", "rear right")
 
 
 @dataclass(frozen=True)
 class MbmSmResult:
-    """Result of one repetition.
+    """FIT and path errors of MBM and SM in one repetition.
 
     Attributes
     ----------
     repetition
         Number of the repetition.
     motor_fit
-        FIT of the motors front left, front right, rear left, rear right [%], by data set.
+        FIT of the motors [%] by data set: front left, front right, rear left, rear right.
     sm_fit
         FIT of v and omega [%], by data set.
     errors
@@ -57,7 +58,7 @@ class MbmSmResult:
     paths
         Poses (K, 3) by trajectory and by model; the driven poses have the name "driven".
     responses
-        Measured and simulated speeds (K, 2) [rad/s, m/s] of the held-out steps, by motor and by channel of SM.
+        Measured and simulated speeds (K, 2) of the validation steps, by motor [rad/s] and by channel [m/s, rad/s].
     parameters
         Identified parameters by model.
     warnings
@@ -77,44 +78,44 @@ class MbmSmResult:
 def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     """Identify MBM and SM from the paper's steps and predict the paper's trajectories.
 
-    In the paper, MBM converts commands to wheel speeds, and these to twists, with the robot's geometric track. In "MBM,
-    own tracks", the firmware's track and the effective track of the gyro are identified.
+    In the paper, MBM converts commands to wheel speeds, and wheel speeds to twists, with the robot's geometric track.
+    The variant "MBM, identified tracks" uses the identified track of the firmware and the effective track.
     """
     logs, robot = RobotLogs(repetition), load_robot()
-    used, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
+    training, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
     free = logs.free(study.free_drives, study.free_duration)
-    own_tracks = identify_mbm([*used["wheels"], *used["omega"]], robot.wheel_radius)
-    sm = identify_sm([*used["v"], *used["omega"]], limits=False)
+    identified_mbm = identify_mbm([*training["wheels"], *training["omega"]], robot.wheel_radius)
+    sm = identify_sm([*training["v"], *training["omega"]], limits=False)
     geometric = {"firmware_track": robot.track, "effective_track": robot.track}
-    mbm = replace(own_tracks, content={**own_tracks.content, **geometric})
-    models = {MBM: mbm, MBM_TRACKS: own_tracks, SM: sm}
-    paths = {name: _paths(models, logs.trajectory(name)) for name in study.trajectories}
-    of_motors = dict(zip(DATA, (used["wheels"], held_out["wheels"], free), strict=True))
-    # Each channel has separate steps, as in the paper.
-    of_v = dict(zip(DATA, (used["v"], held_out["v"], free), strict=True))
-    of_omega = dict(zip(DATA, (used["omega"], held_out["omega"], free), strict=True))
+    mbm = replace(identified_mbm, content={**identified_mbm.content, **geometric})
+    models = {MBM: mbm, MBM_TRACKS: identified_mbm, SM: sm}
+    paths = {name: _predict_paths(models, logs.trajectory(name)) for name in study.trajectories}
+    motor_records = dict(zip(DATA, (training["wheels"], held_out["wheels"], free), strict=True))
+    # Each channel is identified from separate steps, as in the paper.
+    v_records = dict(zip(DATA, (training["v"], held_out["v"], free), strict=True))
+    omega_records = dict(zip(DATA, (training["omega"], held_out["omega"], free), strict=True))
     return MbmSmResult(
         repetition,
-        motor_fit={name: motor_fit(own_tracks, records) for name, records in of_motors.items()},
-        sm_fit={name: (_fit(sm, of_v[name], 0), _fit(sm, of_omega[name], 1)) for name in DATA},
+        motor_fit={name: motor_fit(identified_mbm, records) for name, records in motor_records.items()},
+        sm_fit={name: (_fit(sm, v_records[name], 0), _fit(sm, omega_records[name], 1)) for name in DATA},
         errors={
-            model: {name: pose_error(by_model[model], by_model["driven"]) for name, by_model in paths.items()}
+            model: {name: pose_error(model_paths[model], model_paths["driven"]) for name, model_paths in paths.items()}
             for model in models
         },
         paths=paths,
-        responses=_responses(own_tracks, sm, held_out),
-        parameters={MBM: own_tracks.content, SM: sm.content},
-        warnings={MBM: lines(own_tracks.warnings), SM: lines(sm.warnings)},
+        responses=_responses(identified_mbm, sm, held_out),
+        parameters={MBM: identified_mbm.content, SM: sm.content},
+        warnings={MBM: lines(identified_mbm.warnings), SM: lines(sm.warnings)},
     )
 
 
 def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, ...]:
     """Compute the FIT of each motor's simulated speed [%], pooled over records."""
-    stretches = wheel_experiments(records)
-    simulated = [simulate_experiment(mbm.fits[0].system, stretch) for stretch in stretches]
+    experiments = wheel_experiments(records)
+    simulated = [simulate_experiment(mbm.fits[0].system, experiment) for experiment in experiments]
     return tuple(
-        pooled_fit_percent([stretch.outputs[:, motor] for stretch in stretches], [y[:, motor] for y in simulated])
-        for motor in range(stretches[0].outputs.shape[1])
+        pooled_fit_percent([run.outputs[:, motor] for run in experiments], [y[:, motor] for y in simulated])
+        for motor in range(experiments[0].outputs.shape[1])
     )
 
 
@@ -131,53 +132,53 @@ def _fit(sm: IdentifiedModel, records: Sequence[Record], channel: int) -> float:
     return float(validate(sm.system, records).fit_percent[channel])
 
 
-def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, FloatArray]:
+def _predict_paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, FloatArray]:
     pose = np.asarray(driven.pose)
     predicted = {
-        name: predict_path(sampled(identified.system, driven.dt), driven.command, pose[0])
+        name: predict_path(discretise(identified.system, driven.dt), driven.command, pose[0])
         for name, identified in models.items()
     }
     return {"driven": pose, **predicted}
 
 
 def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[PaperFinding]:
-    """Compare FIT of motors and channels, and the prediction of paths."""
+    """Evaluate P0's findings on the FIT of motors and channels and on predicted paths."""
     minimum, fit = published.motor_fit_percent, published.sm_fit_percent
-    motors = np.array([result.motor_fit[_HELD_OUT] for result in results])
-    channels = np.array([result.sm_fit[_HELD_OUT] for result in results])
+    motors = np.array([result.motor_fit[_VALIDATION] for result in results])
+    channels = np.array([result.sm_fit[_VALIDATION] for result in results])
     v, omega = channels.mean(axis=0)
     return [
         PaperFinding(
-            f"two poles without zeros explain every motor with a FIT above {minimum:g} % (steps held out)",
+            f"two poles without zeros explain every motor with a FIT above {minimum:g} % (validation steps)",
             "P0, section on MBM",
             f"all four > {minimum:g} %",
             f"{motors.mean(axis=0).min():.1f} to {motors.mean(axis=0).max():.1f} %",
             as_flags((motors > minimum).all(axis=1)),
         ),
         PaperFinding(
-            "SM explains v better than omega (steps held out)",
+            "SM explains v better than omega (validation steps)",
             "P0, section on SM",
             f"{fit.v:.2f} against {fit.omega:.2f} %",
             f"{v:.2f} against {omega:.2f} %",
             as_flags(channels[:, 0] > channels[:, 1]),
         ),
-        *(_beats_sm(results, published, MBM, "MBM", quantity) for quantity in QUANTITIES),
-        *(_beats_sm(results, published, MBM_TRACKS, "MBM with identified tracks", quantity) for quantity in QUANTITIES),
+        *(_compare(results, published, MBM, "MBM", quantity) for quantity in QUANTITIES),
+        *(_compare(results, published, MBM_TRACKS, "MBM with identified tracks", quantity) for quantity in QUANTITIES),
         *([_circle_is_worst(results, published)] if _CIRCLE in results[0].errors[SM] else []),
     ]
 
 
-def _beats_sm(
-    results: Sequence[MbmSmResult], published: Published, model: str, words: str, quantity: str
+def _compare(
+    results: Sequence[MbmSmResult], published: Published, model: str, description: str, quantity: str
 ) -> PaperFinding:
-    ours, theirs = _rmse(results, model, quantity), _rmse(results, SM, quantity)
+    ours, sm_errors = _rmse(results, model, quantity), _rmse(results, SM, quantity)
     printed = [_printed(published, model_name, list(results[0].errors[SM]), quantity) for model_name in ("mbm", "sm")]
     return PaperFinding(
-        f"{words} predicts the {quantity} better than SM on every trajectory (RMSE)",
-        "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
+        f"{description} predicts the {quantity} better than SM on every trajectory (RMSE)",
+        "P0, Table 2" if model == MBM else "P0, Table 2; tracks identified by this project",
         _comparison(printed[0], printed[1], QUANTITIES[quantity]),
-        _comparison(ours.mean(axis=0), theirs.mean(axis=0), QUANTITIES[quantity]),
-        as_flags((ours < theirs).all(axis=1)),
+        _comparison(ours.mean(axis=0), sm_errors.mean(axis=0), QUANTITIES[quantity]),
+        as_flags((ours < sm_errors).all(axis=1)),
     )
 
 
@@ -186,34 +187,35 @@ def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> Pa
     circle = names.index(_CIRCLE)
     printed = {model_name.upper(): _printed(published, model_name, names, "position") for model_name in ("mbm", "sm")}
     ours = {model_name: _rmse(results, model_name, "position") for model_name in (MBM, SM)}
-    worst = np.array([table.argmax(axis=1) for table in ours.values()])
+    worst_trajectories = np.array([table.argmax(axis=1) for table in ours.values()])
     return PaperFinding(
-        "the circle has the largest position RMSE, for MBM and for SM",
+        "the circle has the maximum position RMSE, for MBM and for SM",
         "P0, Table 2",
         ", ".join(f"{model_name}: {names[int(values.argmax())]}" for model_name, values in printed.items()),
         ", ".join(f"{model_name}: {names[int(table.mean(axis=0).argmax())]}" for model_name, table in ours.items()),
-        as_flags((worst == circle).all(axis=0)),
+        as_flags((worst_trajectories == circle).all(axis=0)),
     )
 
 
 def _rmse(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
-    """Return RMSE (repetitions, trajectories)."""
+    """Return the RMSE (repetitions, trajectories) of a model."""
     return np.array([[getattr(error, quantity).rmse for error in result.errors[model].values()] for result in results])
 
 
 def _printed(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
-    """Return the printed RMSE (trajectories,), the first of the printed statistics."""
+    """Return the published RMSE (trajectories,), which is the first published statistic."""
     return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
 
 
-def _comparison(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
-    a, b = float(ours.mean()), float(theirs.mean())
-    return f"{np.sum(ours < theirs)} of {len(ours)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
+def _comparison(mbm: FloatArray, sm: FloatArray, unit: str) -> str:
+    """Format the number of trajectories on which MBM is better than SM, and the mean errors of both."""
+    a, b = float(mbm.mean()), float(sm.mean())
+    return f"{np.sum(mbm < sm)} of {len(mbm)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
 
 
 def mbm_sm_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
-    """Tabulate FIT, and position and heading errors by trajectory and statistic."""
-    return [_fit_table(results, published), *(_odometry(results, published, quantity) for quantity in QUANTITIES)]
+    """Tabulate FIT, and position and heading errors by statistic and trajectory."""
+    return [_fit_table(results, published), *(_odometry_table(results, published, quantity) for quantity in QUANTITIES)]
 
 
 def _fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
@@ -230,14 +232,14 @@ def _fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
         for i, channel in enumerate(CHANNELS)
     ]
     note = (
-        "FIT [%] of a free simulation from commands, mean over repetitions. The paper does not state the data of its "
-        "figures. Separate steps: wheels for the motors, v and omega for SM."
+        "FIT [%] of a free simulation from commands, mean over repetitions. The paper does not state which data its "
+        "values are from. The motors, v and omega have separate steps."
     )
     columns = ("model", "output", "published", *DATA)
     return Table("FIT of motors and of SM", columns, tuple(rows), text_columns=2, note=note)
 
 
-def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: str) -> Table:
+def _odometry_table(results: Sequence[MbmSmResult], published: Published, quantity: str) -> Table:
     names = list(results[0].errors[SM])
     ours = {model: _errors(results, model, quantity) for model in COMPARED}
     printed = {
@@ -247,23 +249,23 @@ def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: st
     rows = []
     for i, statistic in enumerate(STATISTICS):
         for k, name in enumerate((*names, "average")):
-            of_paper = [_cell(printed[model], k, i) for model in printed]
-            of_plant = [_cell(ours[model], k, i) for model in COMPARED]
-            rows.append((statistic, name, *of_paper, *of_plant))
+            published_cells = [_cell(printed[model], k, i) for model in printed]
+            measured_cells = [_cell(ours[model], k, i) for model in COMPARED]
+            rows.append((statistic, name, *published_cells, *measured_cells))
     columns = (f"error [{QUANTITIES[quantity]}]", "trajectory", "published MBM", "published SM", *COMPARED)
     note = (
-        "Predicted from commands alone, against the true pose; mean over repetitions. Published: P0, Table 2, "
-        "averages from its rows. The paper does not state twists and durations, so the paths have the same shape, but "
-        "another size."
+        "Prediction from commands alone, relative to the true pose; mean over repetitions. Published: P0, Table 2, and "
+        "averages of its rows. The paper does not state twists and durations, so the paths have the same shape but a "
+        "different size."
     )
     title = f"{quantity.capitalize()} errors of open-loop odometry"
     return Table(title, columns, tuple(rows), text_columns=2, note=note)
 
 
 def _errors(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
-    """Compute mean error statistics over repetitions (trajectories, statistics)."""
-    every = [[getattr(error, quantity).statistics for error in result.errors[model].values()] for result in results]
-    return np.asarray(np.mean(every, axis=0))
+    """Compute the error statistics (trajectories, statistics), averaged over repetitions."""
+    rows = [[getattr(error, quantity).statistics for error in result.errors[model].values()] for result in results]
+    return np.asarray(np.mean(rows, axis=0))
 
 
 def _cell(table: FloatArray, row: int, column: int) -> str:

@@ -1,4 +1,4 @@
-"""LSTM and SSM identified from one long free drive, and the nine networks of Table 2 (P1).
+"""LSTM and SSM, identified from one long free drive, and the nine networks of P1's Table 2.
 
 P1: Guffanti, Pavon, Sensors 2025, 25(18), 5821.
 """
@@ -19,22 +19,24 @@ from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc_extras.networks.finding import simulate_records
 from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
-from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error, sampled
+from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, discretise, pose_error
 from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, as_flags
 from studies.reproduce.state_space import FIT_COLUMNS, PAPERS_ORDER, FreeDrive, VelocityFit, free_drive
 
 MEASURED, SSM, LSTM, LONGER = "measured", "SSM", "LSTM", "LSTM, trained longer"
 PAPERS_ROW = 2
 """Row of Table 2 that the paper selects."""
-_OTHER_SEEDS = 100
+_REPETITION_OFFSET = 100
+"""Offset of the repetition number, which separates the seeds from those of other parts."""
 _TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
 
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """One row of Table 2: errors on the validation and test parts of the drive, and numbers of parameters and steps.
+    """Trained network of one row of Table 2.
 
-    `losses` (looks,) are half the squared errors on the validation part, summed over both outputs.
+    `validation` and `test` are the errors on these parts of the drive. `losses` (validations,) are half the squared
+    errors on the validation part, summed over both outputs.
     """
 
     row: int
@@ -47,16 +49,16 @@ class NetworkRow:
 
 @dataclass(frozen=True)
 class NetworkRows:
-    """Rows of Table 2, trained with the same drive."""
+    """Networks of Table 2, trained on one drive."""
 
     rows: tuple[NetworkRow, ...]
 
 
 @dataclass(frozen=True)
 class NetworkResult:
-    """Result of one repetition: free drives by model; all models were identified from the same drive.
+    """Free drives by model in one repetition; all models are identified from one drive.
 
-    `motions` holds for each drive the pose [m, m, rad] and the twist [m/s, rad/s] (K, 5): measured, and by model.
+    `motions` contains poses [m, m, rad] and twists [m/s, rad/s] (K, 5) of each drive: measured, and by model.
     """
 
     repetition: int
@@ -65,8 +67,8 @@ class NetworkResult:
 
 
 def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
-    """Compare an SSM and networks identified from one drive."""
-    logs = RobotLogs(_OTHER_SEEDS + repetition)
+    """Identify an SSM and two networks from one drive, and predict other drives."""
+    logs = RobotLogs(_REPETITION_OFFSET + repetition)
     drive = logs.free(1, study.train_duration, study.paper_range)
     drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
     ssm = identify_ssm(drive, PAPERS_ORDER, limits=False)
@@ -76,20 +78,20 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
             MEASURED: np.column_stack(
                 [np.asarray(drive.pose), np.asarray(drive.twist)[:, 0], np.asarray(drive.yaw_rate)]
             ),
-            SSM: _motion(drive, sampled(ssm.system, drive.dt).simulate(drive.command)),
+            SSM: _motion(drive, discretise(ssm.system, drive.dt).simulate(drive.command)),
         }
         for drive in drives
     ]
-    kind, usual = Architecture(), training_settings()
-    for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
-        training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
-        network = train(kind, training, validation, settings).network
+    architecture, default = Architecture(), training_settings()
+    for name, settings in ((LSTM, default), (LONGER, default.model_copy(update=study.longer.model_dump()))):
+        training, validation, _ = divided(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+        network = train(architecture, training, validation, settings).network
         twists = simulate_records(network, drives, "gyro")
         for record, motion, twist in zip(drives, motions, twists, strict=True):
             motion[name] = _motion(record, twist - network.at_rest)
         predictions[name] = tuple(
             FreeDrive(
-                _velocity(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
+                _velocity_fit(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
             )
             for drive, motion, twist in zip(drives, motions, twists, strict=True)
             for scores in [score([twist], twist_experiments([drive]))]
@@ -102,38 +104,38 @@ def _motion(drive: Record, twist: FloatArray) -> FloatArray:
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
-    """Train the networks in `published`, rows of Table 2, with the drive of `compare_with_ssm`."""
-    drive = RobotLogs(_OTHER_SEEDS + repetition).free(1, study.train_duration, study.paper_range)
-    experiments, trained = twist_experiments(drive), []
-    for row, stated in published.items():
-        kind = Architecture(
-            window=stated.window, units=stated.units, layers=stated.layers, activation=stated.activation
+    """Train the networks `published` by row of Table 2, on the training drive of `compare_with_ssm`."""
+    drive = RobotLogs(_REPETITION_OFFSET + repetition).free(1, study.train_duration, study.paper_range)
+    experiments, rows = twist_experiments(drive), []
+    for row, paper_row in published.items():
+        architecture = Architecture(
+            window=paper_row.window, units=paper_row.units, layers=paper_row.layers, activation=paper_row.activation
         )
         settings = training_settings().model_copy(
             update={
-                "optimiser": stated.optimiser,
-                "batch": stated.batch,
-                "validation_every": stated.validation_every,
-                "patience": stated.patience,
+                "optimiser": paper_row.optimiser,
+                "batch": paper_row.batch,
+                "validation_every": paper_row.validation_every,
+                "patience": paper_row.patience,
             }
         )
-        training, validation, test = divided(windows_of(experiments, kind.window), settings.shares)
-        done = train(kind, training, validation, settings)
-        on_validation, on_test = (
-            _velocity(fit_percent(done.network, part), rmse(done.network, part)) for part in (validation, test)
+        training, validation, test = divided(windows_of(experiments, architecture.window), settings.shares)
+        result = train(architecture, training, validation, settings)
+        validation_fit, test_fit = (
+            _velocity_fit(fit_percent(result.network, part), rmse(result.network, part)) for part in (validation, test)
         )
-        trained.append(NetworkRow(row, kind.parameters, done.steps, on_validation, on_test, done.losses))
-    return NetworkRows(tuple(trained))
+        rows.append(NetworkRow(row, architecture.parameters, result.steps, validation_fit, test_fit, result.losses))
+    return NetworkRows(tuple(rows))
 
 
-def _velocity(fit: FloatArray, error: FloatArray) -> VelocityFit:
+def _velocity_fit(fit: FloatArray, error: FloatArray) -> VelocityFit:
     return VelocityFit((float(fit[0]), float(fit[1])), (float(error[0]), float(error[1])))
 
 
 def network_findings(
     results: Sequence[NetworkResult], rows: Sequence[NetworkRow], published: Published
 ) -> list[PaperFinding]:
-    """Check P1's findings on LSTM and SSM, and on the nine networks if all were trained."""
+    """Evaluate P1's findings on LSTM and SSM, and on the nine networks if all were trained."""
     findings = [_better_fit(results, published), _better_odometry(results, published)] if results else []
     if len(rows) == len(published.networks):
         findings.append(_best_row(rows, published))
@@ -147,13 +149,13 @@ def _better_fit(results: Sequence[NetworkResult], published: Published) -> Paper
         )
         for name in (SSM, LSTM)
     )
-    pair = "SSM {:.2f} and {:.2f}, LSTM {:.2f} and {:.2f} %"
+    template = "SSM {:.2f} and {:.2f}, LSTM {:.2f} and {:.2f} %"
     paper = [*published.free_drives_average.values[:2], *published.lstm_drives_average.values[:2]]
     return PaperFinding(
         "on free drives SSM explains v and omega better than LSTM (FIT)",
         _TABLE_3,
-        pair.format(*paper),
-        pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
+        template.format(*paper),
+        template.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
         as_flags((ssm > lstm).all(axis=1)),
     )
 
@@ -171,17 +173,17 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
         )
 
     ssm, lstm = errors(SSM), errors(LSTM)
-    pair = "SSM {:.2f} m and {:.2f} rad, LSTM {:.2f} m and {:.2f} rad"
+    template = "SSM {:.2f} m and {:.2f} rad, LSTM {:.2f} m and {:.2f} rad"
     paper = [
         value
         for drive in (published.free_drives_average, published.lstm_drives_average)
         for value in (drive.odometry.position[0], drive.odometry.heading[0])
     ]
     return PaperFinding(
-        "open-loop odometry of SSM has the smaller errors, in position and in heading (RMSE)",
+        "open-loop odometry of SSM has smaller errors than that of LSTM, in position and in heading (RMSE)",
         _TABLE_4,
-        pair.format(*paper),
-        pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
+        template.format(*paper),
+        template.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
         as_flags((ssm < lstm).all(axis=1)),
     )
 
@@ -189,22 +191,22 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
 def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
     ours = {row.row: float(np.mean(row.test.fit_percent)) for row in rows}
     printed = {row: float(np.mean(scores.test.values[:2])) for row, scores in published.networks.items()}
-    words = []
+    descriptions = []
     for means in (printed, ours):
         best = max(means, key=means.__getitem__)
-        words.append(f"row {best} with {means[best]:.2f} %, row {PAPERS_ROW} with {means[PAPERS_ROW]:.2f} %")
+        descriptions.append(f"row {best} with {means[best]:.2f} %, row {PAPERS_ROW} with {means[PAPERS_ROW]:.2f} %")
     return PaperFinding(
         f"the network of row {PAPERS_ROW} has the best test FIT of the nine (mean of v and omega)",
-        f"text of {_TABLE_2}, which contradicts its numbers",
-        words[0],
-        words[1],
+        f"text on {_TABLE_2}, which contradicts the table",
+        descriptions[0],
+        descriptions[1],
         (max(ours, key=ours.__getitem__) == PAPERS_ROW,),
     )
 
 
 def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
-    """Tabulate the nine networks with the figures of the paper and ours."""
-    lines = []
+    """Tabulate the published and the measured errors of the nine networks."""
+    table_rows = []
     for row in sorted(rows, key=lambda row: row.row):
         scores = published.networks[row.row]
         architecture = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
@@ -212,7 +214,7 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
         paper = [number(value, 2) for value in scores.test.values]
         ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(row.test.values)]
         validation = [number(value, 2) for value in row.validation.fit_percent]
-        lines.append(
+        table_rows.append(
             (str(row.row), architecture, numbers, *paper, *ours, *validation, str(row.parameters), str(row.steps))
         )
     columns = (
@@ -227,34 +229,35 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
         "steps",
     )
     note = (
-        "Published: P1, Table 2, test. Ours: the last 10 % of one drive in time; one training each, one seed. The "
-        "learning rate of 0.001, and the weights of the best validation, are not stated in the paper."
+        "Published: P1, Table 2, test. Ours: the last 10 % of one drive; one training with one seed for each network. "
+        "The paper does not state the learning rate (here 0.001) or which weights are used (here those of the best "
+        "validation)."
     )
-    return Table("The nine networks", columns, tuple(lines), 3, note)
+    return Table("The nine networks", columns, tuple(table_rows), 3, note)
 
 
-def beside_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
-    """Tabulate velocity and odometry errors of SSM and LSTM on free drives, of the paper and ours."""
-    lines: list[tuple[str, str, FloatArray, bool]] = []
+def free_drive_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
+    """Tabulate the published and the measured velocity and odometry errors of SSM and LSTM on free drives."""
+    table_rows: list[tuple[str, str, FloatArray, bool]] = []
     paper = {SSM: (published.free_drives, published.free_drives_average)}
     paper[LSTM] = (published.lstm_drives, published.lstm_drives_average)
     for name, (drives, average) in paper.items():
         experiments = [(f"experiment {k}", experiment) for k, experiment in enumerate(drives, start=1)]
         for label, drive in [*experiments, ("average", average)]:
             values = np.array([*drive.values, *drive.odometry.position, *drive.odometry.heading])
-            lines.append((f"published {name}", label, values, True))
+            table_rows.append((f"published {name}", label, values, True))
     for name in results[0].free_drives:
         ours = np.array([drive.values for result in results for drive in result.free_drives[name]])
-        lines.append((name, f"average of {len(ours)}", ours.mean(axis=0), False))
+        table_rows.append((name, f"average of {len(ours)}", ours.mean(axis=0), False))
     errors = [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS]
     fits = [
         (name, label, *(number(float(v), 2 if k < 2 or printed else 4) for k, v in enumerate(values[:4])))
-        for name, label, values, printed in lines
+        for name, label, values, printed in table_rows
     ]
-    paths = [(name, label, *(number(float(v), 2) for v in values[4:])) for name, label, values, _ in lines]
+    paths = [(name, label, *(number(float(v), 2) for v in values[4:])) for name, label, values, _ in table_rows]
     note = (
-        "Ours: identified from one drive of five minutes, validated on others of 30 s, all with set-points up to "
-        f"1.5 m/s and 2.0 rad/s; mean over repetitions. '{LONGER}': without dropout, with less decay and more patience."
+        "Ours: identified from one drive of five minutes, validated on drives of 30 s, all with set-points up to "
+        f"1.5 m/s and 2.0 rad/s; mean over repetitions. '{LONGER}': no dropout, less decay, more patience."
     )
     return [
         Table("SSM and LSTM velocity", ("model", "drive", *FIT_COLUMNS), tuple(fits), 2, f"P1, Table 3. {note}"),

@@ -1,4 +1,4 @@
-"""Figures of the papers from `published.yaml`, findings of the papers as rules, and settings of the study."""
+"""Published values from `published.yaml`, the papers' findings as rules, and settings of the study."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.model_file import ChannelFit
 
-Four = tuple[float, float, float, float]
+Statistics = tuple[float, float, float, float]
 """RMSE, mean, standard deviation and maximum."""
 
 
 class PublishedErrors(StrictModel):
-    """Open-loop odometry errors."""
+    """Open-loop odometry errors in position [m] and heading [rad]."""
 
-    position: Four
-    heading: Four
+    position: Statistics
+    heading: Statistics
 
 
 class PublishedFit(StrictModel):
@@ -67,7 +67,7 @@ class PublishedCost(StrictModel):
 
 
 class PublishedTrack(StrictModel):
-    """Virtual track as a function of the yaw rate."""
+    """Virtual track as a function of the yaw rate, and the tests behind it; see `published.yaml` for the units."""
 
     p1: float
     p0: float
@@ -77,14 +77,14 @@ class PublishedTrack(StrictModel):
 
 
 class PublishedDriveErrors(StrictModel):
-    """(mean, maximum) error of v [mm/s] and of omega [degrees per second]."""
+    """Mean and maximum error of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
 
 
 class FindingThresholds(StrictModel):
-    """Thresholds that decide findings."""
+    """Thresholds of the findings; `published.yaml` describes each threshold."""
 
     worthwhile_fit_percent: float
     good_fit_percent: float
@@ -96,7 +96,7 @@ class FindingThresholds(StrictModel):
 
 
 class Published(StrictModel):
-    """Figures of the papers that the reproduction is compared with; keys and units as in `published.yaml`."""
+    """Published values for the comparison; keys and units as in `published.yaml`."""
 
     motor_fit_percent: float
     sm_fit_percent: ChannelFit
@@ -121,18 +121,18 @@ def load_published() -> Published:
 
 @dataclass(frozen=True)
 class PaperFinding:
-    """A finding of a paper as a rule.
+    """Finding of a paper as a rule.
 
     Attributes
     ----------
     claim
-        The rule as a sentence that is true or false.
+        Rule as a sentence that is true or false.
     source
         Paper of the finding, and table or section.
     published, plant
         Values of the paper and of the simulated robot (means over repetitions).
     holds
-        True for each repetition in which the rule holds; empty if the values do not decide it.
+        Flag per repetition, True if the rule holds; empty if the values do not decide the rule.
     """
 
     claim: str
@@ -160,7 +160,7 @@ def as_flags(flags: ArrayLike) -> tuple[bool, ...]:
 
 
 PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
-"""Names of the parts, in the order of the report."""
+"""Names of the parts in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -170,29 +170,29 @@ class MbmSmStudy(StrictModel):
 
     trajectories: Annotated[tuple[str, ...], Field(min_length=1)]
     free_drives: Count
-    free_duration: Positive = Field(description="[s]")
+    free_duration: Positive = Field(description="duration of a free drive [s]")
 
 
 class PaperRange(StrictModel):
-    """Speed range of the set-points of the paper's free drives."""
+    """Maximum set-points of the paper's free drives."""
 
-    v: Positive = Field(description="[m/s]")
-    omega: Positive = Field(description="[rad/s]")
+    v: Positive = Field(description="maximum forward speed [m/s]")
+    omega: Positive = Field(description="maximum yaw rate [rad/s]")
 
 
 class SsmStudy(StrictModel):
     """SSM of several orders, identified from one free drive."""
 
-    train_duration: Positive = Field(description="[s]")
+    train_duration: Positive = Field(description="duration of the training drive [s]")
     largest_order: int = Field(ge=2, le=5)
     test_drives: Count
     free_drives: Count
-    free_duration: Positive = Field(description="[s]")
+    free_duration: Positive = Field(description="duration of a free drive [s]")
     paper_range: PaperRange
 
 
 class LongerTraining(StrictModel):
-    """Settings of a training that differ from the paper."""
+    """Training settings that differ from those of the paper."""
 
     dropout: float = Field(ge=0, lt=1)
     decay: float = Field(ge=0)
@@ -203,9 +203,9 @@ class LongerTraining(StrictModel):
 class NetworkStudy(StrictModel):
     """LSTM and SSM, identified from one free drive, and networks of Table 2."""
 
-    train_duration: Positive = Field(description="[s]")
+    train_duration: Positive = Field(description="duration of the training drive [s]")
     free_drives: Count
-    free_duration: Positive = Field(description="[s]")
+    free_duration: Positive = Field(description="duration of a free drive [s]")
     paper_range: PaperRange
     rows: tuple[tuple[int, ...], ...] = Field(description="rows of Table 2, in groups that are trained sequentially")
     longer: LongerTraining
@@ -216,7 +216,7 @@ class CostStudy(StrictModel):
 
     runs: int = Field(ge=2, description="number of runs; a standard deviation needs two")
     steps: Count
-    simulation_steps: dict[str, Count] = Field(description="number of steps of a whole simulation by model")
+    simulation_steps: dict[str, Count] = Field(description="number of steps of a complete simulation by model")
 
 
 class DriveStudy(StrictModel):
@@ -231,18 +231,18 @@ class DriveStudy(StrictModel):
 
 
 class TrackStudy(StrictModel):
-    """Drives of P3's tests, and drives with constant speed or constant yaw rate."""
+    """Settings of P3's tests, and of drives with constant speed or constant yaw rate."""
 
     surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
     tests: Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=3)] = Field(
-        description="v [m/s], yaw rate [rad/s]"
+        description="v [m/s] and yaw rate [rad/s] of each test"
     )
     duration: Positive = Field(description="duration of a drive [s]")
     settling: Positive = Field(description="initial part of a drive that is not evaluated [s]")
     v: Positive = Field(description="constant speed [m/s]")
     yaw_rate: Positive = Field(description="constant yaw rate [rad/s]")
-    yaw_rates: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[rad/s]")
-    speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
+    yaw_rates: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="varied yaw rates [rad/s]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="varied speeds [m/s]")
 
 
 class ReproduceSettings(StrictModel):

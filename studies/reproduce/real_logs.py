@@ -1,4 +1,4 @@
-"""Real logs: files, mappings, and the division into rows for fitting and for validation."""
+"""Logs of real robots: files, mappings, and division into rows for fitting and for validation."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class RealLog(StrictModel):
     """Log of a real robot."""
 
     robot: str
-    file: str = Field(description="path inside the folder of the data")
+    file: str = Field(description="path relative to the folder of the data")
     mapping: str
 
 
 class Protocol(StrictModel):
-    """Logs, and their division."""
+    """Logs and their division into rows for fitting and for validation."""
 
     share: Annotated[float, Field(gt=0, lt=1)] = Field(description="share of the rows for fitting [-]")
     logs: dict[str, RealLog]
@@ -33,7 +33,7 @@ class Protocol(StrictModel):
     def log(self, name: str) -> RealLog:
         """Return a log by name; raise ConfigError if the name is unknown."""
         if name not in self.logs:
-            raise ConfigError(f"unknown log '{name}': give one of {', '.join(self.logs)}")
+            raise ConfigError(f"unknown log '{name}': use one of {', '.join(self.logs)}")
         return self.logs[name]
 
 
@@ -44,26 +44,25 @@ def load_protocol() -> Protocol:
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
-    """Divide a log into the first `share` [-] of its rows and the rest; a row is a sample with a new gyro reading.
+    """Divide a log into the first `share` [-] of its rows and the rest; rows are samples with a new gyro reading.
 
     Parts with fewer than 20 readings of a sensor are omitted.
     """
-    rows = [np.asarray(record.fresh_yaw_rate) for record in records]
-    left = round(share * sum(int(row.sum()) for row in rows))
-    first: list[Record] = []
-    last: list[Record] = []
-    for record, row in zip(records, rows, strict=True):
-        count = len(row)
-        cut = (
-            count if left >= row.sum() else int(np.searchsorted(np.cumsum(row), left, side="right")) if left > 0 else 0
-        )
-        left -= int(row.sum())
-        for start, end, into in ((0, cut, first), (cut, count, last)):
+    is_row = [np.asarray(record.fresh_yaw_rate) for record in records]
+    remaining = round(share * sum(int(mask.sum()) for mask in is_row))
+    training: list[Record] = []
+    validation: list[Record] = []
+    for record, mask in zip(records, is_row, strict=True):
+        count = len(mask)
+        split = int(np.searchsorted(np.cumsum(mask), remaining, side="right")) if remaining > 0 else 0
+        cut = count if remaining >= mask.sum() else split
+        remaining -= int(mask.sum())
+        for start, end, part_list in ((0, cut, training), (cut, count, validation)):
             if end > start and _readings(part := record.part(start, end)) >= _MIN_READINGS:
-                into.append(part)
-    return first, last
+                part_list.append(part)
+    return training, validation
 
 
 def _readings(record: Record) -> int:
-    """Return the minimum number of readings over the sensors."""
+    """Count the readings of the sensor with the fewest readings."""
     return min(int(np.sum(mask)) for mask in (record.fresh_twist, record.fresh_yaw_rate) if mask is not None)

@@ -18,26 +18,26 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderRow
 from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from studies.reproduce.drives import QUANTITIES, STATISTICS, PathError, RobotLogs, pose_error, predict_path, sampled
+from studies.reproduce.drives import QUANTITIES, STATISTICS, PathError, RobotLogs, discretise, pose_error, predict_path
 from studies.reproduce.published import PaperFinding, Published, SsmStudy, as_flags
 
 PAPERS_ORDER = 2
 """Order that the paper selects."""
 IDENTIFIED, PRINTED = "identified", "as printed"
-"""SSM of this order identified from our drive, and the matrices printed in the paper."""
+"""Names of the SSM of this order identified from a simulated drive, and of the matrices printed in the paper."""
 
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)
-_HIGHEST = 5
+_MAX_ORDER = 5
 FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
 """Headings of `VelocityFit.values`."""
 _PUBLISHED = "published"
 _FAST = "fast free drives"
 _DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
-"""Decimal places of FIT and RMSE by whether the values are from the paper."""
+"""Decimal places of FIT and RMSE; the key is True for values of the paper."""
 
 Pair = tuple[float, float]
-"""Values of v and omega."""
+"""Values for v and omega."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class VelocityFit:
 
 @dataclass(frozen=True)
 class OrderResult:
-    """Result of one order; `bic` is Schwarz's information criterion minus its minimum over all orders."""
+    """Errors of one order; `bic` is Schwarz's information criterion minus its minimum over all orders."""
 
     order: int
     train: VelocityFit
@@ -73,15 +73,15 @@ class FreeDrive:
 
     @property
     def values(self) -> list[float]:
-        """(12,) FIT and RMSE of v and omega, then the statistics of position and heading."""
+        """FIT and RMSE of v and omega, then the statistics of position and heading (12 values)."""
         return [*self.velocity.values, *self.odometry.position.statistics, *self.odometry.heading.statistics]
 
 
 @dataclass(frozen=True)
 class SsmResult:
-    """Result of one repetition: all orders, the chosen order with the reason, and the free drives by model.
+    """Errors of all orders in one repetition, the chosen order with the reason, and free drives by model.
 
-    `full_range` are free drives with the speed range of the paper, for an SSM identified from such a drive.
+    `full_range` contains free drives with the speed range of the paper; its SSM is identified from such a drive.
     """
 
     repetition: int
@@ -93,7 +93,7 @@ class SsmResult:
 
 
 def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
-    """Identify every order from one free drive, and predict other drives."""
+    """Identify an SSM of every order from one free drive, and predict other drives."""
     logs = RobotLogs(repetition)
     train = logs.free(1, study.train_duration)
     test = logs.free(study.test_drives, study.free_duration)
@@ -104,7 +104,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
     fast_drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
     return SsmResult(
         repetition,
-        tuple(_order(number, row, train, test) for number, row in enumerate(choice.rows, start=1)),
+        tuple(_order_result(number, row, train, test) for number, row in enumerate(choice.rows, start=1)),
         choice.order,
         choice.reason,
         _predict_drives(identified, drives),
@@ -117,12 +117,12 @@ def _predict_drives(identified: IdentifiedModel, drives: Sequence[Record]) -> di
     return {name: tuple(free_drive(system, drive) for drive in drives) for name, system in systems.items()}
 
 
-def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
+def _order_result(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
     identified: IdentifiedModel = row.identified
     return OrderResult(
         number,
-        _velocity(identified.system, train),
-        _velocity(identified.system, test),
+        _velocity_fit(identified.system, train),
+        _velocity_fit(identified.system, test),
         row.bic,
         lines(identified.warnings),
     )
@@ -131,11 +131,11 @@ def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[R
 def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
     """Compute the errors of a linear model on a drive."""
     pose = np.asarray(drive.pose)
-    path = predict_path(sampled(system, drive.dt), drive.command, pose[0])
-    return FreeDrive(_velocity(system, [drive]), pose_error(path, pose))
+    path = predict_path(discretise(system, drive.dt), drive.command, pose[0])
+    return FreeDrive(_velocity_fit(system, [drive]), pose_error(path, pose))
 
 
-def _velocity(system: LinearSystem, records: Sequence[Record]) -> VelocityFit:
+def _velocity_fit(system: LinearSystem, records: Sequence[Record]) -> VelocityFit:
     validation = validate(system, records)
     return VelocityFit(_pair(validation.fit_percent), _pair(validation.rmse))
 
@@ -146,39 +146,42 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
 
 
 def published_system(model: VelocityModel) -> LinearSystem:
-    """Convert a published model for the comparison with logs, without sensor offset and limit."""
+    """Convert a published model to a system without sensor offsets and limits, for the comparison with logs."""
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
 
 def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[PaperFinding]:
-    """Check the choice of order, and the paper's order on free drives; skip orders that were not run."""
+    """Evaluate P1's findings on the order and on free drives; skip findings on orders that were not run."""
     fits = {
         order: np.array([result.orders[order - 1].test.fit_percent for result in results])
         for order in range(PAPERS_ORDER, len(results[0].orders) + 1)
     }
     printed = {order: np.array(row.values[:2]) for order, row in published.orders.items()}
-    every, rules = set(printed) <= set(fits), published.rules
+    has_all_orders, rules = set(printed) <= set(fits), published.rules
     findings = (
-        [_worthwhile(fits, printed, rules.worthwhile_fit_percent), _best(fits, printed, rules.significant_fit_percent)]
-        if every
+        [
+            _improvement(fits, printed, rules.worthwhile_fit_percent),
+            _best_fit(fits, printed, rules.significant_fit_percent),
+        ]
+        if has_all_orders
         else []
     )
-    if _HIGHEST in fits:
-        findings.append(_overfits(fits, printed, rules.significant_fit_percent))
+    if _MAX_ORDER in fits:
+        findings.append(_overfit(fits, printed, rules.significant_fit_percent))
     return [
         *findings,
-        _chosen(results),
-        _free_drives("on free drives", [result.free_drives[IDENTIFIED] for result in results], published),
-        _free_drives(f"on {_FAST}", [result.full_range[IDENTIFIED] for result in results], published),
+        _choice_finding(results),
+        _free_drive_finding("on free drives", [result.free_drives[IDENTIFIED] for result in results], published),
+        _free_drive_finding(f"on {_FAST}", [result.full_range[IDENTIFIED] for result in results], published),
     ]
 
 
-def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], threshold: float) -> PaperFinding:
+def _improvement(fits: dict[int, FloatArray], printed: dict[int, FloatArray], threshold: float) -> PaperFinding:
     gains = np.array([fits[order] - fits[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
     published = np.array([printed[order] - printed[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
     maximum = gains.mean(axis=1).max(axis=0)
     return PaperFinding(
-        f"orders 3 and 4 bring less than {threshold:g} points of test FIT over order 2, in v and in omega",
+        f"orders 3 and 4 improve test FIT by less than {threshold:g} points over order 2, in v and in omega",
         _TABLE,
         "at most {:+.2f} and {:+.2f}".format(*published.max(axis=0)),
         "at most {:+.3f} and {:+.3f}".format(*maximum),
@@ -186,36 +189,36 @@ def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], thr
     )
 
 
-def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
+def _best_fit(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
     orders = list(fits)
     ours = np.array([fits[order].mean(axis=1) for order in orders])
     paper = np.array([printed[order].mean() for order in orders])
-    winner = orders[int(paper.argmax())]
+    best = orders[int(paper.argmax())]
     spread = float(np.ptp(ours.mean(axis=1)))
     return PaperFinding(
-        f"order {winner} has the best test FIT by {margin:g} points or more (mean of v and omega, orders 2 to 5)",
+        f"order {best} has the best test FIT by {margin:g} points or more (mean of v and omega, orders 2 to 5)",
         _TABLE,
-        f"order {winner}; orders differ by {np.ptp(paper):.3f} points",
+        f"order {best}; orders differ by {np.ptp(paper):.3f} points",
         f"order {', '.join(str(orders[i]) for i in ours.argmax(axis=0))} by repetition; "
         f"orders differ by {spread:.3f} points",
-        as_flags(ours[orders.index(winner)] >= np.delete(ours, orders.index(winner), axis=0).max(axis=0) + margin),
+        as_flags(ours[orders.index(best)] >= np.delete(ours, orders.index(best), axis=0).max(axis=0) + margin),
     )
 
 
-def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
-    fall = fits[_HIGHEST][:, 1] - fits[PAPERS_ORDER][:, 1]
+def _overfit(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
+    difference = fits[_MAX_ORDER][:, 1] - fits[PAPERS_ORDER][:, 1]
     return PaperFinding(
         f"order 5 explains omega worse than order 2 by {margin:g} points or more (test FIT)",
         _TABLE,
-        f"{printed[_HIGHEST][1] - printed[PAPERS_ORDER][1]:+.2f} points",
-        f"{fall.mean():+.3f} points",
-        as_flags(fall <= -margin),
+        f"{printed[_MAX_ORDER][1] - printed[PAPERS_ORDER][1]:+.2f} points",
+        f"{difference.mean():+.3f} points",
+        as_flags(difference <= -margin),
     )
 
 
-def _chosen(results: Sequence[SsmResult]) -> PaperFinding:
+def _choice_finding(results: Sequence[SsmResult]) -> PaperFinding:
     return PaperFinding(
-        f"order {PAPERS_ORDER} is the choice (ours: the lowest order within a quarter point of the best mean test FIT)",
+        f"order {PAPERS_ORDER} is chosen (here: the lowest order within a quarter point of the best mean test FIT)",
         "P1, text on Table 1",
         f"order {PAPERS_ORDER}",
         f"order {', '.join(str(result.chosen) for result in results)} by repetition",
@@ -223,17 +226,17 @@ def _chosen(results: Sequence[SsmResult]) -> PaperFinding:
     )
 
 
-def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> PaperFinding:
+def _free_drive_finding(drive_kind: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> PaperFinding:
     # (repetitions, drives, 2)
     fit = np.array([[drive.velocity.fit_percent for drive in drives] for drives in results])
     threshold = published.rules.good_fit_percent
-    good = (fit > threshold).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
+    holds = (fit > threshold).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
     return PaperFinding(
-        f"{where} order 2 explains v and omega above {threshold:g} % each, and v better than omega",
+        f"{drive_kind}, the FIT of order 2 exceeds {threshold:g} % in v and omega, and v is better than omega",
         "P1, Table 3",
         "{:.2f} and {:.2f} %".format(*published.free_drives_average.values[:2]),
         "{:.2f} and {:.2f} %".format(*fit.mean(axis=(0, 1))),
-        as_flags(good),
+        as_flags(holds),
     )
 
 
@@ -247,17 +250,18 @@ def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
         train = np.mean([result.orders[k].train.fit_percent for result in results], axis=0)
         bic = float(np.mean([result.orders[k].bic for result in results]))
         rows.append((str(first.order), *paper, *test, *_cells(train), number(bic, 0)))
-    on_test = (*(f"published {name}" for name in FIT_COLUMNS), *FIT_COLUMNS)
-    on_train = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
+    test_columns = (*(f"published {name}" for name in FIT_COLUMNS), *FIT_COLUMNS)
+    train_columns = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
     note = (
-        "Published: P1, Table 1, test. Ours: drives held out, pooled; mean over repetitions. Order 1 is a lower bound: "
-        "one state cannot follow both channels. Schwarz's criterion (train) minus its minimum over all orders."
+        "Published: P1, Table 1, test. Ours: pooled validation drives, mean over repetitions. Order 1 is a lower "
+        "bound: one state cannot describe both channels. Schwarz criterion: training drive, minus the minimum of all "
+        "orders."
     )
-    return Table("SSM by order", ("order", *on_test, *on_train), tuple(rows), note=note)
+    return Table("SSM by order", ("order", *test_columns, *train_columns), tuple(rows), note=note)
 
 
 def ssm_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
-    """Tabulate orders, and velocity and odometry errors on free drives: ours, at the paper's speeds, and its own."""
+    """Tabulate orders, and velocity and odometry errors on free drives with the default and the paper's speed range."""
     return [
         _order_table(results, published),
         *_drive_tables("free drives", [result.free_drives for result in results], published),
@@ -266,7 +270,7 @@ def ssm_tables(results: Sequence[SsmResult], published: Published) -> list[Table
 
 
 def _drive_tables(
-    where: str, results: Sequence[Mapping[str, tuple[FreeDrive, ...]]], published: Published
+    drive_kind: str, results: Sequence[Mapping[str, tuple[FreeDrive, ...]]], published: Published
 ) -> list[Table]:
     *paper, average = (
         np.array([*drive.values, *drive.odometry.position, *drive.odometry.heading])
@@ -275,14 +279,14 @@ def _drive_tables(
     lines = [(_PUBLISHED, f"experiment {k}", row) for k, row in enumerate(paper, start=1)]
     lines.append((_PUBLISHED, "average", average))
     for name in results[0]:
-        drives = np.array([free_drive_of_model.values for result in results for free_drive_of_model in result[name]])
+        drives = np.array([drive.values for result in results for drive in result[name]])
         lines += [(name, f"experiment {k}", row) for k, row in enumerate(drives[: len(paper)], start=1)]
         lines.append((name, f"average of {len(drives)}", drives.mean(axis=0)))
         if len(drives) > 1:
-            lines.append((name, "least to largest", np.array([drives.min(axis=0), drives.max(axis=0)])))
-    note = f"SSM of order 2. '{PRINTED}': the paper's matrices; our plant's firmware was calibrated to them."
-    if where == _FAST:
-        note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1; also identified from such a drive."
+            lines.append((name, "minimum to maximum", np.array([drives.min(axis=0), drives.max(axis=0)])))
+    note = f"SSM of order 2. '{PRINTED}': the paper's matrices, to which the firmware of the plant was calibrated."
+    if drive_kind == _FAST:
+        note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1, in these drives and in the training drive."
     names, errors = (
         ("model", "drive"),
         [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS],
@@ -290,10 +294,10 @@ def _drive_tables(
     fits = [(name, drive, *_ranges(row[..., :4], _DIGITS[name == _PUBLISHED])) for name, drive, row in lines]
     paths = [(name, drive, *_ranges(row[..., 4:], (2,) * len(errors))) for name, drive, row in lines]
     velocity = f"Published: P1, Table 3. {note}"
-    odometry = f"Published: P1, Table 4. From commands alone, against the true pose. {note}"
+    odometry = f"Published: P1, Table 4. Prediction from commands alone, relative to the true pose. {note}"
     return [
-        Table(f"SSM velocity on {where}", (*names, *FIT_COLUMNS), tuple(fits), len(names), velocity),
-        Table(f"SSM odometry on {where}", (*names, *errors), tuple(paths), len(names), odometry),
+        Table(f"SSM velocity on {drive_kind}", (*names, *FIT_COLUMNS), tuple(fits), len(names), velocity),
+        Table(f"SSM odometry on {drive_kind}", (*names, *errors), tuple(paths), len(names), odometry),
     ]
 
 
@@ -302,6 +306,6 @@ def _cells(values: FloatArray, rmse_digits: int = 2) -> list[str]:
 
 
 def _ranges(values: FloatArray, digits: tuple[int, ...]) -> list[str]:
-    """Format cells of one row (k,), or of two rows (2, k) joined by "to"."""
+    """Format the cells of one row (k,), or of a minimum and a maximum (2, k)."""
     rows = np.atleast_2d(values)
     return [" to ".join(number(float(row[k]), d) for row in rows) for k, d in enumerate(digits)]

@@ -1,4 +1,4 @@
-"""The papers' experiments on the simulated robot, compared with the papers' figures."""
+"""Study `reproduce`: the papers' experiments on the simulated robot, compared with the published values."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ class ReproduceResults:
     Attributes
     ----------
     mbm_sm, ssm, lstm
-        Results by repetition.
+        Results of each repetition.
     rows
         Networks of P1's Table 2, in groups.
     cost
         Costs by name of the model.
     virtual_track
-        Printed tests and their lines.
+        Printed tests and the lines through them.
     drive_models
-        Results by repetition, and by log.
+        Results of each repetition and of each log.
     driven_track
-        Results by surface.
+        Results on each surface.
     """
 
     mbm_sm: tuple[mbm_and_sm.MbmSmResult, ...] = ()
@@ -59,7 +59,7 @@ class ReproduceResults:
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
-    """Study of the parts of `settings` named in `only`; `data` is the folder of real logs, or None to skip them."""
+    """Study of the parts in `only`; `data` is the folder of the logs of real robots, or None to skip these logs."""
 
     name = "reproduce"
     title = "The papers repeated"
@@ -70,7 +70,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         self._data = data
 
     def plan(self) -> list[Task]:
-        """Plan the tasks, the longest first: a long task at the end would leave cores idle."""
+        """Plan the tasks, starting with the longest, because a long task at the end leaves cores idle."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
         tasks: list[Task] = []
@@ -94,74 +94,74 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
-        """Run repetitions in several processes, and then timed parts on an idle machine."""
-        timed = "cost" in self._only
-        bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * timed)
-        done = run_tasks(plan, jobs, bar.advance)
-        driven = sorted(
-            (finished for finished in done if isinstance(finished, drive_models.DriveModelsResult)),
-            key=lambda row: -row.repetition,
+        """Run repetitions in several processes, and then the timing on an idle machine."""
+        runs_cost = "cost" in self._only
+        bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * runs_cost)
+        results = run_tasks(plan, jobs, bar.advance)
+        drive_results = sorted(
+            (result for result in results if isinstance(result, drive_models.DriveModelsResult)),
+            key=lambda result: -result.repetition,
         )
-        tracked, published = "virtual_track" in self._only, load_published()
+        runs_virtual_track, published = "virtual_track" in self._only, load_published()
         return ReproduceResults(
-            ssm=tuple(result for result in done if isinstance(result, state_space.SsmResult)),
-            mbm_sm=tuple(result for result in done if isinstance(result, mbm_and_sm.MbmSmResult)),
-            lstm=tuple(result for result in done if isinstance(result, networks.NetworkResult)),
-            rows=tuple(result for result in done if isinstance(result, networks.NetworkRows)),
-            drive_models=tuple(driven),
-            driven_track=tuple(result for result in done if isinstance(result, virtual_track.DrivenTrack)),
-            cost=cost.measure_cost(self.settings.cost, bar.advance) if timed else None,
+            ssm=tuple(result for result in results if isinstance(result, state_space.SsmResult)),
+            mbm_sm=tuple(result for result in results if isinstance(result, mbm_and_sm.MbmSmResult)),
+            lstm=tuple(result for result in results if isinstance(result, networks.NetworkResult)),
+            rows=tuple(result for result in results if isinstance(result, networks.NetworkRows)),
+            drive_models=tuple(drive_results),
+            driven_track=tuple(result for result in results if isinstance(result, virtual_track.DrivenTrack)),
+            cost=cost.measure_cost(self.settings.cost, bar.advance) if runs_cost else None,
             virtual_track=virtual_track.check_virtual_track(published.virtual_track, published.rules.certain)
-            if tracked
+            if runs_virtual_track
             else None,
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Build the report: findings with their verdicts first, and all results except large paths and responses."""
+        """Build the report: findings with verdicts, and all results except paths, responses and motions."""
         parts = [part for part in PARTS if getattr(results, part)]
-        written = plain(results)
-        for result in [*written["mbm_sm"], *written["lstm"]]:
+        content = plain(results)
+        for result in [*content["mbm_sm"], *content["lstm"]]:
             for curves in ("paths", "responses", "motions"):
                 result.pop(curves, None)
         findings = evaluate_findings(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
-        where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
+        setup = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
             counted="one part" if len(parts) == 1 else f"{len(parts)} parts",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
                 "study": self.settings,
-                **written,
+                **content,
             },
-            facts=[f"Parts {', '.join(parts)} in {seconds} s; {where}."],
+            facts=[f"Parts {', '.join(parts)} in {seconds} s; {setup}."],
             tables=report_tables(results, findings_table(findings, len(self.settings.repetitions))),
-            figures=_drawings(results),
+            figures=_figures(results),
         )
 
 
 def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
-    """Build the tables of the parts that were run, with the findings first."""
+    """Build the tables of the parts that were run, starting with the findings."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
-    shown: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
+    parts: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
         (results.mbm_sm, mbm_and_sm.mbm_sm_tables),
         (results.ssm, state_space.ssm_tables),
         (rows, lambda part, published: [networks.row_table(part, published)]),
-        (results.lstm, networks.beside_tables),
+        (results.lstm, networks.free_drive_tables),
         (results.cost, lambda part, published: [cost.cost_table(part, published)]),
         (results.virtual_track, lambda part, _: [virtual_track.virtual_track_table(part)]),
         (results.driven_track, virtual_track.driven_track_tables),
         (results.drive_models, drive_models.drive_model_tables),
     ]
-    return [findings, *(table for part, tables in shown if part for table in tables(part, published))]
+    return [findings, *(table for part, tables in parts if part for table in tables(part, published))]
 
 
-def _drawings(results: ReproduceResults) -> dict[str, Draw]:
+def _figures(results: ReproduceResults) -> dict[str, Draw]:
     """Return the figures of the parts that were run."""
     from studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
 
-    shown: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
+    parts: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
         "odometry.png": (results.mbm_sm, figures.draw_odometry),
         "error-maps.png": (results.mbm_sm, figures.draw_error_maps),
         "responses.png": (results.mbm_sm, figures.draw_responses),
@@ -174,14 +174,14 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
         },
         "virtual-track.png": (results.virtual_track, figures.draw_virtual_track),
     }
-    return {name: partial(draw, part) for name, (part, draw) in shown.items() if part}
+    return {name: partial(draw, part) for name, (part, draw) in parts.items() if part}
 
 
 def evaluate_findings(results: ReproduceResults) -> list[PaperFinding]:
-    """Evaluate every rule for which `results` has the necessary parts."""
+    """Evaluate every finding for which `results` contains the necessary parts."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
-    decided: list[tuple[Any, Callable[[Any, Published], list[PaperFinding]]]] = [
+    rules_by_part: list[tuple[Any, Callable[[Any, Published], list[PaperFinding]]]] = [
         (results.mbm_sm, mbm_and_sm.mbm_sm_findings),
         (results.ssm, state_space.ssm_findings),
         (results.lstm or rows, lambda _, published: networks.network_findings(results.lstm, rows, published)),
@@ -190,18 +190,18 @@ def evaluate_findings(results: ReproduceResults) -> list[PaperFinding]:
         (results.driven_track, virtual_track.driven_track_findings),
         (results.drive_models, drive_models.drive_model_findings),
     ]
-    return [finding for part, rules in decided if part for finding in rules(part, published)]
+    return [finding for part, rules in rules_by_part if part for finding in rules(part, published)]
 
 
 def findings_table(findings: Sequence[PaperFinding], repetitions: int) -> Table:
-    """Tabulate every rule with its verdict."""
+    """Tabulate every finding with its verdict."""
     rows = tuple(
         (finding.claim, finding.source, finding.published, finding.plant, finding.verdict) for finding in findings
     )
     count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions with different drives and noise"
     note = (
-        f"From {count}. Holds: in all (yes), in none (no), or the number of repetitions; inconclusive: the values do "
-        "not decide it. Values are means over repetitions."
+        f"From {count}. Holds: in all repetitions (yes), in none (no), or in a number of them; inconclusive: the "
+        "values do not decide the finding. Values are means over repetitions."
     )
     columns = ("finding", "source", "published", "on our plant", "holds")
     return Table("Findings", columns, rows, text_columns=len(columns), note=note)

@@ -25,7 +25,7 @@ from studies.reproduce.published import PaperFinding, Published, PublishedTrack,
 
 @dataclass(frozen=True)
 class TrackLine:
-    """track = p1 |yaw rate| + p0, with the standard deviations of both and the correlation coefficient.
+    """Line track = p1 |yaw rate| + p0 with standard deviations and correlation coefficient.
 
     Attributes
     ----------
@@ -46,21 +46,21 @@ class TrackLine:
     correlation: float = float("nan")
 
     def misfit(self, tests: FloatArray) -> float:
-        """Compute the RMS distance [m] of the tracks of tests (n, 2) from the line."""
+        """Compute the RMS difference [m] between the tracks of tests (n, 2) and the line."""
         return float(np.sqrt(np.mean((tests[:, 1] - self.p1 * np.abs(tests[:, 0]) - self.p0) ** 2)))
 
 
 @dataclass(frozen=True)
 class VirtualTrackResult:
-    """Tests as printed and with exchanged tracks, (n, 2) each, and the lines: printed, and fitted to both.
+    """Printed tests (n, 2), tests with exchanged tracks (n, 2), the printed line, and lines fitted to both.
 
     Attributes
     ----------
     by_radius, by_radius_exchanged
-        Correlation of the tracks, printed and exchanged, with the tracks that follow from the printed radii: without
-        side-slip, driven over kinematic radius equals virtual over true track.
+        Correlation of the printed and of the exchanged tracks with the tracks that follow from the printed radii:
+        without side-slip, the ratio of driven and kinematic radius equals the ratio of virtual and true track.
     exchanges, fitting
-        Number of double exchanges of tracks, and of double exchanges that also give the printed p1.
+        Number of double exchanges of tracks, and number of those that also result in the printed p1.
     """
 
     tests: FloatArray
@@ -74,38 +74,38 @@ class VirtualTrackResult:
     fitting: int
 
 
-def check_virtual_track(published: PublishedTrack, certain: float) -> VirtualTrackResult:
-    """Fit lines to the printed tests; two values agree within `certain` standard deviations."""
+def check_virtual_track(published: PublishedTrack, threshold: float) -> VirtualTrackResult:
+    """Fit lines to the printed tests; two values agree within `threshold` standard deviations."""
     tests, radii = np.array(published.tests), np.array(published.radii)
     exchanged = exchange(tests, [(first - 1, second - 1) for first, second in published.exchanged])
     printed = TrackLine(published.p1, published.p0)
-    implied = published.p0 * radii[:, 1] / radii[:, 0]
-    single = itertools.combinations(range(len(tests)), 2)
-    double = [pairs for pairs in itertools.combinations(single, 2) if not set(pairs[0]) & set(pairs[1])]
+    implied_tracks = published.p0 * radii[:, 1] / radii[:, 0]
+    exchanges = itertools.combinations(range(len(tests)), 2)
+    doubles = [pairs for pairs in itertools.combinations(exchanges, 2) if not set(pairs[0]) & set(pairs[1])]
     return VirtualTrackResult(
         tests,
         exchanged,
         printed,
         fit_line(tests),
         fit_line(exchanged),
-        float(np.corrcoef(implied, tests[:, 1])[0, 1]),
-        float(np.corrcoef(implied, exchanged[:, 1])[0, 1]),
-        len(double),
-        sum(agree(printed, fit_line(exchange(tests, pairs)), certain) for pairs in double),
+        float(np.corrcoef(implied_tracks, tests[:, 1])[0, 1]),
+        float(np.corrcoef(implied_tracks, exchanged[:, 1])[0, 1]),
+        len(doubles),
+        sum(agree(printed, fit_line(exchange(tests, pairs)), threshold) for pairs in doubles),
     )
 
 
 def exchange(tests: FloatArray, pairs: Iterable[tuple[int, int]]) -> FloatArray:
     """Return tests (n, 2) with the tracks of pairs of tests exchanged."""
-    changed = tests.copy()
+    exchanged = tests.copy()
     for first, second in pairs:
-        changed[[first, second], 1] = tests[[second, first], 1]
-    return changed
+        exchanged[[first, second], 1] = tests[[second, first], 1]
+    return exchanged
 
 
-def agree(printed: TrackLine, fitted: TrackLine, certain: float) -> bool:
-    """Return True if the slopes are within `certain` standard deviations of each other."""
-    return abs(fitted.p1 - printed.p1) < certain * fitted.p1_deviation
+def agree(printed: TrackLine, fitted: TrackLine, threshold: float) -> bool:
+    """Return True if the slopes are within `threshold` standard deviations of each other."""
+    return abs(fitted.p1 - printed.p1) < threshold * fitted.p1_deviation
 
 
 def fit_line(tests: FloatArray) -> TrackLine:
@@ -121,31 +121,31 @@ def fit_line(tests: FloatArray) -> TrackLine:
 
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
-    """Check whether the printed line can result from the printed tests."""
-    certain, printed = published.rules.certain, result.printed
-    within = f"within {certain:g} standard deviations"
+    """Evaluate whether the printed line can result from the printed tests."""
+    threshold, printed = published.rules.certain, result.printed
+    within = f"within {threshold:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
-    gives = agree(printed, result.fitted_exchanged, certain)
-    # The exchange is an explanation only if few others give the same fit, and if the printed radii support it.
-    explains = (
+    has_agreement = agree(printed, result.fitted_exchanged, threshold)
+    # The exchange explains p1 only if few other exchanges fit as well, and if the printed radii support it.
+    is_explanation = (
         result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
     )
     return [
         PaperFinding(
-            f"the printed tests give the printed p1 {within}",
+            f"the printed tests result in the printed p1 {within}",
             source,
             paper,
-            f"{_slope(result.fitted)} (no drive: the paper's rows)",
-            (agree(printed, result.fitted, certain),),
+            f"{_slope(result.fitted)} (from the paper's rows, not from drives)",
+            (agree(printed, result.fitted, threshold),),
         ),
         PaperFinding(
-            f"tracks exchanged by mistake (tests 1, 2 with 7, 8; ours) explain the printed p1 {within}",
+            f"tracks exchanged by mistake (tests 1, 2 with 7, 8) explain the printed p1 {within}",
             source,
             paper,
-            f"{_slope(result.fitted_exchanged)}; so do {result.fitting} of {result.exchanges} double exchanges; the "
-            f"tracks that the radii imply correlate {result.by_radius:+.2f} with the printed ones, "
-            f"{result.by_radius_exchanged:+.2f} with the exchanged",
-            () if gives and not explains else (gives,),
+            f"{_slope(result.fitted_exchanged)}; {result.fitting} of {result.exchanges} double exchanges fit; the "
+            f"correlation with the tracks that follow from the radii is {result.by_radius:+.2f} for the printed and "
+            f"{result.by_radius_exchanged:+.2f} for the exchanged tracks",
+            () if has_agreement and not is_explanation else (has_agreement,),
         ),
     ]
 
@@ -159,12 +159,12 @@ def virtual_track_table(result: VirtualTrackResult) -> Table:
     rows = (
         ("printed coefficients", *_cells(result.printed, result)),
         ("least squares over the printed tests", *_cells(result.fitted, result)),
-        ("the same, tracks of tests 1, 2 and 7, 8 exchanged", *_cells(result.fitted_exchanged, result)),
+        ("least squares, tracks of tests 1, 2 and 7, 8 exchanged", *_cells(result.fitted_exchanged, result)),
     )
     columns = ("line", "p1 [m s]", "p0 [m]", "correlation [-]", "misfit, as printed [mm]", "misfit, exchanged [mm]")
     note = (
-        "track = p1 |yaw rate| + p0 (P3, section 3 and Table 1), with standard deviations; RMS distance of the tests' "
-        "tracks from each line. Data of the paper only, without drives of ours."
+        "track = p1 |yaw rate| + p0 (P3, section 3 and Table 1), with standard deviations. Misfit: RMS difference "
+        "between the tests' tracks and the line. All data are from the paper."
     )
     return Table("Virtual track", columns, rows, note=note)
 
@@ -184,47 +184,47 @@ def _with_deviation(value: float, deviation: float) -> str:
 
 
 _SEED = 400
-_ALONE = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", "at constant yaw rate, over v")
+_SERIES = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", "at constant yaw rate, over v")
 
 
 @dataclass(frozen=True)
 class DrivenTrack:
-    """Result on one surface.
+    """Virtual tracks of the simulated robot on one surface.
 
     Attributes
     ----------
     surface
         Name of the surface.
     tests, alone
-        (n, 4) v [m/s], yaw rate [rad/s], virtual track [m] and wheel speed over true speed [-] of the paper's tests,
-        and of drives with constant v or constant yaw rate.
+        Results (n, 4) of the paper's tests, and of drives with constant v or constant yaw rate: v [m/s], yaw rate
+        [rad/s], virtual track [m], and ratio of wheel speed and true speed [-].
     line
         Line through the tests.
     """
 
     surface: str
     tests: FloatArray
-    alone: dict[str, FloatArray]
+    series: dict[str, FloatArray]
     line: TrackLine
 
     @property
     def slopes(self) -> dict[str, TrackLine]:
-        """Lines through the drives with one constant quantity, as functions of the varying quantity."""
-        return {name: fit_line(rows[:, [0 if name == _ALONE[2] else 1, 2]]) for name, rows in self.alone.items()}
+        """Lines through each series of drives, as functions of the varied quantity."""
+        return {name: fit_line(rows[:, [0 if name == _SERIES[2] else 1, 2]]) for name, rows in self.series.items()}
 
     @property
     def by_acceleration(self) -> TrackLine:
         """Line of the virtual track over (v times yaw rate)^2 [m^2/s^4] through all drives."""
-        rows = np.vstack([self.tests, *self.alone.values()])
+        rows = np.vstack([self.tests, *self.series.values()])
         return fit_line(np.column_stack([(rows[:, 0] * rows[:, 1]) ** 2, rows[:, 2]]))
 
 
 def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
-    """Run the paper's tests, and drives with one quantity held constant, on one surface."""
+    """Run the paper's tests, and drives with constant v or constant yaw rate, on one surface."""
     v, yaw = study.v, study.yaw_rate
-    alone = dict(
+    series = dict(
         zip(
-            _ALONE,
+            _SERIES,
             (
                 [(0.0, yaw_rate) for yaw_rate in study.yaw_rates],
                 [(v, yaw_rate) for yaw_rate in study.yaw_rates],
@@ -237,7 +237,7 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
     return DrivenTrack(
         surface,
         tests,
-        {name: _drive_twists(study, surface, twists) for name, twists in alone.items()},
+        {name: _drive_twists(study, surface, twists) for name, twists in series.items()},
         fit_line(tests[:, 1:3]),
     )
 
@@ -245,18 +245,18 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
 def _drive_twists(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
     """Drive commands v [m/s], omega [rad/s]; return results (n, 4) as in `DrivenTrack.tests`."""
     robot, rows = load_robot(), []
-    steps, settled = (round(time / robot.sample_time) for time in (study.duration, study.settling))
-    ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled))[:, None]
+    steps, settled_steps = (round(time / robot.sample_time) for time in (study.duration, study.settling))
+    ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled_steps))[:, None]
     for index, twist in enumerate(twists):
         drive = drive_open_loop(make_plant("mujoco", surface=surface, seed=_SEED + index), ramp * twist)
-        v, _, yaw = drive.true_twist[settled:].mean(axis=0)
-        wheels = drive.wheel_twist[settled:].mean(axis=0)
+        v, _, yaw = drive.true_twist[settled_steps:].mean(axis=0)
+        wheels = drive.wheel_twist[settled_steps:].mean(axis=0)
         rows.append((v, yaw, robot.track * wheels[1] / yaw, wheels[0] / v if twist[0] else np.nan))
     return np.array(rows)
 
 
 def driven_track_tables(results: Sequence[DrivenTrack], published: Published) -> list[Table]:
-    """Tabulate the tests with those of the paper, and the dependencies of the track."""
+    """Tabulate the measured and the published tests, and the dependence of the virtual track on v and yaw rate."""
     paper, commands = published.virtual_track, results[0].tests
     rows = [
         (
@@ -267,17 +267,17 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
         )
         for k, (yaw, track) in enumerate(paper.tests[: len(commands)])
     ]
-    lines = [("P3, Epi.q", f"{paper.p1:.3f}", f"{paper.p0:.3f}", "-", *["-"] * (len(_ALONE) + 1))]
+    slope_rows = [("P3, Epi.q", f"{paper.p1:.3f}", f"{paper.p0:.3f}", "-", *["-"] * (len(_SERIES) + 1))]
     for result in results:
-        slopes = [_pm(1e3 * line.p1, 1e3 * line.p1_deviation, 1) for line in result.slopes.values()]
-        lines.append(
+        slopes = [_format_estimate(1e3 * line.p1, 1e3 * line.p1_deviation, 1) for line in result.slopes.values()]
+        slope_rows.append(
             (
                 result.surface,
-                _pm(result.line.p1, result.line.p1_deviation, 4),
-                _pm(result.line.p0, result.line.p0_deviation, 4),
+                _format_estimate(result.line.p1, result.line.p1_deviation, 4),
+                _format_estimate(result.line.p0, result.line.p0_deviation, 4),
                 f"{result.line.correlation:.2f}",
                 *slopes,
-                f"{_pm(1e3 * result.by_acceleration.p1, 1e3 * result.by_acceleration.p1_deviation, 0)} "
+                f"{_format_estimate(1e3 * result.by_acceleration.p1, 1e3 * result.by_acceleration.p1_deviation, 0)} "
                 f"({result.by_acceleration.correlation:.2f})",
             )
         )
@@ -289,13 +289,13 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
             "Driven virtual track",
             tuple(columns),
             tuple(rows),
-            note="The paper's commands on the simulated robot (true track 0.330 m), true v and yaw rate; each in open "
-            "loop, steady part.",
+            note="Steady part of open-loop drives of the simulated robot (true track 0.330 m) with the paper's "
+            "commands; v and yaw rate are true values.",
         ),
         Table(
-            "What the virtual track depends on",
+            "Dependence of the virtual track",
             (
-                "floor",
+                "surface",
                 "p1 [m s]",
                 "p0 [m]",
                 "correlation [-]",
@@ -304,48 +304,50 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
                 "constant yaw rate, over v [mm s/m]",
                 "over (v yaw rate)^2 [mm s^4/m^2] (correlation)",
             ),
-            tuple(lines),
+            tuple(slope_rows),
             note="Line through the eight tests, then slopes of drives with one constant quantity, with standard "
-            "deviations; the last column over all drives.",
+            "deviations. The last column is the slope over all drives.",
         ),
     ]
 
 
-def _pm(value: float, deviation: float, digits: int) -> str:
+def _format_estimate(value: float, deviation: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {deviation:.{digits}f}"
 
 
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
-    """Check that P3's line has the same sign on the simulated robot, and its causes; one verdict per surface."""
-    certain, paper = published.rules.certain, published.virtual_track
-    floors = ", ".join(result.surface for result in results)
-    spot, _, speed = _ALONE
+    """Evaluate the sign of P3's slope on the simulated robot, and its causes; one verdict per surface."""
+    threshold, paper = published.rules.certain, published.virtual_track
+    surfaces = ", ".join(result.surface for result in results)
+    spot, _, speed = _SERIES
     return [
         PaperFinding(
-            f"the virtual track grows with the yaw rate, by {certain:g} standard deviations or more ({floors})",
+            f"the virtual track grows with the yaw rate, by {threshold:g} standard deviations or more ({surfaces})",
             "P3, section 3",
             f"{paper.p1:.3f} m s",
-            "; ".join(f"{_pm(result.line.p1, result.line.p1_deviation, 4)} m s" for result in results),
-            tuple(result.line.p1 > certain * result.line.p1_deviation for result in results),
+            "; ".join(f"{_format_estimate(result.line.p1, result.line.p1_deviation, 4)} m s" for result in results),
+            tuple(result.line.p1 > threshold * result.line.p1_deviation for result in results),
         ),
         PaperFinding(
-            f"at constant yaw rate the virtual track does not depend on v, within {certain:g} standard deviations "
-            f"({floors})",
+            f"at constant yaw rate the virtual track does not depend on v, within {threshold:g} standard deviations "
+            f"({surfaces})",
             "P3's law",
-            "no v in it",
+            "the law does not contain v",
             "; ".join(
-                f"{_pm(1e3 * (s := result.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m" for result in results
+                f"{_format_estimate(1e3 * (s := result.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m"
+                for result in results
             ),
-            tuple(abs(result.slopes[speed].p1) < certain * result.slopes[speed].p1_deviation for result in results),
+            tuple(abs(result.slopes[speed].p1) < threshold * result.slopes[speed].p1_deviation for result in results),
         ),
         PaperFinding(
-            f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} deviations "
-            f"({floors})",
+            f"on the spot, the virtual track does not decrease with the yaw rate by {threshold:g} standard deviations "
+            f"or more ({surfaces})",
             "ours",
             "-",
             "; ".join(
-                f"{_pm(1e3 * (s := result.slopes[spot]).p1, 1e3 * s.p1_deviation, 1)} mm s" for result in results
+                f"{_format_estimate(1e3 * (s := result.slopes[spot]).p1, 1e3 * s.p1_deviation, 1)} mm s"
+                for result in results
             ),
-            tuple(result.slopes[spot].p1 > -certain * result.slopes[spot].p1_deviation for result in results),
+            tuple(result.slopes[spot].p1 > -threshold * result.slopes[spot].p1_deviation for result in results),
         ),
     ]

@@ -1,4 +1,4 @@
-"""Additional columns of a run, and the tables of the study."""
+"""Additional columns of a run, and tables and figure of the robustness study."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def market_cases(
 ) -> list[Case]:
     """List cases of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
-    With `tuning`, the robots are those whose seeds are not reserved. Controllers are configured with the values that
-    the robot's user states, and with `settings`, configuration values by dotted key.
+    With `tuning`, robots with seeds that are not reserved are used. Controllers are configured with the values that the
+    robot's user states, and with `settings`, configuration values by dotted key.
     """
     return [
         Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
@@ -51,8 +51,8 @@ def market_cases(
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Configuration key of the rate of false alarms [1/h]."""
 ROOM = 0.05
-"""Maximum lateral error of a run that stays on its path [m]: the band of Guffanti et al. 2026."""
-_GIVEN_UP = re.compile(r"([a-z ]+?) not used: ")
+"""Maximum lateral error of a run that stays on its path [m]; the band of Guffanti et al. 2026."""
+_UNUSED_SENSOR = re.compile(r"([a-z ]+?) not used: ")
 """Pattern of an unused sensor in a message of the controller."""
 _CONFIDENCE = 0.95
 _HOUR = 3600.0
@@ -66,10 +66,10 @@ def condition_columns(settled: float, case: Case, run: Run) -> dict[str, object]
     controller without an estimate. `given_up` counts events in which the controller stops using a sensor; without
     faulty sensors these are false alarms. `rate` is the configured rate of false alarms [1/h].
     """
-    late = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
+    settled_errors = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
     rate = dict(case.overrides).get(FALSE_ALARM_RATE, ControllerConfig().monitor.false_alarm_rate)
     return {
-        "late_lateral_m": float(np.max(late)) if late.size else float("nan"),
+        "late_lateral_m": float(np.max(settled_errors)) if settled_errors.size else float("nan"),
         "heading_nees": _heading_nees(run),
         "given_up": _count_unused_sensors(run),
         "within_room": run.metrics.lateral_max_m <= ROOM,
@@ -78,18 +78,18 @@ def condition_columns(settled: float, case: Case, run: Run) -> dict[str, object]
 
 
 def _count_unused_sensors(run: Run) -> int:
-    count, before = 0, frozenset[str]()
+    count, previous = 0, frozenset[str]()
     for message in run.messages:
-        now = frozenset(_GIVEN_UP.findall(message))
-        count += len(now - before)
-        before = now
+        current = frozenset(_UNUSED_SENSOR.findall(message))
+        count += len(current - previous)
+        previous = current
     return count
 
 
 def _heading_nees(run: Run) -> float:
     error, variance = wrap_angle(run.estimates[:, 2] - run.true_pose[:, 2]), run.estimate_deviations[:, 2] ** 2
-    known = variance > 0.0
-    return float(np.mean(error[known] ** 2 / variance[known])) if known.any() else float("nan")
+    has_estimate = variance > 0.0
+    return float(np.mean(error[has_estimate] ** 2 / variance[has_estimate])) if has_estimate.any() else float("nan")
 
 
 def study_tables(rows: DataFrame) -> list[Table]:
@@ -106,7 +106,7 @@ def study_tables(rows: DataFrame) -> list[Table]:
 
 
 def ratios(rows: DataFrame) -> dict[str, float]:
-    """Compute the mean position RMSE of each controller over that of the best one that completed every run.
+    """Compute the mean position RMSE of each controller, relative to the best controller that completed every run.
 
     The ratios are NaN if no controller completed every run.
     """
@@ -118,12 +118,12 @@ def ratios(rows: DataFrame) -> dict[str, float]:
 
 def _ratio_table(rows: DataFrame) -> Table:
     entries = [((name,), ratios(group)) for name, group in by(rows, "condition").items()]
-    columns = {name: _ratio(name) for name in by(rows, "driver")}
-    note = "Mean position RMSE over that of the best controller that completed every run of the condition."
-    return Table.build("Error over the best one's", ("condition",), columns, entries, note)
+    columns = {name: _ratio_cell(name) for name in by(rows, "driver")}
+    note = "Mean position RMSE, relative to the best controller that completed every run of the condition."
+    return Table.build("Error relative to the best controller", ("condition",), columns, entries, note)
 
 
-def _ratio(name: str) -> Callable[[Mapping[str, float]], str]:
+def _ratio_cell(name: str) -> Callable[[Mapping[str, float]], str]:
     return lambda row: number(row.get(name, float("nan")), 2)
 
 
@@ -134,11 +134,11 @@ def _message_table(rows: DataFrame) -> Table:
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
     note = "The most frequent message of the run with the most messages, and the share of ticks with any message."
     columns = {"ticks [%]": lambda row: number(row.message_percent, 0)}
-    return Table.build("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
+    return Table.build("Messages of the controllers", ("condition", "controller", "message"), columns, entries, note)
 
 
 def share_interval(count: int, total: int) -> tuple[float, float]:
-    """Compute Wilson's interval of 95 % of a share, from `count` of `total` [-]."""
+    """Compute Wilson's 95 % interval of the share `count` / `total` [-]."""
     interval = binomtest(count, total).proportion_ci(_CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
@@ -167,7 +167,7 @@ CELLS: Mapping[str, Cell] = {
 
 
 _MAX_RATIO = 10.0
-"""Ratio at which the colour scale ends."""
+"""Upper end of the colour scale of the ratios [-]."""
 
 
 def draw_ratios(rows: DataFrame, path: Path) -> None:
@@ -191,4 +191,4 @@ def draw_ratios(rows: DataFrame, path: Path) -> None:
                 is_dark = not values[i, k] > _MAX_RATIO**0.5
                 text = f"{ratio} ×" if is_incomplete else ratio
                 axes.text(k, i, text, ha="center", va="center", fontsize=6.5, color="white" if is_dark else "black")
-        figure.colorbar(mesh, ax=axes, label="position RMSE over the best one's", shrink=0.4)
+        figure.colorbar(mesh, ax=axes, label="position RMSE relative to the best controller", shrink=0.4)

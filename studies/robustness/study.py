@@ -28,7 +28,7 @@ OURS = "mpc"
 _SAMPLES = 1000
 """Number of samples of a path."""
 Plan = list[tuple[str, Case]]
-"""Names of the conditions, each with a case."""
+"""Pairs of the name of a condition and a case."""
 
 
 def turns_on_the_spot(trajectory: str) -> bool:
@@ -48,17 +48,17 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     settled
         Time after which the maximum lateral error is evaluated [s].
     controllers, models, trajectories, seeds
-        Names as in `bench.case.Case`.
+        Names and seeds as in `bench.case.Case`.
     robots
         Number of random robots to drive along each trajectory, in addition to the conditions.
     tuning
-        True for the robots for tuning, False for the reserved ones.
+        True to use the robots for tuning instead of the reserved robots.
     rates
         Additional rates of false alarms of the predictive controller on these robots [1/h].
     """
 
     name = "robustness"
-    title = "Tracking error on other robots, floors, loads and sensors"
+    title = "Tracking error on other robots, surfaces, loads and sensors"
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         rates: Sequence[float] = (),
     ) -> None:
         if robots and not conditions:
-            self.title = "Tracking error of robots drawn at random"  # type: ignore[misc]
+            self.title = "Tracking error of random robots"  # type: ignore[misc]
         self._robots, self._tuning, self._rates = robots, tuning, rates
         self._conditions, self._settled = conditions, settled
         self._controllers, self._models = controllers, models
@@ -84,8 +84,8 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         """Plan the cases; raise ConfigError or ValueError if one of them cannot be run."""
         drives = len(self._controllers) * len(self._models) + len(self._rates)
         check_count(self._robots * drives * len(self._trajectories))
-        several = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
-        check_count(math.prod(map(len, several)))
+        factors = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
+        check_count(math.prod(map(len, factors)))
         unknown = [name for name in self._controllers if name not in CONTROLLERS]
         if unknown:
             raise ConfigError(f"--controllers: unknown controller {not_among(unknown[0], CONTROLLERS)}")
@@ -103,7 +103,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         return plan + market
 
     def _market(self) -> Plan:
-        """Plan random robots: every controller at the configured rate of false alarms, and ours at the other rates."""
+        """Plan random robots: all controllers at the configured rate of false alarms, and mpc at additional rates."""
         if not self._robots:
             return []
         drivers = [
@@ -111,11 +111,11 @@ class RobustnessStudy(Study[Plan, DataFrame]):
             for controller in self._controllers
             for model in (self._models if controller not in PEERS else self._models[:1])
         ]
-        planned: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
-        planned += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
+        variants: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
+        variants += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
         return [
             (name, case)
-            for name, controller, model, settings in planned
+            for name, controller, model, settings in variants
             for trajectory in self._trajectories
             for case in market_cases(
                 self._robots,
@@ -129,7 +129,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         ]
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Run every case; only the columns that the study needs are stored."""
+        """Run every case; store only the columns that the study needs."""
         bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(condition_columns, self._settled))
@@ -148,7 +148,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
                 f"{', '.join(self._trajectories)} with the seeds {', '.join(map(str, self._seeds))}"
                 + (f", and {self._robots} robots of the market along each path." if self._robots else ".")
             ],
-            notes=[f"Errors: {STATISTICS}. Late: after {self._settled:g} s."],
+            notes=[f"Errors: {STATISTICS}. Settled: after {self._settled:g} s."],
             tables=study_tables(results),
             figures={"ratios.png": partial(draw_ratios, results)} if several else {},
         )

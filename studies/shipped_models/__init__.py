@@ -1,1 +1,1 @@
-"""Identification of the shipped models, calibration of the simulated robot, and tests on known parameters."""
+"""Identification of the shipped models, calibration of the simulated robot, and tests with known parameters."""

@@ -77,18 +77,18 @@ def load_calibration_parameters() -> CalibrationParameters:
 
 
 def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[PredictionFit]:
-    """Compute the free-run FIT of the target model on random drives of the plant, smoothed and in steps.
+    """Compute the free-run FIT of the target model on random drives of the plant, with smoothed and stepwise commands.
 
     Parameters
     ----------
     firmware
         Firmware parameters; by default the shipped ones.
     seeds
-        Seeds of the drives; by default those of the validation drives.
+        Seeds of the drives; by default the seeds of the validation drives.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
-    target = _target()
+    target = _target_model()
     fits = []
     for seed in seeds or parameters.held_out_seeds:
         for smooth in (True, False):
@@ -101,19 +101,19 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
 
 
 def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
-    """Compute the ratio of the target's error with a neighbouring value of each parameter to that of `firmware` [-].
+    """Compute the error of the target model for neighbouring values of each parameter, relative to `firmware` [-].
 
-    A parameter at its bound has one neighbour. If all ratios exceed one, the values are the best ones on the drives of
-    the calibration. `firmware` is the shipped one by default.
+    A parameter at its bound has one neighbour. If all ratios exceed one, no neighbouring value fits the calibration
+    drives better. `firmware` defaults to the shipped parameters.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
-    base_error, errors = _error(firmware), {}
+    base, errors = _cost(firmware), {}
     for name in Bounds.model_fields:
         low, high = getattr(parameters.bounds, name)
         value, step = getattr(firmware, name), parameters.neighbour * (high - low)
-        neighbours = [neighbour for neighbour in (value - step, value + step) if low <= neighbour <= high]
-        errors[name] = tuple(_error(firmware.model_copy(update={name: near})) / base_error for near in neighbours)
+        neighbours = [candidate for candidate in (value - step, value + step) if low <= candidate <= high]
+        errors[name] = tuple(_cost(firmware.model_copy(update={name: candidate})) / base for candidate in neighbours)
     return errors
 
 
@@ -127,7 +127,7 @@ def calibrate(
     Parameters
     ----------
     path
-        Parameter file to write; the shipped one by default.
+        Parameter file to write; by default the shipped file.
     date
         Date for the provenance; today by default.
     on_evaluation
@@ -152,17 +152,17 @@ def _fit_firmware(date: datetime.date, on_evaluation: Callable[[], None] | None)
     low, high = np.transpose([getattr(parameters.bounds, name) for name in names])
 
     def cost(scaled: FloatArray) -> float:
-        error = _error(_firmware(names, low + scaled * (high - low), {}))
+        error = _cost(_build_firmware(names, low + scaled * (high - low), {}))
         if on_evaluation is not None:
             on_evaluation()
         return error
 
-    # Quantisation makes the cost rough on a small scale, which a wide simplex averages out, but gradients do not.
+    # Quantisation makes the cost rough on a small scale. A wide simplex averages over this roughness; gradients do not.
     simplex = np.full((len(names) + 1, len(names)), 0.3) + 0.3 * np.eye(len(names) + 1, len(names), k=-1)
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5}
     solution = minimize(cost, simplex[0], method="Nelder-Mead", bounds=[(0, 1)] * len(names), options=options)
     values = low + solution.x * (high - low)
-    firmware = _firmware(names, values, {})
+    firmware = _build_firmware(names, values, {})
     held_out = validate_calibration(firmware)
     provenance: dict[str, object] = {
         "target": parameters.target,
@@ -176,7 +176,7 @@ def _fit_firmware(date: datetime.date, on_evaluation: Callable[[], None] | None)
             for fit in held_out
         ],
     }
-    return _firmware(names, values, provenance)
+    return _build_firmware(names, values, provenance)
 
 
 def _drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
@@ -184,32 +184,32 @@ def _drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
 
     friction = load_surface("default").friction
     if friction is None:
-        raise ConfigError("surface 'default' has no friction: the calibration drives on it")
+        raise ConfigError("surface 'default' has no friction; the calibration drives require it")
     return drive_open_loop(
         MujocoPlant(friction, load_sensor_set("default"), seed, firmware=firmware), random_commands(seed, smooth)
     )
 
 
 @cache
-def _target() -> DiscreteModel:
+def _target_model() -> DiscreteModel:
     return load_linear_model(load_calibration_parameters().target).discretise(load_robot().sample_time)
 
 
-def _error(firmware: Firmware) -> float:
-    """Compute the error energy of the target on the drives of the calibration."""
+def _cost(firmware: Firmware) -> float:
+    """Compute the error energy of the target model on the calibration drives."""
     parameters = load_calibration_parameters()
-    target = _target()
+    target = _target_model()
     return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
 
 
 def _squared_error(drive: OpenLoopDrive, target: DiscreteModel) -> float:
-    """Compute the error energy of the target on one drive; each channel is divided by the energy of its prediction."""
+    """Compute the error energy of the target model on a drive, relative to the energy of the prediction per channel."""
     predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
     return float(np.sum(np.sum((drive.output - predicted) ** 2, axis=0) / energy))
 
 
-def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object]) -> Firmware:
+def _build_firmware(names: list[str], values: FloatArray, provenance: dict[str, object]) -> Firmware:
     rounded = {name: float(f"{value:.{_SIGNIFICANT_DIGITS}g}") for name, value in zip(names, values, strict=True)}
     return Firmware(**rounded, provenance=provenance)
 
@@ -217,7 +217,7 @@ def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object
 _HEADER = """\
 # Firmware of the digital twin, written by studies.shipped_models.calibration.calibrate(). SI units.
 # Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
-# Remaining differences: the plant has a dead time of 40 ms and the target none, so steps fit less well than smooth
+# Remaining differences: the plant has a dead time of 40 ms and the target has none, so steps fit less well than smooth
 # drives; the target couples v_ref into omega, whereas the plant is almost symmetric; yaw gain and side-slip of the
 # plant depend on speed, friction and turn radius, whereas the target is linear.
 """
@@ -236,17 +236,16 @@ def calibration_table(firmware: Firmware) -> Table:
     """Tabulate the FIT of the target model, simulated from commands alone, on validation drives."""
     fits = validate_calibration(firmware)
     rows = [
-        (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
+        (str(fit.seed), "smoothed" if fit.smooth else "stepwise", f"{fit.v:.2f}", f"{fit.omega:.2f}")
         for fit in sorted(fits, key=lambda fit: not fit.smooth)
     ]
-    title = "The published SSM against the simulated robot, drives held out from calibration"
+    title = "The published SSM against the simulated robot on validation drives"
     return Table(title, ("seed", "set-points", "FIT v [%]", "FIT omega [%]"), tuple(rows), text_columns=2)
 
 
 def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
     """Tabulate the results of `neighbour_errors`."""
     rows = [(name, *(f"{ratio:.3f}" for ratio in ratios)) for name, ratios in errors.items()]
-    title = "Error on the drives of the calibration with one changed parameter, over that of the calibration [-]"
-    return Table(
-        title, ("parameter", "less", "more"), tuple((*row, "at its bound")[:3] for row in rows), text_columns=1
-    )
+    title = "Error on the calibration drives with one parameter changed, relative to the calibrated parameters [-]"
+    columns = ("parameter", "lower value", "higher value")
+    return Table(title, columns, tuple((*row, "at its bound")[:3] for row in rows), text_columns=1)

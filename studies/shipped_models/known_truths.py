@@ -1,4 +1,4 @@
-"""Test of the identification on known parameters, and of its stated uncertainties.
+"""Test of the identification, and of its stated uncertainties, on random models with known parameters.
 
 Random two-pole channels with dead time are driven, logged with noise, quantisation, a gyro bias and a gap, and
 identified as SM. Standard deviations are correct if 95 % of the errors are below 1.96 standard deviations.
@@ -27,9 +27,10 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
-_COVERED = 1.959964
-# Damping above which a pole pair counts as real, for truth and estimate.
-_REAL = 1.0
+# Half-width of the 95 % interval of a normal distribution, in standard deviations.
+_INTERVAL_HALF_WIDTH = 1.959964
+# True damping above which a pole pair counts as real, in truth and estimate.
+_REAL_POLES_DAMPING = 1.0
 
 
 class TruthSettings(StrictModel):
@@ -77,7 +78,7 @@ class RecoveredTruth:
 
     @property
     def standardised(self) -> FloatArray:
-        """(q,) error over stated standard deviation."""
+        """Errors (q,) divided by their stated standard deviations [-]."""
         return np.asarray((self.estimate - self.truth) / self.deviation)
 
 
@@ -95,7 +96,7 @@ def recover_all(
     Parameters
     ----------
     models
-        Number of models; by default that of the parameter file.
+        Number of models; by default the number in `known_truths.yaml`.
     on_progress
         Function that is called with the number of completed models and the total number.
     """
@@ -111,25 +112,25 @@ def recover_all(
 def recover(seed: int) -> RecoveredTruth:
     """Draw a random model, simulate and log a drive, and identify the model."""
     settings = truth_settings()
-    stream = np.random.default_rng(seed)
-    truth = _draw(stream, settings)
-    records = _log(truth, stream, seed, settings)
-    started = perf_counter()
+    rng = np.random.default_rng(seed)
+    truth = _draw_model(rng, settings)
+    records = _simulate_log(truth, rng, seed, settings)
+    start = perf_counter()
     parameters = identify_sm(records, limits=False).parameters
-    seconds = perf_counter() - started
+    seconds = perf_counter() - start
     names: list[str] = []
-    values: list[float] = []
+    truths: list[float] = []
     estimates: list[float] = []
     deviations: list[float] = []
     for channel in CHANNELS:
-        true = truth.channels.model_dump()[channel] | {"dead_time": truth.dead_time.model_dump()[channel]}
-        channel_parameters = parameters.part([f"{channel}.{name}" for name in true])
-        whole = _with_poles(channel_parameters, channel, true["damping"])
-        names += whole.names
-        values += _numbers(np.array(list(true.values())), true["damping"]).tolist()
-        estimates += whole.values.tolist()
-        deviations += whole.standard_deviation.tolist()
-    return RecoveredTruth(seed, tuple(names), np.array(values), np.array(estimates), np.array(deviations), seconds)
+        true_values = truth.channels.model_dump()[channel] | {"dead_time": truth.dead_time.model_dump()[channel]}
+        channel_parameters = parameters.part([f"{channel}.{name}" for name in true_values])
+        estimate = _with_poles(channel_parameters, channel, true_values["damping"])
+        names += estimate.names
+        truths += _append_poles(np.array(list(true_values.values())), true_values["damping"]).tolist()
+        estimates += estimate.values.tolist()
+        deviations += estimate.standard_deviation.tolist()
+    return RecoveredTruth(seed, tuple(names), np.array(truths), np.array(estimates), np.array(deviations), seconds)
 
 
 def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
@@ -144,7 +145,7 @@ def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
         (
             kind,
             str(len(values)),
-            f"{100 * np.mean(np.abs(values) < _COVERED):.1f}",
+            f"{100 * np.mean(np.abs(values) < _INTERVAL_HALF_WIDTH):.1f}",
             f"{np.sqrt(np.mean(np.square(values))):.2f}",
             f"{np.max(np.abs(values)):.2f}",
         )
@@ -152,39 +153,39 @@ def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
     ]
     seconds = [recovery.seconds for recovery in recoveries]
     return Table(
-        title="Known truths recovered",
-        columns=("parameter", "number", "inside 95 % interval [%]", "rms of error / deviation [-]", "largest [-]"),
+        title="Recovery of known parameters",
+        columns=("parameter", "number", "inside 95 % interval [%]", "RMS of error / deviation [-]", "maximum [-]"),
         rows=tuple(rows),
         note=f"{len(recoveries)} random models, SM; identification {np.median(seconds):.2f} s each (median).",
     )
 
 
-def _draw(stream: np.random.Generator, settings: TruthSettings) -> SmFile:
+def _draw_model(rng: np.random.Generator, settings: TruthSettings) -> SmFile:
     channels = {}
     for channel in CHANNELS:
-        if stream.uniform() < settings.complex_share:
-            damping = stream.uniform(*settings.complex_damping)
+        if rng.uniform() < settings.complex_share:
+            damping = rng.uniform(*settings.complex_damping)
         else:
-            ratio = stream.uniform(*settings.pole_ratio)
+            ratio = rng.uniform(*settings.pole_ratio)
             damping = 0.5 * (np.sqrt(ratio) + 1 / np.sqrt(ratio))
-        gain, frequency = stream.uniform(*settings.gain), stream.uniform(*settings.natural_frequency)
+        gain, frequency = rng.uniform(*settings.gain), rng.uniform(*settings.natural_frequency)
         channels[channel] = {"gain": gain, "natural_frequency": frequency, "damping": damping}
-    dead_time = {channel: stream.uniform(*settings.dead_time) for channel in CHANNELS}
+    dead_time = {channel: rng.uniform(*settings.dead_time) for channel in CHANNELS}
     provenance = {"origin": "identified", "source": "drawn at random"}
     return SmFile.model_validate(
         {"name": "truth", "structure": "sm", "provenance": provenance, "channels": channels, "dead_time": dead_time}
     )
 
 
-def _log(truth: SmFile, stream: np.random.Generator, seed: int, settings: TruthSettings) -> list[Record]:
+def _simulate_log(truth: SmFile, rng: np.random.Generator, seed: int, settings: TruthSettings) -> list[Record]:
     dt = settings.sample_time
     commands = random_commands(seed, smooth=False, duration=settings.duration, sample_time=dt)
     twist = build_model(truth).discretise(dt).simulate(commands)
-    v = twist[:, 0] + settings.v_noise * stream.normal(size=len(twist))
+    v = twist[:, 0] + settings.v_noise * rng.normal(size=len(twist))
     v = settings.v_resolution * np.round(v / settings.v_resolution)
     rho = settings.omega_correlation
-    coloured = signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], stream.normal(size=len(twist)))
-    yaw_rate = twist[:, 1] + settings.omega_noise * coloured + settings.omega_offset * stream.normal()
+    coloured = signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], rng.normal(size=len(twist)))
+    yaw_rate = twist[:, 1] + settings.omega_noise * coloured + settings.omega_offset * rng.normal()
     first, last = (round(time / dt) for time in settings.gap)
     return [
         Record(
@@ -200,16 +201,17 @@ def _log(truth: SmFile, stream: np.random.Generator, seed: int, settings: TruthS
 
 
 def _with_poles(estimate: ParameterEstimate, channel: str, damping: float) -> ParameterEstimate:
-    poles = ("pole_1", "pole_2") if damping > _REAL else ("pole_1.real", "pole_1.imag")
+    """Append the poles to the estimate of a channel, with propagated uncertainty; `damping` is the true damping."""
+    poles = ("pole_1", "pole_2") if damping > _REAL_POLES_DAMPING else ("pole_1.real", "pole_1.imag")
     return estimate.derived(
-        (*estimate.names, *(f"{channel}.{name}" for name in poles)), lambda row: _numbers(row, damping)
+        (*estimate.names, *(f"{channel}.{name}" for name in poles)), lambda row: _append_poles(row, damping)
     )
 
 
-def _numbers(row: FloatArray, damping: float) -> FloatArray:
-    """Append the poles to gain, natural frequency, damping and dead time, real or complex by `damping`."""
+def _append_poles(row: FloatArray, damping: float) -> FloatArray:
+    """Append the poles to gain, natural frequency, damping and dead time; real or complex by the true `damping`."""
     _, w, zeta, _ = row
-    if damping > _REAL:
+    if damping > _REAL_POLES_DAMPING:
         root = np.sqrt(max(zeta**2 - 1.0, 0.0))
         return np.append(row, [-w * (zeta - root), -w * (zeta + root)])
     return np.append(row, [-w * zeta, w * np.sqrt(max(1.0 - zeta**2, 0.0))])

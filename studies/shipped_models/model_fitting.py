@@ -1,6 +1,7 @@
-"""`python -m studies models fit`: the papers' experiments on the simulated robot, identified as MBM and SM.
+"""Identification of the shipped models from the papers' experiments on the simulated robot.
 
-Their coefficients are not in the papers' text, so they are identified from the digital twin, as the files state.
+The papers' text does not contain the coefficients of MBM and SM. They are therefore identified from the digital twin,
+and the parameter files state this source.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
 
 
 def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
-    """Identify the track [m], right minus left rim speed (K,) [m/s] over yaw rate (K,) [rad/s], by least squares.
+    """Identify the track [m] by least squares from right minus left rim speed (K,) [m/s] and yaw rate (K,) [rad/s].
 
     With the measured yaw rate, the result is the effective track, which is wider than the geometric one on a skid-steer
     robot. With the commanded yaw rate and settled wheels, it is the firmware's track times the motors' gain.
@@ -66,10 +67,10 @@ def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
     ValueError
         If the yaw rate is zero, or has the opposite sign of the wheels' difference.
     """
-    turning = float(yaw_rate @ yaw_rate)
-    slope = float(difference @ yaw_rate) / turning if turning > 0 else 0.0
+    energy = float(yaw_rate @ yaw_rate)
+    slope = float(difference @ yaw_rate) / energy if energy > 0 else 0.0
     if slope <= 0:
-        raise ValueError("no track can be found: the yaw rate is zero or runs against the wheels; check its sign")
+        raise ValueError("track not identifiable: the yaw rate is zero or opposes the wheels; check its sign")
     # The gyro has the errors, so its yaw rate is regressed on the wheels: yaw rate = difference / track.
     return float(difference @ difference) / float(difference @ yaw_rate)
 
@@ -79,10 +80,10 @@ _SOURCE = (
 )
 _METHOD = (
     "output error (simulation from commands alone), two poles, no zeros, all experiments at once, dead time, scipy "
-    "least_squares from several starts; wheel speeds over {scale:g} and dead time of v less "
-    "{lag:g} s, which the driver's observer reads too much and too late beside true poses"
+    "least_squares from several starts; wheel speeds divided by {scale:g} and dead time of v reduced by "
+    "{lag:g} s, the gain and delay of the driver's observer relative to true poses"
 )
-_DEAD_TIMES = "; dead times by the steps of SM, since the firmware shapes v and omega differently"
+_DEAD_TIMES = "; dead times from the steps of SM, because the firmware filters v and omega differently"
 
 
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
@@ -93,7 +94,7 @@ Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChan
 
 
 class FittingSettings(StrictModel):
-    """Settings of the identification from experiments; `model_fitting.yaml` describes them."""
+    """Settings of the identification from experiments; `model_fitting.yaml` describes each setting."""
 
     first_seed: int
     reading_seeds: tuple[int, ...]
@@ -125,7 +126,7 @@ class PaperExperiments:
 
 @cache
 def wheel_reading() -> ParameterEstimate:
-    """Identify the delay of the wheel speeds behind the body [s], and their gain [-], on smoothed random drives."""
+    """Identify delay [s] and gain [-] of the wheel speeds relative to the body, on smoothed random drives."""
     drives = [
         drive_open_loop(make_plant("mujoco", seed=s), random_commands(s)) for s in fitting_settings().reading_seeds
     ]
@@ -142,12 +143,12 @@ def _lag_and_scale() -> tuple[float, float]:
 
 
 def _output_delays() -> tuple[float, float]:
-    """Return the delay of the outputs of a drive behind the body [s], v of the encoders and omega of the gyro."""
+    """Return the delays relative to the body [s] of v from the encoders and omega from the gyro."""
     return _lag_and_scale()[0], 0.0
 
 
 def _scale_wheel_speeds(log: OpenLoopDrive) -> OpenLoopDrive:
-    """Return the drive with wheel speeds scaled to the speed over ground; their delay is kept."""
+    """Scale the wheel speeds of a drive to the speed over ground, without compensation of their delay."""
     _, scale = _lag_and_scale()
     return replace(log, wheel_speeds=log.wheel_speeds / scale, wheel_twist=log.wheel_twist / scale)
 
@@ -169,16 +170,16 @@ def fit_models(
     date: datetime.date | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Table, list[str]]:
-    """Identify MBM, SM and two delays, write a file of each to `folder`; return a table of their FIT, and warnings.
+    """Identify MBM, SM and two delays, write their files to `folder`, and return a table of their FIT, and warnings.
 
     Parameters
     ----------
     folder
-        Folder of the parameter files; the shipped ones by default.
+        Folder of the parameter files; by default the folder of the shipped files.
     date
         Date for the provenance; today by default.
     on_progress
-        Function that is called with the number of fitted transfer functions and their total, at 0 and after each fit.
+        Function that is called with the number of fitted transfer functions and their total, first with 0.
 
     Raises
     ------
@@ -199,12 +200,12 @@ def fit_models(
     with staged(folder) as stage:
         announce(0, IDENTIFICATIONS)
         logs = run_experiments()
-        sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
+        sm, mbm = _identify_sm(logs, identify), _identify_mbm(logs, identify)
         lag, scale = _lag_and_scale()
         method = _METHOD.format(lag=lag, scale=scale)
-        used = logs.v + logs.random, logs.omega + logs.random
-        _write(stage / "sm.yaml", sm, used, (day, method), folder)
-        _write(stage / "two_delays.yaml", _two_delays(sm), used, (day, method + FROM_SM), folder)
+        drives = logs.v + logs.random, logs.omega + logs.random
+        _write(stage / "sm.yaml", sm, drives, (day, method), folder)
+        _write(stage / "two_delays.yaml", _two_delays(sm), drives, (day, method + FROM_SM), folder)
         _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), (day, method + _DEAD_TIMES), folder)
     warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
     return validation_table(folder), warnings
@@ -213,33 +214,33 @@ def fit_models(
 def _write(
     path: Path,
     data: dict[str, Any],
-    used: tuple[list[OpenLoopDrive], list[OpenLoopDrive]],
+    drives: tuple[list[OpenLoopDrive], list[OpenLoopDrive]],
     origin: tuple[str, str],
-    replaced: Path,
+    previous_folder: Path,
 ) -> None:
-    """Write a parameter file, load it, and add the FIT of the loaded model; `origin` is day and method.
+    """Write a parameter file, load it, and add the FIT of the loaded model; `origin` is date and method.
 
-    The line for editors of a file of the same name in the folder `replaced` is kept.
+    The file keeps the editor line of the file with this name in `previous_folder`.
     """
-    name, line = path.stem, read_editor_line(replaced / path.name)
+    name, line = path.stem, read_editor_line(previous_folder / path.name)
     data["provenance"] = {
         "origin": "identified",
         "source": _SOURCE,
         "method": origin[1],
-        "experiments": [_describe(logs, row) for row, logs in enumerate(used)],
+        "experiments": [_describe_drives(logs, row) for row, logs in enumerate(drives)],
         "date": origin[0],
     }
     path.write_text(line + _yaml(name, data), encoding="utf-8")
     model = load_linear_model(path)
     data["fit_percent"] = {
         channel: round(_model_fit(model, logs, row), 2)
-        for row, (channel, logs) in enumerate(zip(CHANNELS, used, strict=True))
+        for row, (channel, logs) in enumerate(zip(CHANNELS, drives, strict=True))
     }
     path.write_text(line + _yaml(name, data), encoding="utf-8")
 
 
 def validation_table(folder: Path = PARAMETERS) -> Table:
-    """Tabulate the FIT of the models on drives not used for identification, and their delay behind the body."""
+    """Tabulate the FIT of the models on validation drives, and their delay relative to the body."""
     rows = []
     seeds = fitting_settings().validation_seeds
     for smooth in (True, False):
@@ -251,36 +252,36 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
             model = load_linear_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
             delays = [model_delay(model, drives, [log.true_twist[:, 2 * row] for log in drives], row) for row in (0, 1)]
-            kind = "smoothed" if smooth else "in steps"
+            kind = "smoothed" if smooth else "stepwise"
             rows.append((model.name, kind, *(f"{x:.2f}" for x in fits), *(f"{x:.4f}" for x in delays)))
     (_, lag, lag_sd), (_, scale, scale_sd) = wheel_reading().rows
     return Table(
-        title="Simulation FIT on random drives that no model was identified from",
-        columns=("model", "set-points", "FIT v [%]", "FIT omega [%]", "late in v [s]", "omega [s]"),
+        title="Simulation FIT on random validation drives",
+        columns=("model", "set-points", "FIT v [%]", "FIT omega [%]", "delay of v [s]", "delay of omega [s]"),
         rows=tuple(rows),
         text_columns=2,
-        note=f"Late: behind the body's true twist. Wheel speeds lag its poses by {lag:.4f} +- {lag_sd:.4f} s and read "
-        f"{scale:.4f} +- {scale_sd:.4f} times as much.",
+        note="Delays are relative to the true twist of the body. Wheel speeds lag its poses by "
+        f"{lag:.4f} +- {lag_sd:.4f} s; their gain is {scale:.4f} +- {scale_sd:.4f}.",
     )
 
 
 def model_delay(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
-    """Find the delay of a model's channel behind the `motion` (K,) of each drive [s], independent of the gain."""
+    """Find the delay [s] of a model's channel relative to the `motion` (K,) of each drive, independent of the gain."""
     simulated = [model.discretise(load_robot().sample_time).simulate(log.command)[:, row] for log in logs]
     true = np.concatenate(motion)
 
     def misfit(delay: float) -> float:
         pairs = zip(logs, simulated, strict=True)
-        prompt = np.concatenate([np.interp(log.time + delay, log.time, predicted) for log, predicted in pairs])
-        return float(np.sum((true - prompt * (true @ prompt) / (prompt @ prompt)) ** 2))
+        shifted = np.concatenate([np.interp(log.time + delay, log.time, predicted) for log, predicted in pairs])
+        return float(np.sum((true - shifted * (true @ shifted) / (shifted @ shifted)) ** 2))
 
     return float(minimize_scalar(misfit, bounds=(-0.1, 0.1), method="bounded", options={"xatol": 1e-5}).x)
 
 
-def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
+def _identify_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     fits = {}
-    for row, (channel, used) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
-        experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in (*used, *logs.random)]
+    for row, (channel, steps) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
+        experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in (*steps, *logs.random)]
         fits[channel] = identify(channel, experiments, None)
     return {
         "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
@@ -295,16 +296,16 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 def _two_delays(sm: Mapping[str, Any]) -> dict[str, Any]:
     poles = {name: TwoPoles.model_validate(channel) for name, channel in sm["channels"].items()}
     delays = {
-        name: sm["dead_time"][name] + TwoPoles.lag([*numbers.model_dump().values()]) for name, numbers in poles.items()
+        name: sm["dead_time"][name] + TwoPoles.lag([*channel.model_dump().values()]) for name, channel in poles.items()
     }
     return {
         "warnings": [],
         "dead_time": {name: round(time, 5) for name, time in delays.items()},
-        "channels": {name: {"gain": numbers.gain} for name, numbers in poles.items()},
+        "channels": {name: {"gain": channel.gain} for name, channel in poles.items()},
     }
 
 
-def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
+def _identify_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     robot = load_robot()
 
     def experiments(wheel: int) -> list[SampledExperiment]:
@@ -314,40 +315,40 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 
     names = tuple(Motors.model_fields)
     # The command reaches all four motors over one link, so they share one dead time.
-    alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
-    shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
+    separate_fits = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
+    shared = float(np.mean([parameters.value("dead_time") for parameters in separate_fits]))
     channels = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
-    settled = np.concatenate([_settled_ticks(log) for log in logs.omega])
+    is_settled = np.concatenate([_settled_ticks(log) for log in logs.omega])
     gain = np.mean([channel.content["gain"] for channel in channels])
     content = {
         "warnings": [str(warning) for channel in channels for warning in channel.warnings],
         "dead_time": dict.fromkeys(CHANNELS, 0.0),
         "motors": {name: _round_content(channel) for name, channel in zip(names, channels, strict=True)},
         "wheel_radius": robot.wheel_radius,
-        "firmware_track": round(identify_track(difference[settled], commanded[settled]) / float(gain), 5),
-        "effective_track": round(identify_track(difference[settled], gyro[settled]), 5),
+        "firmware_track": round(identify_track(difference[is_settled], commanded[is_settled]) / float(gain), 5),
+        "effective_track": round(identify_track(difference[is_settled], gyro[is_settled]), 5),
     }
-    named = {"name": "MBM", "structure": "mbm", "provenance": {"origin": "identified", "source": _SOURCE}}
-    prompt = build_model(MbmFile.model_validate(content | named))
-    early = [
-        -model_delay(prompt, used, [log.output[:, row] for log in used], row) - delay
-        for row, (used, delay) in enumerate(zip((logs.v, logs.omega), _output_delays(), strict=True))
+    header = {"name": "MBM", "structure": "mbm", "provenance": {"origin": "identified", "source": _SOURCE}}
+    undelayed_model = build_model(MbmFile.model_validate(content | header))
+    delays = [
+        -model_delay(undelayed_model, drives, [log.output[:, row] for log in drives], row) - delay
+        for row, (drives, delay) in enumerate(zip((logs.v, logs.omega), _output_delays(), strict=True))
     ]
-    return content | {"dead_time": {name: round(max(time, 0.0), 5) for name, time in zip(CHANNELS, early, strict=True)}}
+    return content | {"dead_time": {name: round(max(x, 0.0), 5) for name, x in zip(CHANNELS, delays, strict=True)}}
 
 
 def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> SampledExperiment:
     level = log.command[np.argmax(np.abs(log.command).sum(axis=1))]
     name = f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s"
-    every = np.ones((len(output), 1), dtype=bool)
-    return SampledExperiment(name, load_robot().sample_time, command[:, None], output[:, None], every)
+    mask = np.ones((len(output), 1), dtype=bool)
+    return SampledExperiment(name, load_robot().sample_time, command[:, None], output[:, None], mask)
 
 
 def _settled_ticks(log: OpenLoopDrive) -> FloatArray:
-    """Return (K,) True if the command has not changed for the settling time."""
+    """Return a mask (K,) of the samples at which the command has been constant for the settling time."""
     window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
     recent = np.convolve(changed, np.ones(window))[: len(changed)]
@@ -361,7 +362,7 @@ def _model_fit(model: VelocityModel, logs: list[OpenLoopDrive], row: int) -> flo
     return pooled_fit_percent([log.output[:, row] for log in logs], simulated)
 
 
-def _describe(logs: list[OpenLoopDrive], row: int) -> str:
+def _describe_drives(logs: list[OpenLoopDrive], row: int) -> str:
     steps = [log for log in logs if len(np.unique(log.command, axis=0)) <= 2]
     levels = [log.command[np.argmax(np.abs(log.command[:, row])), row] for log in steps]
     random = f", and {len(logs) - len(steps)} drives with random set-points" if len(logs) > len(steps) else ""
@@ -387,21 +388,23 @@ def _yaml(name: str, data: dict[str, Any]) -> str:
 
 
 _REPETITION = 43
-"""Repetition number of these drives; no study uses it, so no seed is shared."""
+"""Repetition number that determines the seeds of these drives; no study uses this number."""
 _NOTES = {
     EXPERIMENTAL: "The structure is the paper's, whose Pioneer 3DX has two samples of 0.1 s and a lag of 0.1 s; its "
-    "threshold's line and its slope limits are not in the text. All numbers here are of the simulated robot. The gain "
-    "is ours.",
-    PHYSICAL: "The structure is the paper's, and so are K and T_A. Its gear ratio is not in the text and its I_0 "
-    "implausible. Mass, radius and track are those of the simulated robot; logs of velocities determine K_R over the "
-    "two inertias and T_I only, so K_R and I_A follow from them, with I_0 = 0: with the rotors of the simulated robot "
-    "in it I_A would be negative. I_A is less than half that of the chassis: the robot answers quicker in yaw than "
-    "forward, which one controller for both wheels cannot.",
+    "threshold's line and its slope limits are not in the text. All values are identified from the simulated robot. "
+    "The gain is an addition of this project.",
+    PHYSICAL: "The structure, K and T_A are the paper's. The gear ratio is not in the text, and the paper's I_0 is "
+    "implausible. Mass, radius and track are those of the simulated robot. Logs of velocities determine only T_I and "
+    "the ratios of K_R to the two inertias, so K_R and I_A follow from the mass, with I_0 = 0: with the rotors' "
+    "inertia as I_0, I_A would be negative. I_A is less than half the inertia of the chassis, because the robot "
+    "responds faster in yaw than in forward motion and the model has one controller for both wheels.",
 }
 
 
 def fit_drives(folder: Path) -> Table:
-    """Drive, fit, write `p2_experimental.yaml` and `p2_physical.yaml` into `folder`, and return their FIT.
+    """Fit the drive models to simulated drives, write their files to `folder`, and return a table of their FIT.
+
+    The files are `p2_experimental.yaml` and `p2_physical.yaml`.
 
     Raises
     ------
@@ -419,78 +422,75 @@ def fit_drives(folder: Path) -> Table:
             "provenance": {
                 "origin": "identified",
                 "source": "digital twin of this project: mujoco plant, default surface and sensors. Not from a robot",
-                "method": "least squares on the free run, two starts, dead time in samples searched downhill",
+                "method": "least squares on the free run, two starts, dead time in samples by descent",
                 "experiments": [record.name for record in train],
                 "date": date.today().isoformat(),
                 "notes": _NOTES[name],
             },
-            "fit_percent": _channels(scores[0]),
-            "validation_fit_percent": _channels(scores[1]),
+            "fit_percent": _round_fit(scores[0]),
+            "validation_fit_percent": _round_fit(scores[1]),
             "warnings": [
                 f"{parameter} lies on a bound of the search: the data do not determine it" for parameter in fit.at_bound
             ],
         }
         write_drive(folder / f"{file}.yaml", drive_content(fit, fields))
         rows.append((name, *(f"{value:.2f}" for value in (*scores[0], *scores[1]))))
-    columns = ("model", "FIT v [%]", "FIT omega [%]", "held out: FIT v [%]", "held out: FIT omega [%]")
+    columns = ("model", "FIT v [%]", "FIT omega [%]", "validation FIT v [%]", "validation FIT omega [%]")
     return Table("Drive models on drives of the simulated robot", columns, tuple(rows), text_columns=1)
 
 
-def _channels(fit: np.ndarray) -> dict[str, float]:
+def _round_fit(fit: FloatArray) -> dict[str, float]:
+    """Return the FIT of v and omega, rounded to two decimal places [%]."""
     return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}
 
 
-# The shipped network is trained on a drive of the simulated robot; P1 trained its network on a drive of the real robot.
+# The shipped network is trained on a drive of the simulated robot. The network of P1 was trained on the real robot.
 
 
 _NETWORK_FITTING_REPETITION = 41
-"""Repetition number of these drives; no study uses it, so no seed is shared."""
+"""Repetition number that determines the seeds of these drives; no study uses this number."""
 
 
 def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Table:
-    """Drive for five minutes, train the paper's network, write it into `folder` as lstm.yaml, and return its FIT.
+    """Train the paper's network on a five-minute drive, write `lstm.yaml` to `folder`, and return a table of its FIT.
 
     Raises
     ------
     models.errors.MissingPackageError
-        If the package for training is not installed.
+        If the package for the training is not installed.
     """
     announce = on_progress or (lambda *_: None)
-    study, settings, kind = load_study().ssm, training_settings(), Architecture()
+    study, settings, architecture = load_study().ssm, training_settings(), Architecture()
     logs = RobotLogs(_NETWORK_FITTING_REPETITION)
     announce(0, 2)
     drive = logs.free(1, study.train_duration, study.paper_range)
     held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
     announce(1, 2)
-    training, validation, test = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
-    trained = train(kind, training, validation, settings)
-    network = trained.network
-    held_out_windows = windows_of(twist_experiments(held_out), kind.window)
+    training, validation, test = divided(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+    result = train(architecture, training, validation, settings)
+    network = result.network
+    held_out_windows = windows_of(twist_experiments(held_out), architecture.window)
     parts = {"training": training, "validation": validation, "test": test, "other drives": held_out_windows}
     fits = {name: fit_percent(network, part) for name, part in parts.items()}
     content = network_content(
         network,
         name="LSTM",
         sample_time=drive[0].dt,
-        fit_percent=_network_fitting_channels(fits["training"]),
-        validation_fit_percent=_network_fitting_channels(fits["other drives"]),
+        fit_percent=_round_fit(fits["training"]),
+        validation_fit_percent=_round_fit(fits["other drives"]),
         provenance={
             "origin": "identified",
             "source": "a free drive of the simulated robot (mujoco, default surface and sensors), as the experiment of "
             "Guffanti, Pavon, Sensors 2025, 25(18), 5821",
-            "method": method(kind, settings, trained),
+            "method": method(architecture, settings, result),
             "experiments": [record.name for record in drive],
             "date": date.today().isoformat(),
             "notes": "Architecture, optimiser and stopping rule are the paper's (Table 2, row 2); its weights and data "
-            "are not public. The paper does not say how it divided the data, nor the rate of the optimiser. Validated "
-            "on other drives of the same kind. What the network says at rest is taken off what it says.",
+            "are not public. The paper does not state the division of the data or the learning rate. Validated on "
+            "other drives of the same kind. The output at rest is subtracted from every output.",
         },
     )
     write_network(folder / "lstm.yaml", network, content)
     rows = [(name, str(len(parts[name])), *(f"{value:.2f}" for value in fit)) for name, fit in fits.items()]
     columns = ("part", "windows", "FIT v [%]", "FIT omega [%]")
     return Table("The network on drives of the simulated robot", columns, tuple(rows), text_columns=1)
-
-
-def _network_fitting_channels(fit: FloatArray) -> dict[str, float]:
-    return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}

@@ -21,13 +21,13 @@ _EXAMPLE = re.compile(r"^Examples?:\s*", re.MULTILINE)
 def command_line_page() -> str:
     """Describe every command with its arguments, options, defaults and example, as Markdown."""
     commands = list(_commands("diffdrive-mpc", typer.main.get_command(app)))
-    rows = [f"| [`{_short(name)}`](#{_anchor(name)}) | {_first_line(command)} |" for name, command in commands]
+    rows = [f"| [`{_short_name(name)}`](#{_anchor(name)}) | {_first_line(command)} |" for name, command in commands]
     parts = [_HEAD, "\n".join(["| command | what it does |", "| --- | --- |", *rows])]
     return "\n\n".join([*parts, *(_section(name, command) for name, command in commands)]) + "\n"
 
 
 def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - typer has no common type
-    """Yield executable commands with their full name, including commands of groups."""
+    """Yield the full name and the command of each executable command, including commands of groups."""
     for name, child in sorted(command.commands.items()):
         if hasattr(child, "commands"):
             yield from _commands(f"{prefix} {name}", child)
@@ -39,10 +39,10 @@ def _section(name: str, command: Any) -> str:  # noqa: ANN401
     arguments = [param for param in command.params if not param.opts[0].startswith("-")]
     options = [param for param in command.params if param.opts[0].startswith("-") and param.name != "help"]
     usage = " ".join([name, *map(_metavar, arguments), *(["[OPTIONS]"] if options else [])])
-    parts = [f"## {_short(name)} {{ #{_anchor(name)} }}", f"```text\n{usage}\n```"]
-    parts.append(_text(command.help))
+    parts = [f"## {_short_name(name)} {{ #{_anchor(name)} }}", f"```text\n{usage}\n```"]
+    parts.append(_escape(command.help))
     rows = [f"| `{_metavar(argument)}` | | {_cell(argument.help)} |" for argument in arguments]
-    rows += [f"| {_names(option)} | {_default(option)} | {_cell(option.help)} |" for option in options]
+    rows += [f"| {_option_names(option)} | {_default(option)} | {_cell(option.help)} |" for option in options]
     if rows:
         parts.append("\n".join(["| argument or option | default | meaning |", "| --- | --- | --- |", *rows]))
     if command.epilog:
@@ -51,7 +51,7 @@ def _section(name: str, command: Any) -> str:  # noqa: ANN401
     return "\n\n".join(filter(None, parts))
 
 
-def _names(option: Any) -> str:  # noqa: ANN401
+def _option_names(option: Any) -> str:  # noqa: ANN401
     names = ", ".join(f"`{name}`" for name in [*option.opts, *option.secondary_opts])
     return names if option.is_flag or not option.metavar else f"{names} `{option.metavar}`"
 
@@ -64,15 +64,15 @@ def _metavar(argument: Any) -> str:  # noqa: ANN401
 def _default(option: Any) -> str:  # noqa: ANN401
     if isinstance(option.show_default, str):
         return _cell(option.show_default)
-    plain = isinstance(option.default, str | int | float) and option.default is not False
-    return f"`{option.default}`" if option.show_default and plain else ""
+    is_scalar = isinstance(option.default, str | int | float) and option.default is not False
+    return f"`{option.default}`" if option.show_default and is_scalar else ""
 
 
 def _cell(text: str | None) -> str:
-    return " ".join(_text(text).split()).replace("|", "\\|")
+    return " ".join(_escape(text).split()).replace("|", "\\|")
 
 
-def _text(text: str | None) -> str:
+def _escape(text: str | None) -> str:
     """Escape a help text for Markdown, so that asterisks and underscores do not become emphasis."""
     return re.sub(r"([*_<>\[\]])", r"\\\1", text or "")
 
@@ -82,8 +82,8 @@ def _first_line(command: Any) -> str:  # noqa: ANN401
 
 
 def _anchor(name: str) -> str:
-    return _short(name).replace(" ", "-")
+    return _short_name(name).replace(" ", "-")
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     return name.removeprefix("diffdrive-mpc ")

@@ -1,4 +1,4 @@
-"""Table of the dependencies of this package and their licences: `python -m studies.site.licences`."""
+"""Table of this package's dependencies and their licences, updated by `python -m studies.site.licences`."""
 
 from __future__ import annotations
 
@@ -14,52 +14,53 @@ from studies.documents.documents import insert
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "install.md"
 MARKER = "licences"
 _OURS = "diffdrive-mpc"
-_LONGEST = 60
+_MAX_LENGTH = 60
 
 
 def licence_table() -> str:
-    """Tabulate every dependency of our package without extras: its stated licence, and the packages that need it."""
-    needed = _dependencies()
-    rows = [(name, licence(distribution), ", ".join(sorted(by))) for name, (distribution, by) in sorted(needed.items())]
+    """Tabulate the dependencies of our package without extras, their licences, and the packages that require them."""
+    packages = _dependencies()
+    rows = [(name, licence(package), ", ".join(sorted(users))) for name, (package, users) in sorted(packages.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
 def licence(package: Distribution) -> str:
-    """Return the licence that a package states: an SPDX expression, its classifiers, or the field "License"."""
+    """Return the stated licence of a package: its SPDX expression, its classifiers, or its field "License"."""
     metadata = package.metadata
-    # A missing entry is None in some versions of Python, and an error in others.
+    # For a missing entry, some versions of Python return None and others raise an error.
     if "License-Expression" in metadata:
         return str(metadata["License-Expression"])
-    classes = [
+    classifiers = [
         line.rpartition(" :: ")[2]
         for line in metadata.get_all("Classifier") or ()
         if line.startswith("License ::") and line.count(" :: ") > 1
     ]
-    words = (metadata.get_all("License") or [""])[0].strip().splitlines()
-    if words and len(words[0]) <= _LONGEST and not classes:
-        return str(words[0])
-    return ", ".join(sorted(classes)) or (f"{words[0][:_LONGEST]} ..." if words else "not stated; see its sources")
+    lines = (metadata.get_all("License") or [""])[0].strip().splitlines()
+    if lines and len(lines[0]) <= _MAX_LENGTH and not classifiers:
+        return str(lines[0])
+    text = f"{lines[0][:_MAX_LENGTH]} ..." if lines else "not stated; see its sources"
+    return ", ".join(sorted(classifiers)) or text
 
 
 def _dependencies() -> dict[str, tuple[Distribution, set[str]]]:
-    """Collect the dependencies of our package by normalised name, each with the packages that need it."""
+    """Collect the dependencies of our package by normalised name, with the packages that require them."""
     distributions: dict[str, tuple[Distribution, set[str]]] = {}
-    todo = [(_OURS, distribution(_OURS), frozenset[str]())]
-    done: set[tuple[str, frozenset[str]]] = set()
-    while todo:
-        by, package, extras = todo.pop()
+    pending = [(_OURS, distribution(_OURS), frozenset[str]())]
+    visited: set[tuple[str, frozenset[str]]] = set()
+    while pending:
+        dependent, package, extras = pending.pop()
         for requirement in _requirements(package, extras):
-            name = _normal(requirement.name)
+            name = _normalise(requirement.name)
             try:
-                needed = distribution(name)
+                required = distribution(name)
             except PackageNotFoundError:
-                continue  # not for this processor
-            distributions.setdefault(name, (needed, set()))[1].add(_normal(by))
+                continue  # not required on this platform
+            distributions.setdefault(name, (required, set()))[1].add(_normalise(dependent))
             key = (name, frozenset(requirement.extras))
-            if key not in done:
-                done.add(key)
-                todo.append((name, needed, key[1]))
+            if key not in visited:
+                visited.add(key)
+                pending.append((name, required, key[1]))
     return distributions
 
 
@@ -70,12 +71,12 @@ def _requirements(package: Distribution, extras: frozenset[str]) -> Iterator[Req
             yield requirement
 
 
-def _normal(name: str) -> str:
+def _normalise(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def with_table(page: str) -> str:
-    """Update the table in `page`."""
+    """Update the licence table in the text `page`."""
     return insert(page, licence_table(), MARKER)
 
 

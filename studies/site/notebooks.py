@@ -1,7 +1,7 @@
-"""Conversion of tutorials from Markdown to notebooks, which also draw the pictures of the tutorials.
+"""Conversion of tutorials from Markdown to notebooks, whose outputs are the pictures of the tutorials.
 
-Run as ``python -m studies.site.notebooks``, from the top of the repository: it writes the notebooks without
-outputs next to the tutorials, executes them, and writes the pictures of their pages. git ignores the notebooks.
+``python -m studies.site.notebooks``, run from the top of the repository, writes the notebooks without outputs next to
+the tutorials, executes them, and writes the pictures of the pages. git ignores the notebooks.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from nbclient import NotebookClient
 
 TUTORIALS = Path("docs/tutorials")
 
-# A notebook contains neither its pictures as files nor the reference to the notebook.
+# A notebook contains neither links to picture files nor the reference to the notebook.
 _PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
 _REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps\.")
 _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-# The first cell of a notebook with commands.
+# First cell of a notebook with shell commands.
 _SETUP = """```python
 # The commands below run in the environment of this notebook; their tables are plain text.
 import os
@@ -37,7 +37,7 @@ os.environ.update(PATH=path, FORCE_COLOR="", COLUMNS="110")
 
 
 def notebook_text(markdown: str) -> str:
-    """Convert a tutorial to a notebook in JSON; cells run Python and shell commands, and write files of the page."""
+    """Convert a tutorial to a notebook in JSON; its cells run Python and shell commands, and write files."""
     source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _REFERENCE.sub("", _PICTURE.sub("", markdown)))
     if "```sh\n" in source:
         title, _, rest = source.partition("\n")
@@ -51,32 +51,32 @@ def notebook_text(markdown: str) -> str:
 
 
 def with_notebooks(documents: Mapping[str, str], out: Path) -> dict[str, str]:
-    """Write the notebooks of the tutorials among `documents` into the site at `out`.
+    """Write the notebooks of the tutorials in `documents` to the site at `out`.
 
     Return the documents with a link to each notebook.
     """
     linked = dict(documents)
-    for place, markdown in documents.items():
+    for path, markdown in documents.items():
         reference = _REFERENCE.search(markdown)
-        if reference and place.startswith("docs/tutorials/"):
+        if reference and path.startswith("docs/tutorials/"):
             name = reference["file"]
             (out / "tutorials" / name).write_text(notebook_text(markdown), encoding="utf-8")
-            linked[place] = markdown.replace(f"`{name}`", f"[`{name}`]({name})", 1)
+            linked[path] = markdown.replace(f"`{name}`", f"[`{name}`]({name})", 1)
     return linked
 
 
 def execute(notebook: str, folder: Path) -> list[bytes]:
-    """Execute a notebook in `folder`; return the pictures (PNG) of its outputs.
+    """Execute a notebook in `folder` and return the pictures (PNG) in its outputs.
 
     Raises
     ------
     nbclient.exceptions.CellExecutionError
         If a cell fails; the message names the cell and the error.
     """
-    read = jupytext.reads(notebook, fmt="ipynb")
-    client = NotebookClient(read, timeout=600, resources={"metadata": {"path": folder}})
-    done: Any = client.execute()
-    outputs = [output.get("data", {}) for cell in done.cells for output in cell.get("outputs", [])]
+    source_notebook = jupytext.reads(notebook, fmt="ipynb")
+    client = NotebookClient(source_notebook, timeout=600, resources={"metadata": {"path": folder}})
+    executed_notebook: Any = client.execute()
+    outputs = [output.get("data", {}) for cell in executed_notebook.cells for output in cell.get("outputs", [])]
     return [base64.b64decode(data["image/png"]) for data in outputs if "image/png" in data]
 
 
@@ -86,7 +86,7 @@ def pictures(markdown: str) -> list[str]:
 
 
 def write_all(folder: Path) -> None:
-    """Write notebook and pictures of every tutorial in `folder`."""
+    """Write the notebook and the pictures of every tutorial in `folder`."""
     for page in sorted(folder.glob("*.md")):
         markdown = page.read_text(encoding="utf-8")
         if "```python" not in markdown:
@@ -94,8 +94,8 @@ def write_all(folder: Path) -> None:
         notebook = notebook_text(markdown)
         page.with_suffix(".ipynb").write_text(notebook, encoding="utf-8")
         with TemporaryDirectory() as scratch:
-            drawn = execute(notebook, Path(scratch))
-        for name, picture in zip(pictures(markdown), drawn, strict=True):
+            images = execute(notebook, Path(scratch))
+        for name, picture in zip(pictures(markdown), images, strict=True):
             (folder / name).write_bytes(picture)
 
 

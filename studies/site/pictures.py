@@ -1,4 +1,4 @@
-"""Pictures of the documents that are drawn by no study: results of commands, and the poster.
+"""Pictures of the documents that no study draws: results of commands, and the poster.
 
 Run as ``python -m studies.site.pictures [NAME ...]``, from the top of the repository.
 """
@@ -22,48 +22,48 @@ FOLDER = Path("docs/pictures")
 # Figures have few colours; a palette reduces the file to a third.
 _COLOURS = 64
 POSTER, _POSTER_TIME = "poster", 5.2
-"""Name of the picture of the robot, and its time in the drive [s]."""
+"""Name of the picture of the robot, and time in the drive at which the robot is drawn [s]."""
 
 
 class SitePicture(StrictModel):
-    """Source of a picture."""
+    """Commands that draw a picture, and the path of the picture that they write."""
 
     commands: list[str]
     shown: str
 
 
 class Pictures(StrictModel):
-    """Schema of `pictures.yaml`, by name."""
+    """Content of `pictures.yaml`: pictures by name."""
 
     pictures: dict[str, SitePicture]
 
 
 def load_pictures() -> dict[str, SitePicture]:
-    """Load the pictures by name; raise ConfigError if the file is invalid."""
+    """Load `pictures.yaml`; raise ConfigError if the file is invalid."""
     return load_checked(Pictures, Path(__file__).with_name("pictures.yaml")).pictures
 
 
 def draw(picture: SitePicture, target: Path) -> None:
-    """Run the commands in a separate folder, and write their pictures to `target`.
+    """Run the commands in a temporary folder, and write their picture to `target`.
 
     Raises
     ------
     subprocess.CalledProcessError
-        If a command fails, other than by a drive that does not complete.
+        If a command fails; a drive that does not complete is not a failure.
     """
     command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()"]
     with TemporaryDirectory() as folder:
         for line in picture.commands:
-            done = subprocess.run([*command, *shlex.split(line)], cwd=folder, check=False, stdout=subprocess.DEVNULL)
-            # A drive that does not complete has exit code 1; pictures also show such drives.
-            if done.returncode > 1:
-                done.check_returncode()
+            process = subprocess.run([*command, *shlex.split(line)], cwd=folder, check=False, stdout=subprocess.DEVNULL)
+            # The exit code is 1 if a drive does not complete; pictures may show such drives.
+            if process.returncode > 1:
+                process.check_returncode()
         with Image.open(Path(folder) / picture.shown) as image:
             image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 def draw_poster(target: Path) -> None:
-    """Drive an S, and render the robot, its driven path, the reference and the plan at one time."""
+    """Drive the trajectory `s`, and render robot, driven path, reference and plan at one time."""
     import mujoco  # noqa: PLC0415 - reads the environment's renderer setting on import
 
     config = load_config("ssm")
@@ -84,7 +84,7 @@ def draw_poster(target: Path) -> None:
 
 
 def main(names: list[str]) -> None:
-    """Draw the pictures of these names, or all of them."""
+    """Draw the pictures in `names`, or all pictures if `names` is empty."""
     FOLDER.mkdir(exist_ok=True)
     if not names or POSTER in names:
         draw_poster(FOLDER / f"{POSTER}.png")

@@ -1,4 +1,4 @@
-"""Pages of the reference, which are generated from the code when the site is built."""
+"""Reference pages of the site, generated from the code."""
 
 from __future__ import annotations
 
@@ -26,56 +26,56 @@ _HEAD = """# Which keys does a file for a model, a path, a log or a surface have
 
 This page lists the keys of each kind of file, from the schemas of its readers. Models and trajectories have a JSON
 Schema, `diffdrive-mpc config schema KIND --json`, with which an editor completes and checks such a file
-([setup](../install.md#editors)). A key with a point is in a group. The controller's configuration has
+([setup](../install.md#editors)). A key with a dot belongs to a group. The controller's configuration has
 [a separate page](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
 sensor set may omit every key: the value of the shipped `default` then applies.
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-# Groups inside groups that have their own keys; deeper levels are only in the schema.
-_DEPTH = 2
+# Maximum depth of groups whose keys are listed; deeper levels are only in the schema.
+_MAX_DEPTH = 2
 _FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
     "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
     "model": ("velocity model", "--model", lambda: json.loads(json_schema("model"))),
     "mapping": ("columns or topics of a log", "--mapping", LogMapping.model_json_schema),
     "stated-robot": ("data sheet of a robot", "identify --robot", MakersRobot.model_json_schema),
     "robot": ("simulated robot", "--plant mujoco:FILE", SimulatedRobot.model_json_schema),
-    "surface": ("floor", "--surface", Surface.model_json_schema),
+    "surface": ("driving surface", "--surface", Surface.model_json_schema),
     "sensors": ("sensor set", "--sensors", SensorSet.model_json_schema),
     "scenario": ("events and faults of a drive", "--scenario", Scenario.model_json_schema),
     "experiment": ("varied values, parts and tables of a bench", "bench --spec", ExperimentFile.model_json_schema),
 }
-"""Title, option for the file, and schema, by kind of file."""
+"""Title, command-line option and function that reads the schema, by kind of file."""
 
 
 def file_formats_page() -> str:
-    """Format the kinds of files with their keys as Markdown."""
+    """Describe the keys of each kind of file as Markdown."""
     return "\n\n".join([_HEAD, *map(_section, _FORMATS)]) + "\n"
 
 
 def _section(kind: str) -> str:
-    about, option, read_schema = _FORMATS[kind]
+    title, option, read_schema = _FORMATS[kind]
     schema = read_schema()
-    parts = [f"## {kind}: {about} {{ #{kind} }}", f"For `{option}`."]
+    parts = [f"## {kind}: {title} {{ #{kind} }}", f"For `{option}`."]
     return "\n\n".join([*parts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
 
 
 def _table(part: Schema, schema: Schema) -> str:
     rows = "\n".join(_rows(part, schema, ""))
-    about = _cell(part.get("description", ""))
-    return "\n\n".join(filter(None, [about, f"{_COLUMNS}\n{rows}"]))
+    title = _cell(part.get("description", ""))
+    return "\n\n".join(filter(None, [title, f"{_COLUMNS}\n{rows}"]))
 
 
-def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -> Iterator[str]:
+def _rows(part: Schema, schema: Schema, prefix: str, requirement: str = "required") -> Iterator[str]:
     required = part.get("required", [])
     for name, field in part["properties"].items():
-        group = _group(field, schema) if prefix.count(".") < _DEPTH else None
+        group = _group(field, schema) if prefix.count(".") < _MAX_DEPTH else None
         if group is not None:
             # The keys of an optional group are required only if the group is present.
-            inside = needed if name in required else "required in the group"
-            yield from _rows(group, schema, f"{prefix}{name}.", inside)
+            group_requirement = requirement if name in required else "required in the group"
+            yield from _rows(group, schema, f"{prefix}{name}.", group_requirement)
             continue
-        default = needed if name in required else _default(field)
+        default = requirement if name in required else _default(field)
         yield f"| `{prefix}{name}` | {default} | {_cell(_allowed(field, schema))} | {_cell(_meaning(field, schema))} |"
 
 
@@ -96,10 +96,10 @@ def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
 
 
 def _allowed(field: Schema, schema: Schema) -> str:
-    return " or ".join(dict.fromkeys(filter(None, (_text_of(choice) for choice in _alternatives(field, schema)))))
+    return " or ".join(dict.fromkeys(filter(None, map(_allowed_values, _alternatives(field, schema)))))
 
 
-def _text_of(schema: Schema) -> str:
+def _allowed_values(schema: Schema) -> str:
     values = schema.get("enum", [schema["const"]] if "const" in schema else [])
     bounds = ", ".join(f"{sign} {schema[name]:g}" for name, sign in _BOUNDS.items() if name in schema)
     return ", ".join(map(str, values)) or bounds or {"array": "list", "object": "group"}.get(schema.get("type", ""), "")
@@ -111,8 +111,8 @@ def _default(field: Schema) -> str:
 
 
 def _meaning(field: Schema, schema: Schema) -> str:
-    inner = (str(choice.get("description", "")) for choice in _alternatives(field, schema))
-    return field.get("description") or next(filter(None, inner), "")
+    descriptions = (str(choice.get("description", "")) for choice in _alternatives(field, schema))
+    return field.get("description") or next(filter(None, descriptions), "")
 
 
 def _cell(text: str) -> str:
@@ -126,7 +126,7 @@ _API = """# Which classes and functions are public?
 
 The classes and functions on this page are public: the [changelog](../changelog.md) lists every change of their names or
 meanings. Units are SI: metres, radians, seconds; angles count counter-clockwise; arrays are NumPy's, with their shapes
-in brackets. Each group begins with the lines that import it.
+in brackets. Each group starts with its import statements.
 """
 _ROS = """# Which topics, services and states does the ROS 2 node have?
 
@@ -136,7 +136,7 @@ This page lists them. See [the guide](../robot.md) for the setup of the node on 
 
 
 def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
-    """Build the pages as Markdown by path on the site; `documents` are the repository's texts by path."""
+    """Build the reference pages as Markdown by path on the site; `documents` contains repository texts by path."""
     pages: dict[str, Callable[[], str]] = {
         "api": api_page,
         "command-line": command_line_page,
@@ -147,7 +147,7 @@ def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
 
 
 def api_page() -> str:
-    """Format the public names by purpose as directives of mkdocstrings."""
+    """List the public names by purpose as directives of mkdocstrings."""
     parts = [_API]
     for title, names in public_names().items():
         imports = "\n".join(_imports(names))
@@ -156,28 +156,28 @@ def api_page() -> str:
 
 
 def _imports(names: list[str]) -> list[str]:
-    """Format lines that import the names, starting with names of the package."""
-    homes: dict[str, list[str]] = {}
+    """Build the statements that import the names, starting with names of the top-level package."""
+    modules: dict[str, list[str]] = {}
     for module, name in (name.rsplit(".", 1) for name in names):
-        homes.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
-    return [f"from {_PACKAGE}{home} import {', '.join(homes[home])}" for home in sorted(homes)]
+        modules.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
+    return [f"from {_PACKAGE}{home} import {', '.join(modules[home])}" for home in sorted(modules)]
 
 
 def public_names() -> dict[str, list[str]]:
-    """Load dotted names relative to the package by title of their group."""
+    """Load the public names, relative to the package, by title of their group."""
     groups: dict[str, list[str]] = read_yaml(_NAMES)
     return groups
 
 
 def ros_page(guide: str) -> str:
-    """Build the page of topics, services, frames and states from the guide of the node."""
-    shown = [section(guide, title) for title in ("Topics, services, frames", "States")]
+    """Build the page on topics, services, frames and states from the guide on the node."""
+    sections = [section(guide, title) for title in ("Topics, services, frames", "States")]
     # Links of the guide are relative to its folder, which is one level up.
-    return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
+    return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in sections), ""])
 
 
 def section(page: str, title: str) -> str:
-    """Extract the section with a title; raise ConfigError if the page has no such section."""
+    """Extract a section by title; raise ConfigError if the page has no such section."""
     match = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     if not match:
         raise ConfigError(f"no section '{title}' in the source page; restore its title")

@@ -1,4 +1,4 @@
-"""MuJoCo model of the robot for pictures; the plant uses another model."""
+"""MuJoCo model of the robot for pictures; the simulated plant uses a different model."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.make import plant_body
 
 GREY, BLUE, ORANGE = (0.25, 0.25, 0.25, 1.0), (0.0, 0.45, 0.70, 1.0), (0.90, 0.38, 0.0, 1.0)
-_PIECES = 300
+_SEGMENTS = 300
 """Number of straight segments of a drawn line."""
 _TYRE = 0.6
-"""Width of a tyre over the radius of the wheel [-], for pictures only."""
+"""Ratio of tyre width and wheel radius [-], for pictures only."""
 _WORLD = """
 <mujoco><option gravity="0 0 0"/><visual><global offwidth="1280" offheight="720"/><quality offsamples="4"/>
 <headlight ambient="0.4 0.4 0.4" diffuse="0.4 0.4 0.4"/></visual><statistic extent="2"/>
@@ -59,9 +59,9 @@ class RobotScene:
             for y in (robot.track / 2, -robot.track / 2)
         )
         body = {"length": length, "width": width, "height": height, "centre": centre, "top": centre + height}
-        marks = {"front": 0.8 * length, "half_front": 0.7 * width}
+        mark = {"front": 0.8 * length, "half_front": 0.7 * width}
         self.height = radius + centre + 1.2 * height
-        self.model: Any = mujoco.MjModel.from_xml_string(_WORLD.format(radius=radius, wheels=wheels, **body, **marks))
+        self.model: Any = mujoco.MjModel.from_xml_string(_WORLD.format(radius=radius, wheels=wheels, **body, **mark))
         self.data: Any = mujoco.MjData(self.model)
 
     def place(self, pose: ArrayLike, wheel_angles: ArrayLike = (0.0, 0.0, 0.0, 0.0)) -> None:
@@ -76,13 +76,14 @@ class RobotScene:
 
 
 def draw_line(scene: Any, points: FloatArray, height: float, colour: tuple[float, ...], width: float = 0.008) -> None:  # noqa: ANN401 - untyped
-    """Add a line through `points` (n, 2) [m] at a height [m] to a scene of MuJoCo."""
+    """Add a line through `points` (n, 2) [m] at a height [m] to a MuJoCo scene; `width` is its radius [m]."""
     import mujoco  # noqa: PLC0415 - an optional dependency
 
     rows = np.column_stack([points, np.full(len(points), height)])
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _PIECES + 1).astype(int))]
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _SEGMENTS + 1).astype(int))]
     for start, end in itertools.pairwise(rows):
-        geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, dtype=np.float32))
-        mujoco.mjv_connector(geom, kind, width, start, end)
+        geom, shape = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+        rgba = np.array(colour, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, shape, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+        mujoco.mjv_connector(geom, shape, width, start, end)
         scene.ngeom += 1

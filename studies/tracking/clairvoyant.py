@@ -1,9 +1,9 @@
 """Lower bound of the tracking error: a controller with exact knowledge of plant, pose and slip, without a time limit.
 
-It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick, with the same
-weights and hard limits, but a longer horizon. The model is fitted to the plant, poses are true, slip is part of the
-prediction, and heading errors are relative to the heading that holds the path under side-slip. Soft limits are omitted:
-they are not active on references within the limits.
+The controller solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick.
+Weights and hard limits are those of the configuration, and the horizon is longer. The model is fitted to the plant,
+poses are true, and the prediction includes slip. Heading errors are relative to the heading that holds the path under
+side-slip. Soft limits are omitted, because they are not active on references within the limits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from studies.tracking.known_plant import KnownPlant
 
 
 class ClairvoyantSettings(StrictModel):
-    """Horizon and accuracy of the solution."""
+    """Horizon, disturbance filter and options of IPOPT; `clairvoyant.yaml` describes each setting."""
 
     horizon: Annotated[int, Field(ge=1)]
     disturbance_memory: Annotated[float, Field(ge=0, lt=1)]
@@ -39,22 +39,22 @@ class ClairvoyantSettings(StrictModel):
 
 @cache
 def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
-    """Load the settings from a file, by default the built-in file; raise ConfigError if the file is invalid."""
+    """Load the settings from `path`, by default the built-in file; raise ConfigError if the file is invalid."""
     return load_checked(ClairvoyantSettings, path or Path(__file__).parent / "clairvoyant.yaml")
 
 
 @dataclass(frozen=True)
-class Present:
-    """Present state of the plant.
+class PlantState:
+    """Pose, velocity states and disturbance of the plant at one tick.
 
     Attributes
     ----------
     pose
-        (3,) x [m], y [m], theta [rad], unwrapped to within pi of the reference.
+        Pose (3,) x [m], y [m], theta [rad]; theta is within pi of the reference.
     state, past
-        (n,) velocity states, and (memory, 2) past commands from old to new.
+        Velocity states (n,), and past commands (memory, 2), oldest first.
     disturbance
-        (2,) part of v [m/s] and omega [rad/s] that the model does not explain; assumed constant.
+        Part (2,) of v [m/s] and omega [rad/s] that the model does not explain; assumed constant.
     """
 
     pose: FloatArray
@@ -76,9 +76,9 @@ class ClairvoyantProgram:
         Horizon, and options of IPOPT.
     """
 
-    def __init__(self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
-        self._known, self._steps = known, settings.horizon
-        self._model = known.model.discretise(config.sample_time)
+    def __init__(self, plant: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
+        self._plant, self._steps = plant, settings.horizon
+        self._model = plant.model.discretise(config.sample_time)
         self._config = with_increments(config, self._model)
         options: dict[str, Any] = {
             "print_time": 0,
@@ -87,54 +87,54 @@ class ClairvoyantProgram:
             "ipopt.tol": settings.tolerance,
             "ipopt.max_iter": settings.max_iterations,
             "ipopt.warm_start_init_point": "yes",
-            "ipopt.mu_init": 1e-4,  # the initial guess is the last solution, which is close to the optimum
+            "ipopt.mu_init": 1e-4,  # the initial guess is the previous solution, which is close to the optimum
         }
         self._solver = ca.nlpsol("clairvoyant", "ipopt", self._program(), options)
         N, n, limits = self._steps, self._model.order, config.limits
-        free, equal = np.full((n + 3) * N, np.inf), np.zeros((n + 3) * N)
-        box = np.concatenate([np.tile([limits.v, limits.omega], N), free])
-        slew = np.concatenate([np.tile(slew_step(limits, self._model.dt), N), equal])
+        unbounded, zeros = np.full((n + 3) * N, np.inf), np.zeros((n + 3) * N)
+        box = np.concatenate([np.tile([limits.v, limits.omega], N), unbounded])
+        slew = np.concatenate([np.tile(slew_step(limits, self._model.dt), N), zeros])
         self._bounds = {"lbx": -box, "ubx": box, "lbg": -slew, "ubg": slew}
         self.reset()
 
     def reset(self) -> None:
-        """Discard the last solution, which would be the next initial guess."""
-        self._last: dict[str, FloatArray] | None = None
+        """Discard the previous solution, which is otherwise the initial guess of the next solve."""
+        self._last_solution: dict[str, FloatArray] | None = None
 
-    def solve(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
+    def solve(self, plant_state: PlantState, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
         """Compute the optimal commands (N, 2).
 
         Parameters
         ----------
         present
-            Present state of the plant.
+            State of the plant at the current tick.
         reference
             Reference at the samples 0 to N.
         feed_forward
-            (N, 2) commands from which deviations are penalised.
+            Commands (N, 2) from which deviations are penalised.
 
         Raises
         ------
         RuntimeError
-            If IPOPT does not converge, so that the bound is unknown.
+            If IPOPT does not converge; the bound is then unknown.
         """
         moving = np.abs(reference.twist[:, 0]) > metric_settings().moving_speed
-        # Heading error at which the robot travels along the tangent despite side-slip.
-        side_slip_angle = np.where(moving, self._known.side_slip * reference.twist[:, 1], 0.0)
+        # Heading error at which the robot moves along the tangent of the path despite side-slip.
+        side_slip_angle = np.where(moving, self._plant.side_slip * reference.twist[:, 1], 0.0)
         data = [
-            present.pose,
-            present.state,
-            present.past.ravel(),
-            present.disturbance,
+            plant_state.pose,
+            plant_state.state,
+            plant_state.past.ravel(),
+            plant_state.disturbance,
             np.column_stack([reference.pose, side_slip_angle]).ravel(),
             feed_forward.ravel(),
         ]
-        guess = self._last or {"x0": self._cold_start(present, reference, feed_forward)}
-        solution = self._solver(p=np.concatenate(data), **guess, **self._bounds)
+        initial_guess = self._last_solution or {"x0": self._cold_start(plant_state, reference, feed_forward)}
+        solution = self._solver(p=np.concatenate(data), **initial_guess, **self._bounds)
         if not self._solver.stats()["success"]:
             raise RuntimeError(f"the solver of the bound did not converge: {self._solver.stats()['return_status']}")
         x = np.array(solution["x"]).ravel()
-        self._last = {"x0": self._shifted(x)} | {
+        self._last_solution = {"x0": self._shift(x)} | {
             name: np.array(solution[key]).ravel() for name, key in (("lam_x0", "lam_x"), ("lam_g0", "lam_g"))
         }
         return x[: 2 * self._steps].reshape(-1, 2)
@@ -145,18 +145,19 @@ class ClairvoyantProgram:
         pose, state, past = ca.SX.sym("pose", 3), ca.SX.sym("state", n), ca.SX.sym("past", 2, model.memory)
         disturbance, reference = ca.SX.sym("disturbance", 2), ca.SX.sym("reference", 4, N + 1)
         feed_forward = ca.SX.sym("feed_forward", 2, N)
-        line, cost, gaps, x, p = ca.horzcat(past, U), ca.SX(0), [], state, pose
+        commands, cost, defects, x, p = ca.horzcat(past, U), ca.SX(0), [], state, pose
         for k in range(N):
             columns = [model.memory + k - int(delay) for delay in model.delay]
-            recent = ca.vertcat(*(line[row, column] for row, column in enumerate(columns)))
-            older = ca.vertcat(*(line[row, column - 1] for row, column in enumerate(columns)))
-            after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
-            ends = ca.DM(model.C) @ ca.horzcat(x, after)
-            acceleration = (ends[0, 1] - ends[0, 0]) / model.dt
-            gaps += [X[:, k] - after, P[:, k] - self._moved(p, ca.sum2(ends) / 2 + disturbance, acceleration)]
+            current_input = ca.vertcat(*(commands[row, column] for row, column in enumerate(columns)))
+            previous_input = ca.vertcat(*(commands[row, column - 1] for row, column in enumerate(columns)))
+            next_state = ca.DM(model.A) @ x + ca.DM(model.B0) @ current_input + ca.DM(model.B1) @ previous_input
+            outputs = ca.DM(model.C) @ ca.horzcat(x, next_state)
+            acceleration = (outputs[0, 1] - outputs[0, 0]) / model.dt
+            next_pose = self._next_pose(p, ca.sum2(outputs) / 2 + disturbance, acceleration)
+            defects += [X[:, k] - next_state, P[:, k] - next_pose]
             x, p = X[:, k], P[:, k]
             weights = np.array([w.along, w.across, w.heading]) * (w.terminal if k == N - 1 else 1.0)
-            cost += ca.dot(weights, _in_path(p, reference[:, k + 1]) ** 2) / 2
+            cost += ca.dot(weights, _path_errors(p, reference[:, k + 1]) ** 2) / 2
         increment = U - ca.horzcat(past[:, -1], U[:, :-1])
         cost += ca.dot(np.array([w.v, w.omega]), ca.sum2((U - feed_forward) ** 2)) / 2
         cost += ca.dot(np.array([w.v_increment, w.omega_increment]), ca.sum2(increment**2)) / 2
@@ -164,69 +165,69 @@ class ClairvoyantProgram:
             "x": ca.veccat(U, X, P),
             "p": ca.veccat(pose, state, past, disturbance, reference, feed_forward),
             "f": cost,
-            "g": ca.veccat(increment, *gaps),
+            "g": ca.veccat(increment, *defects),
         }
 
-    def _moved(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Compute the pose one sample later by the exact arc of `models.pose` with lateral speed."""
+    def _next_pose(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Compute the pose one sample later by the exact arc of `models.pose`, with lateral speed."""
         v, omega, dt = twist[0], twist[1], self._model.dt
-        lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
+        lateral = omega * (self._plant.load_shift * acceleration - self._plant.side_slip * v)
         half = omega * dt / 2
-        # sin(x) / x as a series, because the rotation in a sample is small.
+        # Series of sin(x) / x, because the rotation in a sample is small.
         length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
         c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
         return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
 
-    def _cold_start(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
-        states = np.tile(present.state, self._steps)
+    def _cold_start(self, plant_state: PlantState, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
+        states = np.tile(plant_state.state, self._steps)
         return np.concatenate([feed_forward.ravel(), states, reference.pose[1:].ravel()])
 
-    def _shifted(self, x: FloatArray) -> FloatArray:
+    def _shift(self, x: FloatArray) -> FloatArray:
         """Shift a solution by one step and repeat the last step."""
         N, n = self._steps, self._model.order
         parts = [part.reshape(N, -1) for part in np.split(x, [2 * N, (2 + n) * N])]
         return np.concatenate([np.vstack([part[1:], part[-1:]]).ravel() for part in parts])
 
 
-def _in_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Compute the errors along and across the path, and of the heading relative to that for travel along the path."""
+def _path_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
+    """Compute the errors along and across the path, and the heading error relative to the side-slip angle."""
     error = pose - reference[:3]
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     return ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2] - reference[3])
 
 
 class ClairvoyantController:
-    """Controller that solves the problem with the model of the plant by IPOPT to convergence at every tick.
+    """Controller that solves the problem with the plant's model by IPOPT to convergence at every tick.
 
-    It needs a pose without error or delay at each tick.
+    The controller requires a pose without error and delay at each tick.
 
     Parameters
     ----------
     known
-        Model and slip of the plant.
+        Model and side-slip of the plant.
     config
         Weights, limits and sample time.
     settings
-        Horizon and options of the solver; by default those of the built-in file.
+        Horizon, disturbance filter and solver options; by default from the built-in file.
     """
 
     def __init__(
-        self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings | None = None
+        self, plant: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings | None = None
     ) -> None:
-        self._known, self._config = known, config
+        self._plant, self._config = plant, config
         self._settings = settings or load_clairvoyant_settings()
-        self._model = known.model.discretise(config.sample_time)
-        self._inverse_gain = np.linalg.inv(known.model.dc_gain)
-        self._lag = np.maximum(known.model.lag, 0.0)
-        self._program = ClairvoyantProgram(known, config, self._settings)
+        self._model = plant.model.discretise(config.sample_time)
+        self._inverse_gain = np.linalg.inv(plant.model.dc_gain)
+        self._lag = np.maximum(plant.model.lag, 0.0)
+        self._program = ClairvoyantProgram(plant, config, self._settings)
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Start to track `reference`, whose time 0 is `t0` [s], with a robot at rest."""
+        """Start tracking `reference` with the robot at rest; time 0 of the reference is `t0` [s]."""
         self._reference, self._t0 = reference, t0
         self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
-        self._last_pose: FloatArray | None = None
-        self._mean, self._disturbance = np.zeros(2), np.zeros(2)
+        self._previous_pose: FloatArray | None = None
+        self._mean_twist, self._disturbance = np.zeros(2), np.zeros(2)
         self._program.reset()
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
@@ -237,51 +238,51 @@ class ClairvoyantController:
         RuntimeError
             If `start` was not called.
         ValueError
-            If there is no pose with the time `t`.
+            If the measurement has no pose at time `t`.
         """
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
         if measurement.pose is None or abs(measurement.pose.time - t) > 1e-9:
-            raise ValueError("the clairvoyant needs a pose without delay at every tick: use --sensors perfect")
+            raise ValueError("the clairvoyant controller needs an undelayed pose at every tick: use --sensors perfect")
         pose = np.array(measurement.pose.value, dtype=float)
         since_start = t - self._t0
         times = np.asarray(since_start + self._config.sample_time * np.arange(self._settings.horizon + 1))
         sample = self._reference.sample(times)
-        last = self._past[-1]
+        previous = self._past[-1]
         pose[2] += 2 * np.pi * np.round((sample.pose[0, 2] - pose[2]) / (2 * np.pi))
-        self._observe(pose)
-        present = Present(pose, self._state, self._past, self._disturbance)
-        plan = self._program.solve(present, sample, self._feed_forward(times))
-        command = nearest_command(plan[0], self._config.limits, self._config.sample_time, last)
+        self._update_disturbance(pose)
+        plant_state = PlantState(pose, self._state, self._past, self._disturbance)
+        plan = self._program.solve(plant_state, sample, self._feed_forward(times))
+        command = nearest_command(plan[0], self._config.limits, self._config.sample_time, previous)
         finished = since_start >= self._reference.duration
-        self._send(command)
-        return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - began)
+        self._advance_model(command)
+        return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - start_time)
 
     def _feed_forward(self, times: FloatArray) -> FloatArray:
-        """Compute steady-state commands (N, 2) for the reference's twist, one lag ahead, less the disturbance."""
+        """Compute steady-state commands (N, 2) for the reference's twist one lag ahead, minus the disturbance."""
         assert self._reference is not None
         desired = np.column_stack(
             [self._reference.sample(times[:-1] + lag).twist[:, i] for i, lag in enumerate(self._lag)]
         )
         return np.asarray((desired - self._disturbance) @ self._inverse_gain.T)
 
-    def _observe(self, pose: FloatArray) -> None:
-        """Update the smoothed difference between mean twist and model over the last sample."""
-        last, self._last_pose = self._last_pose, pose
-        if last is None:
+    def _update_disturbance(self, pose: FloatArray) -> None:
+        """Update the filtered difference between the mean twist over the last sample and the model's mean twist."""
+        previous, self._previous_pose = self._previous_pose, pose
+        if previous is None:
             return
-        turn = pose[2] - last[2]
-        direction = last[2] + turn / 2
-        ahead = np.cos(direction) * (pose[0] - last[0]) + np.sin(direction) * (pose[1] - last[1])
-        unexplained = np.array([ahead, turn]) / self._model.dt - self._mean
+        turn = pose[2] - previous[2]
+        direction = previous[2] + turn / 2
+        ahead = np.cos(direction) * (pose[0] - previous[0]) + np.sin(direction) * (pose[1] - previous[1])
+        unexplained = np.array([ahead, turn]) / self._model.dt - self._mean_twist
         memory = self._settings.disturbance_memory
         self._disturbance = memory * self._disturbance + (1 - memory) * unexplained
 
-    def _send(self, command: FloatArray) -> None:
-        """Advance the model by the commands sent."""
-        model, before = self._model, self._model.C @ self._state
-        (recent,), (older,) = model.effective_inputs(command[None], self._past)
-        self._state = model.A @ self._state + model.B0 @ recent + model.B1 @ older
+    def _advance_model(self, command: FloatArray) -> None:
+        """Advance the model by one sample with the command."""
+        model, start_output = self._model, self._model.C @ self._state
+        (current_input,), (previous_input,) = model.effective_inputs(command[None], self._past)
+        self._state = model.A @ self._state + model.B0 @ current_input + model.B1 @ previous_input
         self._past = np.vstack([self._past[1:], command])
-        self._mean = 0.5 * (before + model.C @ self._state)
+        self._mean_twist = 0.5 * (start_output + model.C @ self._state)

@@ -1,4 +1,4 @@
-"""Figures of the tracking study: the effect of each part of the estimator, the causes of errors, and the margin."""
+"""Figures of the tracking study: effect of each part of the estimator, sources of error, and delay margin."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from diffdrive_mpc.mpc import load_trajectory
 from studies.tracking.measured import BOUND_NAME, ErrorParts, decompose
 
 _BAR = 0.2
+"""Width of a bar, in units of the distance of two groups."""
 _SOURCE_VARIANTS = ("none of them", "no side-slip", "everything on")
 """Variants in the figure of the sources of error."""
 _PARTS = {
     "bias": "across, steady arcs (repeated)",
     "transient": "across, otherwise (repeated)",
     "along": "along the path (repeated)",
-    "noise": "differs from seed to seed",
+    "noise": "varies between seeds",
 }
+"""Labels of the fields of `ErrorParts`, in the order of the stack."""
 
 
 def draw_ablation(rows: DataFrame, path: Path) -> None:
-    """Draw bars grouped by surface: means over models, trajectories and seeds, with the range over trajectories."""
+    """Draw bars by surface: means over models, trajectories and seeds, with the range over trajectories."""
     variants = {**by(rows[rows["part"] == "ablation"], "variant"), BOUND_NAME: rows[rows["part"] == "bound"]}
     series = []
     for i, (name, variant) in enumerate(variants.items()):
@@ -38,25 +40,28 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
             for surface_rows in surfaces.values()
         ]
         errors = [1e3 * mean(surface_rows, "position_rmse_m") for surface_rows in surfaces.values()]
-        ends = ([min(part) for part in parts], [max(part) for part in parts])
-        series.append(Series(name, list(surfaces), errors, i, "bars", *ends))
+        interval = ([min(part) for part in parts], [max(part) for part in parts])
+        series.append(Series(name, list(surfaces), errors, i, "bars", *interval))
     axes = Axis("", "category"), Axis("position RMSE [mm]")
-    draw_charts([Chart("What each part of the estimator is worth", *axes, series)], path, width=10.0)
+    draw_charts([Chart("Effect of each part of the estimator", *axes, series)], path, width=10.0)
 
 
 def draw_margin(rows: DataFrame, path: Path) -> None:
-    """Draw the position error against the margin of omega, which peers do not have, and the change of omega_ref."""
-    driven = rows[rows["part"] == "margin"]
-    has_margin = driven["margin"] != "-"
-    ends = [float(driven["margin"][has_margin].min()), float(driven["margin"][has_margin].max())]
+    """Draw the position error against the delay margin of omega and against the change of omega_ref.
+
+    Peers have no margin; their error is a horizontal line.
+    """
+    margin_rows = rows[rows["part"] == "margin"]
+    has_margin = margin_rows["margin"] != "-"
+    interval = [float(margin_rows["margin"][has_margin].min()), float(margin_rows["margin"][has_margin].max())]
     by_margin, by_change = [], []
-    for i, (name, runs) in enumerate(by(driven, "driver").items()):
+    for i, (name, runs) in enumerate(by(margin_rows, "driver").items()):
         points = by(runs, "margin")
         errors, changes = (
             [1e3 * mean(point, column) for point in points.values()] for column in ("position_rmse_m", "omega_change")
         )
         is_peer = "-" in points
-        line = (ends, 2 * errors, i, "line") if is_peer else ([float(margin) for margin in points], errors, i)
+        line = (interval, 2 * errors, i, "line") if is_peer else ([float(margin) for margin in points], errors, i)
         by_margin.append(Series(name, *line))
         by_change.append(Series(name, changes, errors, i, "points" if is_peer else "both"))
     error = Axis("position RMSE [mm]")
@@ -68,15 +73,15 @@ def draw_margin(rows: DataFrame, path: Path) -> None:
 
 
 def draw_error_sources(rows: DataFrame, path: Path) -> None:
-    """Draw the error of selected variants and of the bound, for the first model and surface of the ablation."""
-    ablated = rows[rows["part"] == "ablation"]
-    model, surface = ablated[["driver", "surface"]].iloc[0]
-    variants = by(ablated[(ablated["driver"] == model) & (ablated["surface"] == surface)], "variant")
-    compared = {name: variants[name] for name in _SOURCE_VARIANTS if name in variants} or variants
+    """Draw the errors of selected variants and of the bound, for the first model and surface of the ablation."""
+    ablation_rows = rows[rows["part"] == "ablation"]
+    model, surface = ablation_rows[["driver", "surface"]].iloc[0]
+    variants = by(ablation_rows[(ablation_rows["driver"] == model) & (ablation_rows["surface"] == surface)], "variant")
+    selected_variants = {name: variants[name] for name in _SOURCE_VARIANTS if name in variants} or variants
     bound = rows[(rows["part"] == "bound") & (rows["surface"] == surface)]
     if len(bound):
-        compared[BOUND_NAME] = bound
-    trajectories = list(by(ablated, "trajectory"))
+        selected_variants[BOUND_NAME] = bound
+    trajectories = list(by(ablation_rows, "trajectory"))
     trajectory = "s" if "s" in trajectories else trajectories[0]
     with new_figure(path, 10.0, 6.6) as figure:
         grid = figure.add_gridspec(3, 1, height_ratios=(0.7, 1.3, 1.7))
@@ -84,18 +89,18 @@ def draw_error_sources(rows: DataFrame, path: Path) -> None:
         twist.sharex(across)
         twist.tick_params(labelbottom=False)
         twist.set_title(f"Along the trajectory '{trajectory}': {model}, surface {surface}; mean and spread over seeds")
-        _twist(twist, trajectory)
-        _over_time(
+        _draw_twist(twist, trajectory)
+        _draw_errors_over_time(
             across,
             {
-                name: rows_of_variant[rows_of_variant["trajectory"] == trajectory]
-                for name, rows_of_variant in compared.items()
+                name: variant_rows[variant_rows["trajectory"] == trajectory]
+                for name, variant_rows in selected_variants.items()
             },
         )
-        _shares(bars, compared, trajectories)
+        _draw_shares(bars, selected_variants, trajectories)
 
 
-def _twist(axes: Axes, trajectory: str) -> None:
+def _draw_twist(axes: Axes, trajectory: str) -> None:
     reference = load_trajectory(trajectory)
     time = np.linspace(0.0, reference.duration, 1000)
     sample = reference.sample(time)
@@ -105,29 +110,29 @@ def _twist(axes: Axes, trajectory: str) -> None:
     axes.legend(ncols=2, loc="upper right", frameon=True, framealpha=0.8, edgecolor="none")
 
 
-def _over_time(axes: Axes, compared: Mapping[str, DataFrame]) -> None:
-    for k, (name, rows) in enumerate(compared.items()):
+def _draw_errors_over_time(axes: Axes, selected_variants: Mapping[str, DataFrame]) -> None:
+    for k, (name, rows) in enumerate(selected_variants.items()):
         time, series = rows["time"].iloc[0], 1e3 * np.stack(list(rows["across"]))
-        middle, spread = series.mean(axis=0), series.std(axis=0)
-        axes.fill_between(time, middle - spread, middle + spread, color=colour(k), alpha=0.2, linewidth=0)
-        axes.plot(time, middle, color=colour(k), linestyle=line_style(k), label=name)
+        mean_error, spread = series.mean(axis=0), series.std(axis=0)
+        axes.fill_between(time, mean_error - spread, mean_error + spread, color=colour(k), alpha=0.2, linewidth=0)
+        axes.plot(time, mean_error, color=colour(k), linestyle=line_style(k), label=name)
     axes.axhline(0.0, color="black", linewidth=0.6)
     axes.set(xlabel="time [s]", ylabel="across the path [mm]")
     axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _shares(axes: Axes, compared: Mapping[str, DataFrame], trajectories: Sequence[str]) -> None:
+def _draw_shares(axes: Axes, selected_variants: Mapping[str, DataFrame], trajectories: Sequence[str]) -> None:
     """Draw stacked bars of mean squares, which are additive, unlike root mean squares."""
-    places: list[float] = []
+    positions: list[float] = []
     labels: list[str] = []
     for i, trajectory in enumerate(trajectories):
-        for k, (name, rows) in enumerate(compared.items()):
+        for k, (name, rows) in enumerate(selected_variants.items()):
             runs = rows[rows["trajectory"] == trajectory]
-            x = i + (k - (len(compared) - 1) / 2) * (_BAR + 0.04)
-            _stack(axes, x, decompose(runs), legend=not places)
-            places.append(x)
+            x = i + (k - (len(selected_variants) - 1) / 2) * (_BAR + 0.04)
+            _draw_stack(axes, x, decompose(runs), legend=not positions)
+            positions.append(x)
             labels.append("bound" if name == BOUND_NAME else name.replace(" ", "\n"))
-    axes.set_xticks(places, labels, fontsize=7.0)
+    axes.set_xticks(positions, labels, fontsize=7.0)
     for i, trajectory in enumerate(trajectories):
         axes.annotate(
             trajectory,
@@ -139,14 +144,14 @@ def _shares(axes: Axes, compared: Mapping[str, DataFrame], trajectories: Sequenc
             va="top",
             fontweight="bold",
         )
-    axes.set_ylabel("mean square of the position\nerror [mm$^2$]; on top RMS [mm]")
+    axes.set_ylabel("mean square of the position\nerror [mm$^2$]; labels: RMS [mm]")
     axes.margins(y=0.22)
     axes.grid(axis="x", visible=False)
     axes.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
-def _stack(axes: Axes, x: float, parts: ErrorParts, *, legend: bool) -> None:
-    below = 0.0
+def _draw_stack(axes: Axes, x: float, parts: ErrorParts, *, legend: bool) -> None:
+    bottom = 0.0
     for k, (name, label) in enumerate(_PARTS.items()):
         # The unbiased estimate of a repeated error near zero can be negative.
         value = max(0.0, 1e6 * getattr(parts, name))
@@ -154,13 +159,13 @@ def _stack(axes: Axes, x: float, parts: ErrorParts, *, legend: bool) -> None:
             x,
             value,
             _BAR,
-            bottom=below,
+            bottom=bottom,
             color=colour(k),
             hatch=HATCHES[k],
             edgecolor="white",
             linewidth=0.4,
             label=label if legend else None,
         )
-        below += value
+        bottom += value
     rms = 1e3 * np.sqrt(parts.total)
-    axes.annotate(f"{rms:.1f}", (x, below), (0, 2), textcoords="offset points", ha="center", fontsize=7.0)
+    axes.annotate(f"{rms:.1f}", (x, bottom), (0, 2), textcoords="offset points", ha="center", fontsize=7.0)

@@ -1,9 +1,10 @@
 """Lower bound of the tracking error of a linear robot with Gaussian noise: LQG control about the twists of a path.
 
-States: velocity model with its delayed commands, pose error in the frame of the reference, pose errors of delayed
-measurements, last command. Measurements: those of the sensor set. Estimator and controller: the stationary Kalman
-filter and the infinite-horizon LQR with the weights of the configuration. No limit is active, and slip and gyro bias
-are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 8.
+The states are the velocity model with its delayed commands, the pose error in the frame of the reference, the pose
+errors of delayed measurements, and the last command. The measurements are those of the sensor set. Estimator and
+controller are the stationary Kalman filter and the infinite-horizon LQR with the weights of the configuration. No limit
+is active, and slip and gyro bias are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990,
+chapter 8.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 from studies.tracking.known_plant import reference_drive
 
 _MIN_SHARE = 0.03
-"""Minimum share of the duration of a twist to be included [-], which excludes ramps."""
-_EXACT = 1e-6
-"""Standard deviation used instead of zero, in the unit of each sensor: the Riccati equation needs a positive one."""
+"""Minimum share of the duration for a twist to be included [-]; excludes ramps."""
+_MIN_DEVIATION = 1e-6
+"""Minimum standard deviation in the unit of each sensor; the Riccati equation requires positive variances."""
 _SCALE = 1e6
-"""Factor on covariances in the Riccati equation, which is well conditioned in mm^2."""
+"""Scale factor of the covariances in the Riccati equation, which is well conditioned in mm^2."""
 
 
 class LinearLoop(NamedTuple):
     """Linear system x[k+1] = A x[k] + B u[k] + w[k], z[k] = C x[k] + n[k] with cost x'Q x + 2 x'N u + u'R u.
 
-    `disturbance` and `noise` are the covariances of w and n. The states `place` are the position errors along and
-    across the path [m].
+    `disturbance` and `noise` are the covariances of w and n. `position` selects the states that are the position
+    errors along and across the path [m].
     """
 
     A: FloatArray
@@ -46,11 +47,11 @@ class LinearLoop(NamedTuple):
     Q: FloatArray
     R: FloatArray
     N: FloatArray
-    place: slice
+    position: slice
 
 
 class PositionFloor(NamedTuple):
-    """Root mean square errors of the position [m]: of the estimate, and in total."""
+    """Lower bounds of RMS position errors [m]: of the estimate, and of the robot."""
 
     estimate: float
     total: float
@@ -61,20 +62,21 @@ def linear_loop(
 ) -> LinearLoop:
     """Linearise robot, sensors and cost about a twist (v [m/s], omega [rad/s]).
 
-    `command_noise` (2,) is the standard deviation of the disturbance, white noise on v_ref [m/s] and omega_ref [rad/s].
+    The disturbance is white noise on v_ref [m/s] and omega_ref [rad/s] with the standard deviations `command_noise`
+    (2,).
     """
     dt = config.sample_time
     weights = with_increments(config, model.discretise(dt)).weights
     plant = model.to_control(dt)
     a, b, c = (np.asarray(matrix) for matrix in (plant.A, plant.B, plant.C))
     (v, omega), n, delay = np.asarray(twist, dtype=float), len(a), round(sensors.pose.latency / dt)
-    motion = expm(dt * np.array([[0, omega, 0, 1, 0], [-omega, 0, v, 0, 0], [0, 0, 0, 0, 1], [0] * 5, [0] * 5]))
-    drive, poses = 0.5 * motion[:3, 3:] @ c, 3 * (1 + delay)
+    transition = expm(dt * np.array([[0, omega, 0, 1, 0], [-omega, 0, v, 0, 0], [0, 0, 0, 0, 1], [0] * 5, [0] * 5]))
+    drive, poses = 0.5 * transition[:3, 3:] @ c, 3 * (1 + delay)
     A, B, C = np.zeros((n + poses + 2,) * 2), np.zeros((n + poses + 2, 2)), np.zeros((6, n + poses + 2))
-    A[:n, :n], A[n : n + 3, :n], A[n : n + 3, n : n + 3] = a, drive @ (np.eye(n) + a), motion[:3, :3]
+    A[:n, :n], A[n : n + 3, :n], A[n : n + 3, n : n + 3] = a, drive @ (np.eye(n) + a), transition[:3, :3]
     A[n + 3 : n + poses, n : n + poses - 3] = np.eye(poses - 3)
     B[:n], B[n : n + 3] = b, drive @ b
-    disturbed = B * np.asarray(command_noise, dtype=float)
+    noise_input = B * np.asarray(command_noise, dtype=float)
     B[-2:] = np.eye(2)
     C[:3, :n], C[3:, n + poses - 3 : n + poses] = c[[0, 1, 1]], np.eye(3)
     # v is the mean of four wheels, and omega the difference of the means of two wheels on each side.
@@ -85,49 +87,50 @@ def linear_loop(
     Q[range(n, n + 3), range(n, n + 3)] = weights.along, weights.across, weights.heading
     Q[-2:, -2:], N[-2:] = increments, -increments
     R = increments + np.diag([weights.v, weights.omega])
-    noise = np.diag(np.maximum(deviations, _EXACT) ** 2)
-    return LinearLoop(A, B, C, disturbed @ disturbed.T, noise, Q, R, N, slice(n, n + 2))
+    noise = np.diag(np.maximum(deviations, _MIN_DEVIATION) ** 2)
+    return LinearLoop(A, B, C, noise_input @ noise_input.T, noise, Q, R, N, slice(n, n + 2))
 
 
 def stationary_covariances(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
     """Solve for the covariances of the estimation error and of the state."""
     A, B, C = loop.A, loop.B, loop.C
-    value = solve_discrete_are(A, B, loop.Q, loop.R, s=loop.N)
-    gain = np.linalg.solve(loop.R + B.T @ value @ B, B.T @ value @ A + loop.N.T)
-    predicted = solve_discrete_are(A.T, C.T, _SCALE * loop.disturbance, _SCALE * loop.noise) / _SCALE
-    corrected = predicted @ C.T @ np.linalg.solve(C @ predicted @ C.T + loop.noise, C @ predicted)
-    # The estimate is driven by innovations, which are white, and is uncorrelated with its error.
-    return predicted - corrected, predicted - corrected + solve_discrete_lyapunov(A - B @ gain, corrected)
+    cost_to_go = solve_discrete_are(A, B, loop.Q, loop.R, s=loop.N)
+    gain = np.linalg.solve(loop.R + B.T @ cost_to_go @ B, B.T @ cost_to_go @ A + loop.N.T)
+    prior = solve_discrete_are(A.T, C.T, _SCALE * loop.disturbance, _SCALE * loop.noise) / _SCALE
+    correction = prior @ C.T @ np.linalg.solve(C @ prior @ C.T + loop.noise, C @ prior)
+    # The innovations, which drive the estimate, are white; the estimate is uncorrelated with its error.
+    return prior - correction, prior - correction + solve_discrete_lyapunov(A - B @ gain, correction)
 
 
 def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArray:
-    """Return the standard deviation (2,) of white command noise that causes the open-loop error of the model on a path.
+    """Compute the standard deviations (2,) of white command noise that explain the open-loop error of the model.
 
-    v and omega have the RMS error of the model's twist from the true twist of the mujoco plant.
+    This noise causes RMS errors of v and omega that equal those of the model's twist on a path, relative to the true
+    twist of the mujoco plant.
     """
     log, plant = reference_drive("mujoco", "default", trajectory), model.to_control(dt)
     errors = log.true_twist[:, [0, 2]] - model.discretise(dt).simulate(log.command)
-    of_unit_noise = [
+    unit_noise_variances = [
         plant.C[j] @ solve_discrete_lyapunov(plant.A, np.outer(b, b)) @ plant.C[j] for j, b in enumerate(plant.B.T)
     ]
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / of_unit_noise))
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / unit_noise_variances))
 
 
 @cache
 def position_floor(name: str, trajectory: str, sensors: str, *, assumed: bool = False) -> PositionFloor:
-    """Compute RMS errors over the constant twists of a path, weighted by their share of the duration.
+    """Compute the lower bounds over the constant twists of a path, weighted by their share of the duration.
 
-    The disturbance is `command_noise`, or with `assumed` the filter's `v_input_noise` and `omega_input_noise`.
+    The disturbance is `command_noise`; with `assumed`, it is the filter's `v_input_noise` and `omega_input_noise`.
     """
     config, path = load_config(name), load_trajectory(trajectory)
-    extra, dt, filtered = config.extra_dead_time, config.sample_time, config.estimator
+    extra, dt, estimator = config.extra_dead_time, config.sample_time, config.estimator
     model = load_linear_model(config.model).with_extra_dead_time((extra.v, extra.omega))
-    noise = [filtered.v_input_noise, filtered.omega_input_noise] if assumed else command_noise(model, trajectory, dt)
+    noise = [estimator.v_input_noise, estimator.omega_input_noise] if assumed else command_noise(model, trajectory, dt)
     twists = path.sample(np.arange(0.0, path.duration, dt)).twist.round(3)
     values, counts = np.unique(twists, axis=0, return_counts=True)
-    chosen = (counts >= _MIN_SHARE * len(twists)) & values.any(axis=1)
+    is_included = (counts >= _MIN_SHARE * len(twists)) & values.any(axis=1)
     squares = []
-    for twist in values[chosen]:
+    for twist in values[is_included]:
         loop = linear_loop(config, model, twist, load_sensor_set(sensors), noise)
-        squares.append([np.trace(matrix[loop.place, loop.place]) for matrix in stationary_covariances(loop)])
-    return PositionFloor(*np.sqrt(np.average(squares, axis=0, weights=counts[chosen])))
+        squares.append([np.trace(matrix[loop.position, loop.position]) for matrix in stationary_covariances(loop)])
+    return PositionFloor(*np.sqrt(np.average(squares, axis=0, weights=counts[is_included])))

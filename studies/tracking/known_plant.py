@@ -20,7 +20,7 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"
 _REST = 1.0
-"""Time at rest before each drive [s]: longer than any response."""
+"""Duration of the rest before each drive [s], which is longer than any response."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,11 @@ class KnownPlant:
     Attributes
     ----------
     model
-        Model from commands to the true (v, omega), dead time included.
+        Model from commands to the true (v, omega), including dead time.
     side_slip, load_shift
-        Coefficients [s, s^2] of the lateral speed omega (load_shift dv/dt - side_slip v): outward in steady turns, and
-        inward while the robot accelerates, because load on the rear wheels moves the centre of rotation back.
+        Coefficients [s, s^2] of the lateral speed omega (load_shift dv/dt - side_slip v). The robot slips outwards in
+        steady turns, and inwards while it accelerates, because load on the rear wheels moves the centre of rotation
+        back.
     """
 
     model: VelocityModel
@@ -43,26 +44,26 @@ class KnownPlant:
 
 @cache
 def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> KnownPlant:
-    """Determine model and slip of a plant.
+    """Identify model and slip of a plant.
 
     A plant that is a velocity model is known exactly. A physics plant is driven along `trajectories` with the
-    references' twists as commands, and two-pole models are fitted to its true motion. The same manoeuvres are
-    evaluated later.
+    references' twists as commands, and two-pole models are fitted to its true motion. The evaluation uses the same
+    trajectories.
 
     Parameters
     ----------
     plant, surface
-        Names, see `sim.plants.make`; "model:" plants must have no dead time in their name.
+        Names as in `sim.plants.make`; the name of a "model:" plant must not contain a dead time.
     trajectories
         Names or paths of trajectories.
 
     Raises
     ------
     models.checked_yaml.ConfigError, ValueError
-        If a name is unknown, or no trajectory moves both channels.
+        If a name is unknown, or if the trajectories do not excite both channels.
     """
     if plant.startswith(_MODEL_PREFIX):
-        return _exact(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
+        return _exact_plant(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [reference_drive(plant, surface, trajectory) for trajectory in trajectories]
     # The true motion has no outliers, and no reference exceeds a limit of the robot.
     fits = [
@@ -72,19 +73,19 @@ def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> K
     A, B, C = side_by_side([fit.form.file(**fit.content) for fit in fits])
     dead_time = np.array([fit.parameters.value("dead_time") for fit in fits])
     model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
-    side_slip, load_shift = _slip(logs)
+    side_slip, load_shift = _fit_slip(logs)
     return KnownPlant(model, side_slip, load_shift)
 
 
-def _exact(model: VelocityModel, surface: str) -> KnownPlant:
+def _exact_plant(model: VelocityModel, surface: str) -> KnownPlant:
     slip = load_surface(surface).slip
     gains = np.array([[slip.longitudinal_gain], [slip.yaw_gain]])
-    known = VelocityModel(model.name, model.structure, model.A, model.B, gains * model.C, model.dead_time)
-    return KnownPlant(known, slip.side_slip, 0.0)
+    scaled_model = VelocityModel(model.name, model.structure, model.A, model.B, gains * model.C, model.dead_time)
+    return KnownPlant(scaled_model, slip.side_slip, 0.0)
 
 
 def reference_drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
-    """Drive a plant with perfect sensors open loop, with the twists of the reference as commands."""
+    """Drive a plant with perfect sensors in open loop; the commands are the twists of the reference."""
     robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
     return drive_open_loop(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
@@ -95,18 +96,19 @@ def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[S
     for log in logs:
         if np.ptp(log.command[:, channel]) > 0:
             dt = float(log.time[1] - log.time[0])
-            before = ((round(_REST / dt), 0), (0, 0))
-            command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
-            experiments.append(SampledExperiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
+            padding = ((round(_REST / dt), 0), (0, 0))
+            signals = (log.command[:, [channel]], log.true_twist[:, [output]])
+            command, motion = (np.pad(signal, padding) for signal in signals)
+            experiments.append(SampledExperiment("reference", dt, command, motion, np.ones(motion.shape, dtype=bool)))
     return experiments
 
 
-def _slip(logs: list[OpenLoopDrive]) -> tuple[float, float]:
-    """Fit side-slip and load shift by least squares."""
-    regressors, lateral = [], []
+def _fit_slip(logs: list[OpenLoopDrive]) -> tuple[float, float]:
+    """Fit side-slip [s] and load shift [s^2] by least squares."""
+    regressors, lateral_speeds = [], []
     for log in logs:
-        v, sideways, omega = log.true_twist.T
+        v, lateral_speed, omega = log.true_twist.T
         regressors.append(np.column_stack([-v * omega, np.gradient(v, log.time) * omega]))
-        lateral.append(sideways)
-    side_slip, load_shift = np.linalg.lstsq(np.vstack(regressors), np.concatenate(lateral), rcond=None)[0]
+        lateral_speeds.append(lateral_speed)
+    side_slip, load_shift = np.linalg.lstsq(np.vstack(regressors), np.concatenate(lateral_speeds), rcond=None)[0]
     return float(side_slip), float(load_shift)

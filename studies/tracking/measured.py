@@ -1,4 +1,4 @@
-"""Additional columns of a run, and the decomposition of errors over seeds."""
+"""Additional columns of a run, and decomposition of the errors of runs with different seeds."""
 
 from __future__ import annotations
 
@@ -24,50 +24,50 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, ScoredRun
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-# Difference below which two twists are equal [m/s, rad/s]; a ramp changes by a hundred times as much in a sample.
-_SAME_TWIST = 1e-6
+# Difference below which two twists are equal [m/s, rad/s]; the change of a ramp per sample is a hundred times larger.
+_TWIST_TOLERANCE = 1e-6
 
 
 def steady_arc_lateral(run: ScoredRun) -> FloatArray:
-    """Compute the signed mean lateral error of every steady arc of the reference, positive to the left of the path.
+    """Compute the mean lateral error of every steady arc of the reference, positive to the left of the path.
 
-    An arc is an interval of constant twist with nonzero v and omega. Its steady part starts `settled_arc` of
-    `metrics.yaml` after its start; shorter arcs are omitted.
+    An arc is an interval of constant twist with nonzero v and omega. The steady part of an arc starts `settled_arc`
+    (see `metrics.yaml`) after the start of the arc; shorter arcs are omitted.
 
     Returns
     -------
     FloatArray
-        (number of steady arcs,) [m], in order of time.
+        Errors (number of steady arcs,) [m], in order of time.
     """
     return np.array([np.mean(run.errors.lateral[ticks]) for ticks in steady_arcs(run)])
 
 
 def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
-    """Find the ticks of every steady arc, as `steady_arc_lateral` defines it, in order of time."""
+    """Find the ticks of every steady arc in order of time; `steady_arc_lateral` defines the arcs."""
     ticks = np.flatnonzero(run.counted)
     twist, time = run.reference_twist[ticks], run.time[ticks]
-    changed = 1 + np.flatnonzero((np.abs(np.diff(twist, axis=0)) > _SAME_TWIST).any(axis=1))
+    changes = 1 + np.flatnonzero((np.abs(np.diff(twist, axis=0)) > _TWIST_TOLERANCE).any(axis=1))
     arcs = []
-    for stretch in np.split(np.arange(len(ticks)), changed):
-        curved = bool((np.abs(twist[stretch[0]]) > _SAME_TWIST).all())
-        steady = stretch[time[stretch] >= time[stretch[0]] + metric_settings().settled_arc - TIME_TOLERANCE]
-        if curved and steady.size:
+    for arc in np.split(np.arange(len(ticks)), changes):
+        is_curved = bool((np.abs(twist[arc[0]]) > _TWIST_TOLERANCE).all())
+        steady = arc[time[arc] >= time[arc[0]] + metric_settings().settled_arc - TIME_TOLERANCE]
+        if is_curved and steady.size:
             arcs.append(ticks[steady])
     return arcs
 
 
 BOUND = "clairvoyant"
-"""Name of the controller of the bound; it is no peer on the command line."""
+"""Name of the controller of the bound, which is not available on the command line."""
 BOUND_NAME = "clairvoyant bound"
 """Name of the bound in tables and figures."""
 MARGIN = "margin.omega"
 """Configuration key that the part "margin" varies."""
 _POINTS = 400
-"""Maximum number of ticks of a run on the page."""
+"""Maximum number of ticks of a run on the page of the report."""
 
 
 class FigureTarget(StrictModel):
-    """A figure of selected runs, and its limit."""
+    """Statistic of the runs that `where` selects, and its limit."""
 
     quantity: str
     place: str
@@ -85,30 +85,30 @@ class Targets(StrictModel):
 
 @cache
 def load_targets() -> Targets:
-    """Load the shipped targets."""
+    """Load `targets.yaml`; raise ConfigError if the file is invalid."""
     return load_checked(Targets, Path(__file__).with_name("targets.yaml"))
 
 
 def additional_columns(case: Case, run: Run) -> dict[str, object]:
     """Compute the columns of a run.
 
-    `arcs` (arcs,) are the mean lateral errors of every steady arc [m]. `late_lateral_m` is the maximum |lateral| error
-    after `lateral_from` of `targets.yaml` [m]. `omega_change` is the RMS change of omega_ref per tick [rad/s]. `margin`
-    is the margin of omega if the case overrides it [s]. Over the counted ticks: `time` [s], the position error `along`
-    (ahead of) and `across` (left of) the reference [m], and `steady`, True in steady arcs. `series` is the view of a
-    run with the shipped configuration on the default surface, else None.
+    `arcs` (arcs,) are the mean lateral errors of the steady arcs [m]. `late_lateral_m` is the maximum |lateral| error
+    from `lateral_from` of `targets.yaml` on [m]. `omega_change` is the RMS change of omega_ref per tick [rad/s].
+    `margin` is the margin of omega [s] if the case overrides it, otherwise "-". `time` [s], the position errors `along`
+    (ahead of) and `across` (left of) the reference [m], and the flag `steady` of steady arcs have one value per counted
+    tick. `series` is the view of a run with the shipped configuration on the default surface, otherwise None.
     """
     counted = np.flatnonzero(run.counted)
     along, across = ahead_and_left((run.true_pose - run.reference_pose)[counted], run.reference_pose[counted, 2])
     steady = np.zeros(len(run.time), dtype=bool)
     for ticks in steady_arcs(run):
         steady[ticks] = True
-    late = counted[run.time[counted] >= load_targets().lateral_from]
+    late_ticks = counted[run.time[counted] >= load_targets().lateral_from]
     return {
         "lost": not run.metrics.completed,
         "plain": is_plain(case),
         "arcs": np.array(steady_arc_lateral(run), dtype=float),
-        "late_lateral_m": float(np.max(np.abs(run.errors.lateral[late]), initial=0.0)),
+        "late_lateral_m": float(np.max(np.abs(run.errors.lateral[late_ticks]), initial=0.0)),
         "omega_change": float(np.sqrt(np.mean(np.diff(run.command[counted, 1]) ** 2))),
         "margin": dict(case.overrides).get(MARGIN, "-"),
         "time": run.time[counted],
@@ -120,9 +120,9 @@ def additional_columns(case: Case, run: Run) -> dict[str, object]:
 
 
 def is_plain(case: Case) -> bool:
-    """Return True for our controller as shipped, on the physics plant, with default sensors and no disturbance."""
-    usual = ("mujoco", "default", NO_SCENARIO, ())
-    return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == usual
+    """Return True for the shipped controller on the physics plant with default sensors and no disturbance."""
+    default = ("mujoco", "default", NO_SCENARIO, ())
+    return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == default
 
 
 def _series(case: Case, run: Run) -> RunSeries:
@@ -133,39 +133,39 @@ def _series(case: Case, run: Run) -> RunSeries:
 
 
 def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
-    """Run a case; the plant data of the bound are fitted on `trajectories`."""
+    """Run a case; the plant data of the bound are identified on `trajectories`."""
     if case.controller != BOUND:
         return run_case(case)
     from studies.tracking.clairvoyant import ClairvoyantController  # noqa: PLC0415 - loads slowly
     from studies.tracking.known_plant import identify_plant  # noqa: PLC0415
 
-    known = identify_plant(case.plant, case.surface, trajectories)
-    controller = ClairvoyantController(known, controller_config(Case().model))
+    plant_data = identify_plant(case.plant, case.surface, trajectories)
+    controller = ClairvoyantController(plant_data, controller_config(Case().model))
     plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
     return simulate(controller, plant, load_reference(case))
 
 
 def worst_arc(rows: DataFrame) -> float:
-    """Compute the maximum over arcs of the mean over seeds of |mean lateral error| [m]; NaN without arcs."""
+    """Return the maximum over arcs of the mean |lateral error| over seeds [m]; NaN without arcs."""
     arcs = [list(group["arcs"]) for group in by(rows, "trajectory").values()]
-    means = [np.mean(np.abs(of_seeds), axis=0) for of_seeds in arcs if all(len(of_seed) for of_seed in of_seeds)]
+    means = [np.mean(np.abs(seed_rows), axis=0) for seed_rows in arcs if all(len(seed_arcs) for seed_arcs in seed_rows)]
     return float(np.max(np.concatenate(means))) if means else math.nan
 
 
 @dataclass(frozen=True)
 class ErrorParts:
-    """Mean squares that add up to the mean squared position error [m^2].
+    """Parts of the mean squared position error [m^2].
 
     Attributes
     ----------
     bias
-        Error across the path in steady arcs, equal for all seeds: the remaining effect of slip and gains.
+        Repeated error across the path in steady arcs, caused by slip and gains.
     transient
-        Error across the path at other times, equal for all seeds: entries, exits, straights.
+        Repeated error across the path at all other times.
     along
-        Error along the path, equal for all seeds.
+        Repeated error along the path.
     noise
-        Error that differs between the seeds, which is caused by the sensors.
+        Error that varies between seeds, caused by the sensors.
     """
 
     bias: float
@@ -182,22 +182,22 @@ class ErrorParts:
 def decompose(rows: DataFrame) -> ErrorParts:
     """Split the mean squared error of runs that differ only in their seeds.
 
-    With S seeds, the square of the mean over seeds contains 1/S of the variance of the noise. This part is subtracted
-    there and counted as noise, so that both parts are unbiased and their sum is exact. With a single run, the noise is
-    unknown, and the whole error counts as repeated.
+    An error is repeated if it is equal for all seeds. With S seeds, the square of the mean over seeds contains 1/S of
+    the variance of the noise. This part is subtracted from the repeated error and added to the noise. Both are then
+    unbiased, and their sum is exact. With a single run, the noise is unknown, and the whole error counts as repeated.
 
     Raises ValueError if the runs have different lengths.
     """
     lengths = {len(times) for times in rows["time"]}
     if len(lengths) != 1:
-        raise ValueError(f"runs of {sorted(lengths)} ticks cannot be compared tick by tick")
+        raise ValueError(f"runs of {sorted(lengths)} ticks cannot be compared: all runs need the same number of ticks")
     across, along = (np.stack(list(rows[name])) for name in ("across", "along"))
-    steady, several = rows["steady"].iloc[0], len(rows) > 1
-    spread = [series.var(axis=0, ddof=1) if several else np.zeros(series.shape[1]) for series in (across, along)]
-    repeated = [series.mean(axis=0) ** 2 - var / len(rows) for series, var in zip((across, along), spread, strict=True)]
+    steady, seeds = rows["steady"].iloc[0], len(rows)
+    noise = [series.var(axis=0, ddof=1) if seeds > 1 else np.zeros(series.shape[1]) for series in (across, along)]
+    repeated = [series.mean(axis=0) ** 2 - var / seeds for series, var in zip((across, along), noise, strict=True)]
     return ErrorParts(
         bias=float(np.mean(np.where(steady, repeated[0], 0.0))),
         transient=float(np.mean(np.where(steady, 0.0, repeated[0]))),
         along=float(np.mean(repeated[1])),
-        noise=float(np.mean(spread[0] + spread[1])),
+        noise=float(np.mean(noise[0] + noise[1])),
     )

@@ -34,23 +34,25 @@ from diffdrive_mpc.bench.table import Table, millis, number
 from studies.tracking.measured import BOUND, BOUND_NAME, additional_columns, load_targets, run_or_bound, worst_arc
 
 _FOLDER = Path(__file__).parent
-_MISSED = "docs/results.md explains the limit of each error; the ablation shows the effect of each estimator part"
+_ADVICE = "docs/results.md explains the limit of each error; the ablation shows the effect of each estimator part"
+"""Advice for missed targets."""
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
     """Load a study, by default the built-in study; raise ConfigError if the file is invalid."""
-    read = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
-    return read if read.tables else read.model_copy(update={"tables": load_tables(_FOLDER / "tables.yaml")})
+    experiment = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
+    tables = experiment.tables or load_tables(_FOLDER / "tables.yaml")
+    return experiment.model_copy(update={"tables": tables})
 
 
 @dataclass(frozen=True)
 class TargetResult:
-    """Target and the value of each model.
+    """Target and the values of the models.
 
     Attributes
     ----------
     quantity, where
-        Limited quantity with its unit, and description of the runs.
+        Limited quantity with unit, and description of the runs.
     limit
         Maximum allowed value.
     reached
@@ -85,36 +87,36 @@ def evaluate_targets(rows: DataFrame) -> list[TargetResult]:
 
 
 def target_table(verdicts: Sequence[TargetResult]) -> Table:
-    """Tabulate every target with the value of each model, and mark values beyond the limit."""
+    """Tabulate every target with the value of each model, and mark values above the limit."""
     models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
 
-    def exact(value: float) -> str:
+    def format_value(value: float) -> str:
         return f"{value:.3g}" if np.isfinite(value) else "-"
 
     def reached(verdict: TargetResult, model: str) -> str:
         if model not in verdict.reached:
             return "-"
-        return exact(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
+        return format_value(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
 
     rows = tuple(
         (
             target.quantity,
             target.where,
-            exact(target.limit),
+            format_value(target.limit),
             *(reached(target, model) for model in models),
             "yes" if target.met else "no",
         )
         for target in verdicts
     )
     note = (
-        "Means over trajectories and seeds, except counts and quantities named worst, largest or longest, which are "
-        "over all runs. Worst arc: maximum over the arcs of the mean absolute value over seeds."
+        "Means over trajectories and seeds. Counts and quantities named worst, largest or longest are over all runs. "
+        "Worst arc: maximum over the arcs of the absolute value, averaged over seeds."
     )
     return Table("Targets", ("what", "where", "limit", *models, "reached by all"), rows, 2, note)
 
 
 class TrackingStudy(SpecStudy):
-    """Study of an experiment with the parts of `study.yaml`, or with the parts in `only`."""
+    """Study of an experiment with all its parts, or with the parts in `only`."""
 
     name: ClassVar[str] = "tracking"
 
@@ -124,99 +126,100 @@ class TrackingStudy(SpecStudy):
 
     def tables(self, rows: DataFrame) -> list[Table]:
         """Build the table of targets and the tables of the parts that were run."""
-        named = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
+        named_rows = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
         part = rows[rows["part"] == "targets"]
-        return [*([target_table(evaluate_targets(part))] if len(part) else []), *self.cell_tables(named, _cells(rows))]
+        targets = [target_table(evaluate_targets(part))] if len(part) else []
+        return [*targets, *self.cell_tables(named_rows, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
         """Build the report with the tables and the figures of the parts that were run."""
         from studies.tracking.figures import draw_ablation, draw_error_sources, draw_margin  # noqa: PLC0415
 
-        plain = super().report(results, seconds)
+        report = super().report(results, seconds)
         seeds = ", ".join(by(results[results["controller"] != BOUND], "seed"))
-        drawn = {
+        figures = {
             "ablation.png": ("ablation", draw_ablation),
             "error-sources.png": ("ablation", draw_error_sources),
             "margin.png": ("margin", draw_margin),
         }
-        driven = set(results["part"])
+        parts = set(results["part"])
         return replace(
-            plain,
-            facts=[f"{plain.facts[0][:-1]}; seeds {seeds}."],
-            figures={name: partial(draw, results) for name, (part, draw) in drawn.items() if part in driven},
+            report,
+            facts=[f"{report.facts[0][:-1]}; seeds {seeds}."],
+            figures={name: partial(draw, results) for name, (part, draw) in figures.items() if part in parts},
             shown=page_contents(results),
         )
 
 
 def _cells(rows: DataFrame) -> Mapping[str, Cell]:
-    ours = rows[rows["plain"].astype(bool)].drop_duplicates("case")
+    shipped = rows[rows["plain"].astype(bool)].drop_duplicates("case")
 
-    def ours_there(bound: DataFrame) -> float:
-        """Compute the error of our controller on the surfaces and trajectories of the bound."""
-        matching = ours[ours["surface"].isin(bound["surface"]) & ours["trajectory"].isin(bound["trajectory"])]
+    def our_error(bound: DataFrame) -> float:
+        """Compute the error of the shipped controller on the surfaces and trajectories of the bound."""
+        matching = shipped[shipped["surface"].isin(bound["surface"]) & shipped["trajectory"].isin(bound["trajectory"])]
         return mean(matching, "position_rmse_m")
 
-    def on_plant(group: DataFrame) -> str:
-        same = group["plant"].iloc[0] == f"model:{group['model'].iloc[0]}"
-        return millis(mean(group, "position_rmse_m")) + ("*" if same else "")
+    def error_on_plant(group: DataFrame) -> str:
+        is_prediction_model = group["plant"].iloc[0] == f"model:{group['model'].iloc[0]}"
+        return millis(mean(group, "position_rmse_m")) + ("*" if is_prediction_model else "")
 
-    def on_floor(group: DataFrame, *, error: str = "total", assumed: bool = False) -> str:
+    def floor_error(group: DataFrame, *, error: str = "total", assumed: bool = False) -> str:
         from studies.tracking.floor import position_floor  # noqa: PLC0415 - loads slowly
 
-        places = group[["model", "trajectory", "sensors"]].drop_duplicates().itertuples(index=False, name=None)
-        floors = [getattr(position_floor(*place, assumed=assumed), error) for place in places]
+        combinations = group[["model", "trajectory", "sensors"]].drop_duplicates().itertuples(index=False, name=None)
+        floors = [getattr(position_floor(*place, assumed=assumed), error) for place in combinations]
         return number(1e3 * float(np.mean(floors)), 2)
 
     return {
         "worst_arc": lambda runs: millis(worst_arc(runs)),
-        "error_on_plant": on_plant,
-        "ours": lambda runs: millis(ours_there(runs)),
-        "floor_total": on_floor,
-        "floor_estimate": partial(on_floor, error="estimate"),
-        "floor_assumed": partial(on_floor, assumed=True),
-        "left": lambda runs: millis(ours_there(runs) - mean(runs, "position_rmse_m")),
+        "error_on_plant": error_on_plant,
+        "ours": lambda runs: millis(our_error(runs)),
+        "floor_total": floor_error,
+        "floor_estimate": partial(floor_error, error="estimate"),
+        "floor_assumed": partial(floor_error, assumed=True),
+        "left": lambda runs: millis(our_error(runs) - mean(runs, "position_rmse_m")),
     }
 
 
 def page_contents(rows: DataFrame) -> Shown:
-    """Collect the contents of the page except tables and figures."""
+    """Build the contents of the page except tables and figures."""
     targets = rows[rows["part"] == "targets"]
     verdicts = evaluate_targets(targets) if len(targets) else []
-    every = rows.drop_duplicates("case")
-    listed = every[every["series"].notna()]
-    driven = listed[listed["seed"] == listed["seed"].min()]
-    models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
-    series = [run.in_style(models.index(name)) for name, run in zip(driven["driver"], driven["series"], strict=True)]
+    unique_rows = rows.drop_duplicates("case")
+    charted = unique_rows[unique_rows["series"].notna()]
+    first = charted[charted["seed"] == charted["seed"].min()]
+    models, paths = tuple(by(first, "driver")), tuple(by(first, "trajectory"))
+    series = [run.in_style(models.index(name)) for name, run in zip(first["driver"], first["series"], strict=True)]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default surface and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
     return Shown(
         summary=[f"{met} of {len(verdicts)} targets are reached by all models."] if verdicts else [],
-        key_figures=_key_figures(every, verdicts, driven),
+        key_figures=_key_figures(unique_rows, verdicts, first),
         toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if models else [],
         views=views,
-        warnings=_warnings(every, verdicts),
+        warnings=_warnings(unique_rows, verdicts),
         configurations=[
-            view for group in by(driven, "driver").values() for view in configuration(group["case"].iloc[0])
+            view for group in by(first, "driver").values() for view in configuration(group["case"].iloc[0])
         ],
     )
 
 
-def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], driven: DataFrame) -> list[KeyFigure]:
-    done = total(rows, "completed")
-    figures = [KeyFigure("completed", f"{done} of {len(rows)}", "runs", "good" if done == len(rows) else "bad")]
+def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], first: DataFrame) -> list[KeyFigure]:
+    count = total(rows, "completed")
+    figures = [KeyFigure("completed", f"{count} of {len(rows)}", "runs", "good" if count == len(rows) else "bad")]
     if verdicts:
         met = sum(verdict.met for verdict in verdicts)
-        sound = "good" if met == len(verdicts) else "bad"
-        figures.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", sound))  # type: ignore[arg-type]
-    for name, group in by(driven, "driver").items():
+        status = "good" if met == len(verdicts) else "bad"
+        figures.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", status))  # type: ignore[arg-type]
+    for name, group in by(first, "driver").items():
         rmse = f"{number(1e3 * mean(group, 'position_rmse_m'), 1)} mm"
         figures.append(KeyFigure(f"position error of {name}, RMSE", rmse, "default surface and sensors"))
     return figures
 
 
 def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
-    """Chart the value of each target as a share of its limit, without targets whose limit is zero."""
+    """Chart the value of each target relative to its limit; targets with limit zero are omitted."""
     charted = [verdict for verdict in verdicts if verdict.limit > 0]
     names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
     series = []
@@ -232,14 +235,14 @@ def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Ch
 def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]:
     warnings = []
     for verdict in verdicts:
-        missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
-        if missed:
-            values = f"the limit is {verdict.limit:g}, {', '.join(missed)} reached"
-            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _MISSED))
-    lost = rows[~rows["completed"].astype(bool)]
-    if len(lost):
+        excesses = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
+        if excesses:
+            values = f"{', '.join(excesses)} instead of at most {verdict.limit:g}"
+            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _ADVICE))
+    incomplete = rows[~rows["completed"].astype(bool)]
+    if len(incomplete):
         names = ("controller", "model", "trajectory", "surface", "scenario")
-        where = ", ".join(str(lost[name].iloc[0]) for name in names)
-        words = f"{len(lost)} runs did not complete, the first: {where}, seed {lost['seed'].iloc[0]}."
-        warnings.append(Warned(words, "run it alone with `simulate` and these options, and read its report"))
+        where = ", ".join(str(incomplete[name].iloc[0]) for name in names)
+        problem = f"{len(incomplete)} runs did not complete, the first: {where}, seed {incomplete['seed'].iloc[0]}."
+        warnings.append(Warned(problem, "run this case alone with `simulate` and these options, and read its report"))
     return warnings

@@ -94,7 +94,7 @@ def artificial_results(repetitions: int = 2) -> ReproduceResults:
         lstm=tuple(lstm(k) for k in range(1, repetitions + 1)),
         rows=(network_rows(),),
         cost=cost(),
-        virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
+        virtual_track=check_virtual_track(load_published().virtual_track, threshold=2.0),
     )
 
 

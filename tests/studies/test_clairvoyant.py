@@ -85,8 +85,8 @@ def test_position_floor_is_the_scatter_of_simulated_linear_robots():
         noise, command = random.normal(size=(400, 6)) * np.sqrt(np.diag(loop.noise)), -estimate @ gain.T
         state, estimate = state @ A.T + command @ B.T + disturbance, estimate @ A.T + command @ B.T
         estimate = estimate + (state @ C.T + noise - estimate @ C.T) @ correction.T
-        squares.append([np.mean(rows[:, loop.place] ** 2, axis=0) for rows in (state - estimate, state)])
-    stated = [np.diag(covariance)[loop.place] for covariance in stationary_covariances(loop)]
+        squares.append([np.mean(rows[:, loop.position] ** 2, axis=0) for rows in (state - estimate, state)])
+    stated = [np.diag(covariance)[loop.position] for covariance in stationary_covariances(loop)]
     assert np.mean(squares[400:], axis=0) == pytest.approx(np.array(stated), rel=0.05)
 
 

@@ -25,7 +25,7 @@ def test_search_finds_the_minimum_inside_the_ranges() -> None:
 
 @pytest.mark.parametrize("evaluations", [8, 20])
 def test_search_keeps_its_budget_and_is_reproducible(evaluations: int) -> None:
-    tried = run_search(evaluations).tried
-    assert len(tried) == evaluations
-    assert tried == run_search(evaluations).tried
-    assert all(low <= values[name] <= high for values, _ in tried for name, (low, high) in RANGES.items())
+    trials = run_search(evaluations).trials
+    assert len(trials) == evaluations
+    assert trials == run_search(evaluations).trials
+    assert all(low <= values[name] <= high for values, _ in trials for name, (low, high) in RANGES.items())

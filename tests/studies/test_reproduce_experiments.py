@@ -103,7 +103,7 @@ def driven_tracks() -> list[DrivenTrack]:
 def test_friction_and_wheel_base_give_the_track_of_a_turn_on_the_spot(driven_tracks):
     """Coulomb friction under four wheels: track (1 + (wheel base / track)^2), on any surface, at any yaw rate."""
     for driven in driven_tracks:
-        (spot, *_) = driven.alone.values()
+        (spot, *_) = driven.series.values()
         assert spot[:, 2] == pytest.approx(0.33 * (1 + (0.14 / 0.33) ** 2), rel=0.02)
 
 
