@@ -14,7 +14,7 @@ from studies.speed.results import ACADOS, SpeedResults
 
 
 def draw_horizons(results: SpeedResults, path: Path) -> None:
-    """Draw the median of the whole step of all solvers against the horizon, with a panel per model and log axes."""
+    """Draw the median whole-step time of all solvers against the horizon, with log axes and one panel per model."""
     models, horizons = results.models, results.horizons
     with new_figure(path, 3.2 * len(models) + 1.6, 3.8) as figure:
         panels = figure.subplots(1, len(models), sharey=True, squeeze=False)[0]
@@ -31,8 +31,8 @@ def draw_horizons(results: SpeedResults, path: Path) -> None:
                     label=solver,
                 )
             if ACADOS in results.solvers:
-                inside = [1e3 * results.value(ACADOS, model, n, lambda r: r.solver_p50_s) for n in horizons]
-                axes.plot(horizons, inside, color="black", linestyle=":", label="acados, inside its solver")
+                solver_times = [1e3 * results.value(ACADOS, model, n, lambda r: r.solver_p50_s) for n in horizons]
+                axes.plot(horizons, solver_times, color="black", linestyle=":", label="acados, time inside the solver")
             axes.set(xscale="log", yscale="log", xlabel="horizon [steps]", title=model.upper())
             axes.set_xticks(horizons, [str(n) for n in horizons])
             axes.xaxis.set_minor_formatter(NullFormatter())
@@ -42,7 +42,7 @@ def draw_horizons(results: SpeedResults, path: Path) -> None:
 
 
 def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
-    """Draw the share of steps longer than a given time for the last model at one horizon, with logarithmic axes."""
+    """Draw the share of steps that exceed a time, for the last model at one horizon, with logarithmic axes."""
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
@@ -56,10 +56,10 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
         figure.legend(loc="outside right center")
 
 
-def _draw_tail(axes: Axes, times: ArrayLike, name: str, shade: str, line: str) -> None:
-    """Draw the share of steps that took longer than a given time [s]; logarithmic axes show the tail."""
+def _draw_tail(axes: Axes, times: ArrayLike, name: str, line_colour: str, style: str) -> None:
+    """Draw the share of `times` [s] that exceed a time; logarithmic axes show the tail."""
     times = 1e3 * np.sort(np.asarray(times, dtype=float))
-    longer = 1.0 - np.arange(times.size) / times.size
+    share = 1.0 - np.arange(times.size) / times.size
     label = f"{name}, p99 {np.percentile(times, 99):.2f} ms"
-    axes.step(times, longer, where="pre", color=shade, linestyle=line, label=label)
+    axes.step(times, share, where="pre", color=line_colour, linestyle=style, label=label)
     axes.set(xscale="log", yscale="log", ylabel="share of longer steps")

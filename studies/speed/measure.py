@@ -1,4 +1,4 @@
-"""Measure all subjects at one horizon: closed loops take turns tick by tick, then replays take turns block by block."""
+"""Time all subjects at one horizon: closed loops in turns of one tick, then replays in turns of one block."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from studies.speed.stage import StageProblem, stage_data, stage_problem
 
 
 class PeerInput:
-    """Input of peers: estimate, reference and feed-forward from our controller; its computing time is not counted."""
+    """Input of peers from our controller: estimate, reference and feed-forward; its computing time is not counted."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
         self._config, self._reference = config, reference
@@ -45,21 +45,21 @@ class PeerInput:
         self._started = False
 
     def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
-        """Compute the state of the first stage and parameters of all stages at `t` [s]; see `studies.speed.stage`."""
+        """Compute the state of the first stage and the parameters of all stages at `t` [s], as in `stage_data`."""
         if not self._started:
             self._controller.start(self._reference, t)
-        # The command of the subject, not of this controller.
+        # The subject's command was sent, not this controller's.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
-        stamped = replace(measurement, sent=sent) if self._started else measurement
+        complete_measurement = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
         self._controller.program.count_from(self._past[-1])
-        estimate = self._controller.step(t, stamped).estimate
+        estimate = self._controller.step(t, complete_measurement).estimate
         if estimate is None:
-            raise RuntimeError("the drive starts without a pose: peers need the position of the robot")
+            raise RuntimeError("the drive starts without a pose, which peers require")
         return stage_data(self._controller.program, estimate, self._past)
 
-    def sent(self, command: FloatArray) -> FloatArray:
-        """Limit a peer's `command` (2,) to range and slew, as for our controller; store and return it."""
+    def limit(self, command: FloatArray) -> FloatArray:
+        """Limit a subject's `command` (2,) to range and slew, as for our controller; store and return the result."""
         sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
         self._past = np.concatenate([self._past[1:], sent[None]])
         return sent
@@ -67,23 +67,27 @@ class PeerInput:
 
 @dataclass
 class ClosedLoop:
-    """A closed loop that is continued tick by tick.
+    """Closed loop of a subject and a simulated robot, which runs tick by tick.
 
     Attributes
     ----------
+    config, model, settings, subject
+        Configuration and velocity model of the problem, settings of the study, and subject.
+    is_ours
+        True for our controller, False for a peer.
     ticks, peer_data
-        Input of the subject at each tick, for a replay; and the input of a peer at the same tick.
+        Input of the subject at each tick, for replays, and input of a peer at these ticks.
     steps, efforts
-        Results of the steps, and their efforts.
+        Results and computing efforts of the steps.
     pose, twist, command
-        True pose (3,) and twist (2,) before each tick, and the command sent (2,).
+        True pose (3,) and twist (2,) before each tick, and command sent (2,).
     """
 
     config: ControllerConfig
     model: VelocityModel
     settings: SpeedSettings
     subject: Subject
-    ours: bool
+    is_ours: bool
     ticks: list[tuple[Any, ...]] = field(default_factory=list)
     peer_data: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     steps: list[TimedStep] = field(default_factory=list)
@@ -105,14 +109,14 @@ class ClosedLoop:
         plant = self._plant
         t, measurement = plant.time, plant.measure()
         peer_data = self._input.data(t, measurement)
-        data = (t, measurement) if self.ours else peer_data
+        data = (t, measurement) if self.is_ours else peer_data
         if not self.ticks:
             self.subject.reset(data)
         (step,), effort = self.subject.run([data])
         command = np.array(step.command)
         if not np.isfinite(command).all():
             command = np.zeros(2)
-        command = self._input.sent(command)
+        command = self._input.limit(command)
         self.ticks.append(data)
         self.peer_data.append(peer_data)
         self.steps.append(step)
@@ -131,27 +135,26 @@ def closed_loop_cost(
     config: ControllerConfig,
     model: VelocityModel,
 ) -> float:
-    """Compute the mean over the ticks of the stage cost of `mpc.problem` on the true motion.
+    """Compute the stage cost of `mpc.problem` for the true motion, averaged over the ticks.
 
-    Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
-    deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
-    limits that were exceeded. Terminal weight and slip are not included: the feed-forward is that of the model, without
-    a lead.
+    The stage cost is half the weighted sum of squares of the pose error (along and across the reference, and in
+    heading), of the deviation of the command from its feed-forward, and of the increment of this deviation, plus the
+    penalties on violated soft limits. Terminal weight, slip and lead of the feed-forward are not included.
 
     Parameters
     ----------
     pose
-        (n, 3) true pose at each tick, the first at time 0 of the reference: x [m], y [m], theta [rad].
+        True poses (n, 3) at the ticks: x [m], y [m], theta [rad]; the first tick is at time 0 of the reference.
     twist
-        (n, 2) true v [m/s], omega [rad/s] at each tick.
+        True twists (n, 2) at the ticks: v [m/s], omega [rad/s].
     command
-        (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first tick the robot is at rest.
+        Commands (n, 2) sent at the ticks: v_ref [m/s], omega_ref [rad/s]; the robot is at rest before the first tick.
     reference
         Reference to track.
     config
         Weights, limits, track and sample time.
     model
-        Velocity model whose steady-state gain the feed-forward inverts.
+        Velocity model; the feed-forward inverts its steady-state gain.
 
     Returns
     -------
@@ -166,40 +169,40 @@ def closed_loop_cost(
     n = len(command)
     if pose.shape != (n, 3) or twist.shape != (n, 2) or command.shape != (n, 2):
         raise ValueError(
-            f"pose {pose.shape}, twist {twist.shape}, command {command.shape}: give (n, 3), (n, 2), (n, 2)"
+            f"pose {pose.shape}, twist {twist.shape}, command {command.shape}: expected (n, 3), (n, 2), (n, 2)"
         )
     if not all(np.isfinite(values).all() for values in (pose, twist, command)):
         raise ValueError("pose, twist and command must be finite: a failed drive has no cost")
-    ahead = FeedForward.from_model(model, config.sample_time)
-    sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
+    parameters = FeedForward.from_model(model, config.sample_time)
+    sample = reference.sample(config.sample_time * np.arange(n + int(parameters.whole.max()) + 1))
     w = with_increments(config, model.discretise(config.sample_time)).weights
-    in_path = _in_path(pose, sample.pose[:n])
-    fed = _fed_forward(ahead, sample.twist, n)
-    deviation = command - fed
-    increment = np.diff(deviation, axis=0, prepend=-fed[:1])
-    squares = in_path**2 @ [w.along, w.across, w.heading]
+    path_errors = _path_errors(pose, sample.pose[:n])
+    feed_forward = _hold_commands(parameters, sample.twist, n)
+    deviation = command - feed_forward
+    increment = np.diff(deviation, axis=0, prepend=-feed_forward[:1])
+    squares = path_errors**2 @ [w.along, w.across, w.heading]
     squares += deviation**2 @ [w.v, w.omega] + increment**2 @ [w.v_increment, w.omega_increment]
-    excess = np.maximum(_soft_values(twist, in_path[:, 1], config) - _soft_limits(config), 0.0)
+    excess = np.maximum(_soft_values(twist, path_errors[:, 1], config) - _soft_limits(config), 0.0)
     penalty = w.soft * excess.sum(axis=1) + w.soft_quadratic * (excess**2).sum(axis=1) / 2
     return float(np.mean(squares / 2 + penalty))
 
 
-def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
-    """Compute commands (n, 2) that hold the reference's twist without slip."""
-    rows = np.arange(n)[:, None] + ahead.whole
-    now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
-    desired = (now + ahead.rest * (after - now)).T
-    return np.asarray(formula("feed_forward").map(n)(desired, Slip().flat, ahead.inverse_gain)).T
+def _hold_commands(parameters: FeedForward, twist: FloatArray, n: int) -> FloatArray:
+    """Compute the steady-state commands (n, 2) for the reference's twist without slip."""
+    rows = np.arange(n)[:, None] + parameters.whole
+    current, following = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
+    desired = (current + parameters.rest * (following - current)).T
+    return np.asarray(formula("feed_forward").map(n)(desired, Slip().flat, parameters.inverse_gain)).T
 
 
-def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Compute the errors (n, 3) along the reference, across it and in heading."""
+def _path_errors(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """Compute the pose errors (n, 3): along the reference, across the reference, and in heading."""
     error = pose - reference
     return np.column_stack([*ahead_and_left(error, reference[:, 2]), wrap_angle(error[:, 2])])
 
 
 def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig) -> FloatArray:
-    """Compute magnitudes (n, 5) of v, omega, the rim speeds of both sides, and the error across the path."""
+    """Compute the magnitudes (n, 5) of v, omega, the rim speeds of both sides, and the error across the path."""
     v, omega = twist.T
     rim = 0.5 * config.wheels.track * omega
     return np.asarray(np.abs(np.column_stack([v, omega, v + rim, v - rim, across])))
@@ -217,7 +220,7 @@ _AT_LIMIT = 1e-5
 
 @dataclass(frozen=True)
 class SpeedProblem:
-    """Problem of one model and horizon."""
+    """Tracking problem with one model and one horizon."""
 
     name: str
     horizon: int
@@ -227,15 +230,15 @@ class SpeedProblem:
 
 
 @dataclass(eq=False)
-class _Running:
-    """A running subject with its closed loop; satisfies `bench.turns.Replay`. `lost` is the reason of a failure."""
+class _RunningSubject:
+    """Subject with its process and closed loop, a `bench.turns.Replay`; `failure` is the reason for a failure."""
 
     name: str
     problem: SpeedProblem
     drive: ClosedLoop
-    built: dict[str, float]
+    build_report: dict[str, float]
     times: TurnTimes | None = None
-    lost: str = ""
+    failure: str = ""
 
     @property
     def ticks(self) -> int:
@@ -247,16 +250,16 @@ class _Running:
         self.call(lambda: self.drive.subject.reset(self.drive.ticks[0]))
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Run ticks; return times (ticks, 2) of whole steps and solver [s], or None after a failure."""
+        """Run ticks; return times (ticks, 2) of whole step and solver [s] and the effort, or None after a failure."""
         result = self.call(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
         return None if result is None else (_times(result[0]), result[1])
 
     def call(self, function: Callable[[], T]) -> T | None:
-        """Call a function of the subject; after a failure, store the reason and return None from then on."""
+        """Call a function of the subject; store the reason for a failure, and return None from the failure on."""
         try:
-            return None if self.lost else function()
+            return None if self.failure else function()
         except SubjectError as error:
-            self.lost = str(error)
+            self.failure = str(error)
             return None
 
 
@@ -267,9 +270,9 @@ def _times(steps: Sequence[TimedStep]) -> FloatArray:
 def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProblem:
     """Load the problem for a model by name; raise ConfigError if its configuration is unusable."""
     config = controller_config(model, None, (*settings.config.items(), ("horizon", horizon)))
-    loaded = Controller(config).model
-    assert isinstance(loaded, VelocityModel)
-    return SpeedProblem(model, horizon, config, loaded, stage_problem(config, loaded.discretise(config.sample_time)))
+    linear = Controller(config).model
+    assert isinstance(linear, VelocityModel)
+    return SpeedProblem(model, horizon, config, linear, stage_problem(config, linear.discretise(config.sample_time)))
 
 
 def measure(
@@ -280,98 +283,98 @@ def measure(
     core: int | None,
     on_tick: Callable[[], None],
 ) -> tuple[list[SpeedRecord], list[Missing]]:
-    """Measure all subjects of `settings` on all of `problems`, which are compared with each other.
+    """Time all subjects of `settings` on all `problems`; the timing of the problems is interleaved.
 
     Parameters
     ----------
     settings, problems
         Settings and problems of the study.
     environment
-        Environment of the peers, None if no peer needs it, or the reason for its absence.
+        Environment of the peers, None if no peer requires it, or the reason for its absence.
     folder
-        Folder of the files that the subjects generate.
+        Folder for files that the subjects generate.
     core
-        Core that all subjects run on; None if the system cannot bind a process to a core.
+        Processor core for all subjects; None if the system cannot bind a process to a core.
     on_tick
         Function that is called after each tick of the closed loops.
     """
     missing: list[Missing] = []
-    running: list[_Running] = []
+    running: list[_RunningSubject] = []
     with ExitStack() as stack:
-        for problem, (name, chosen) in itertools.product(problems, settings.subjects.items()):
-            place = folder / problem.name / _folder_name(name)
+        for problem, (name, choice) in itertools.product(problems, settings.subjects.items()):
+            subject_folder = folder / problem.name / _folder_name(name)
             try:
-                subject, built = _build(stack, settings, problem, chosen, environment, place, core)
+                subject, build_report = _build(stack, settings, problem, choice, environment, subject_folder, core)
             except SubjectError as error:
                 missing.append(Missing(name, problem.name, problem.horizon, str(error)))
                 continue
-            drive = ClosedLoop(problem.config, problem.model, settings, subject, chosen.kind == "ours")
-            running.append(_Running(name, problem, drive, built))
+            drive = ClosedLoop(problem.config, problem.model, settings, subject, choice.kind == "ours")
+            running.append(_RunningSubject(name, problem, drive, build_report))
         for _ in range(settings.ticks):
             for candidate in running:
                 candidate.call(candidate.drive.step)
             on_tick()
-        _replay([candidate for candidate in running if not candidate.lost], settings)
+        _replay([candidate for candidate in running if not candidate.failure], settings)
         converged = {
             problem.name: _build(
                 stack, settings, problem, settings.converged, None, folder / problem.name / "converged", core
             )[0]
             for problem in problems
         }
-        measured = []
+        records = []
         for candidate in running:
-            if not candidate.lost:
-                measured.append(
+            if not candidate.failure:
+                records.append(
                     _record(candidate, _gaps(candidate, converged[candidate.problem.name], settings.gap_every))
                 )
             else:
                 missing.append(
-                    Missing(candidate.name, candidate.problem.name, candidate.problem.horizon, candidate.lost)
+                    Missing(candidate.name, candidate.problem.name, candidate.problem.horizon, candidate.failure)
                 )
-    return measured, missing
+    return records, missing
 
 
-def _replay(running: Sequence[_Running], settings: SpeedSettings) -> None:
-    """Time all subjects by replays; subjects that are too slow for replays keep the times of their closed loop."""
-    quick = [subject for subject in running if _median_step_time(subject) < settings.replayed_below]
-    (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block)
-    for subject, times in zip(quick, costs, strict=True):
+def _replay(running: Sequence[_RunningSubject], settings: SpeedSettings) -> None:
+    """Time the subjects with replays; subjects that are too slow for replays keep the times of their closed loop."""
+    fast = [subject for subject in running if _median_step_time(subject) < settings.replayed_below]
+    (costs,), best = take_turns([fast], repetitions=settings.repetitions, block=settings.block)
+    for subject, times in zip(fast, costs, strict=True):
         subject.times = times
     best = min([best, *(effort.pace for subject in running for effort in subject.drive.efforts)])
     for subject in running:
-        clean = np.array([[effort.undisturbed(best) for effort in subject.drive.efforts]])
-        subject.times = subject.times or TurnTimes(_times(subject.drive.steps)[None], clean)
+        undisturbed = np.array([[effort.undisturbed(best) for effort in subject.drive.efforts]])
+        subject.times = subject.times or TurnTimes(_times(subject.drive.steps)[None], undisturbed)
 
 
 def _build(
     stack: ExitStack,
     settings: SpeedSettings,
     problem: SpeedProblem,
-    chosen: SubjectSettings,
+    choice: SubjectSettings,
     environment: PeerEnvironment | SubjectError | None,
     folder: Path,
     core: int | None,
 ) -> tuple[Subject, dict[str, float]]:
-    if chosen.kind == "acados" and not shutil.which("gcc"):
-        raise SubjectError("no C compiler: install gcc")
-    if chosen.foreign:
+    if choice.kind == "acados" and not shutil.which("gcc"):
+        raise SubjectError("the C compiler gcc is missing: install gcc")
+    if choice.needs_environment:
         if not isinstance(environment, PeerEnvironment):
-            raise environment or SubjectError("the peers' environment is needed")
-        subject = stack.enter_context(Subject(chosen.kind, folder, environment.python, environment.variables))
+            raise environment or SubjectError("the peers' environment is missing")
+        subject = stack.enter_context(Subject(choice.kind, folder, environment.python, environment.variables))
     else:
-        subject = stack.enter_context(Subject(chosen.kind, folder))
-    if chosen.kind == "ours":
-        config = replace_values(problem.config, chosen.settings)
+        subject = stack.enter_context(Subject(choice.kind, folder))
+    if choice.kind == "ours":
+        config = replace_values(problem.config, choice.settings)
         return subject, subject.build(config, {"trajectory": settings.trajectory}, core)
-    return subject, subject.build(asdict(problem.stages), chosen.settings, core)
+    return subject, subject.build(asdict(problem.stages), choice.settings, core)
 
 
-def _median_step_time(subject: _Running) -> float:
+def _median_step_time(subject: _RunningSubject) -> float:
     return float(np.median([step.whole for step in subject.drive.steps]))
 
 
-def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
-    """Compute |command - converged command| (n, 2) at every tick whose number is a multiple of `every`."""
+def _gaps(subject: _RunningSubject, converged: Subject, every: int) -> FloatArray:
+    """Compute |command - converged command| (n, 2) at every `every`-th tick [m/s, rad/s]."""
     gaps: list[FloatArray] = []
     for k in range(0, len(subject.drive.ticks), every):
         data = subject.drive.peer_data[k]
@@ -382,7 +385,7 @@ def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
     return np.array(gaps or [np.full(2, np.nan)])
 
 
-def _record(subject: _Running, gaps: FloatArray) -> SpeedRecord:
+def _record(subject: _RunningSubject, gaps: FloatArray) -> SpeedRecord:
     drive, problem = subject.drive, subject.problem
     assert subject.times is not None
     whole, inside = np.moveaxis(subject.times.selected, -1, 0)
@@ -408,9 +411,9 @@ def _record(subject: _Running, gaps: FloatArray) -> SpeedRecord:
         samples=int(np.isfinite(whole).sum()),
         clean_share=subject.times.share,
         ticks=len(command),
-        build_s=subject.built["build_s"],
+        build_s=subject.build_report["build_s"],
         memory_bytes=memory,
-        memory_growth_bytes=memory - subject.built["before_bytes"],
+        memory_growth_bytes=memory - subject.build_report["before_bytes"],
         whole=whole,
         **time_statistics(whole, inside),
     )

@@ -1,4 +1,4 @@
-"""Results of one subject on one problem, and of the whole benchmark."""
+"""Results of the speed benchmark and their tables."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
 ACADOS = "acados"
-"""Peer that ratios refer to."""
+"""Name of the peer to which ratios refer."""
 GROWTH_FROM = 20
-"""Minimum horizon for the growth exponent: below it, costs that do not depend on the horizon dominate."""
+"""Minimum horizon for the growth exponent; at shorter horizons, costs that do not depend on the horizon dominate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,7 @@ class SpeedRecord:
     step_p50_s, step_p95_s, step_p99_s, step_max_s
         Time of the whole step from Python [s], over all ticks of all repetitions.
     tick_p99_s, tick_max_s
-        Statistics over ticks of the median over repetitions [s]: they show the effect of the data without that of other
-        programs.
+        Statistics, over ticks, of the median over repetitions [s]; other programs have no effect on them.
     solver_p50_s, solver_p95_s, solver_p99_s, solver_max_s
         Time inside the solver, as reported by the solver [s].
     iterations_p50, iterations_max
@@ -39,7 +38,7 @@ class SpeedRecord:
     gap_v_p50, gap_v_max, gap_omega_p50, gap_omega_max
         Distance of the command from the command of the converged solution at the same state [m/s, rad/s].
     active_share
-        Share of ticks at which the command was at a hard limit of range or slew.
+        Share of ticks at which a hard limit of range or slew is active [-].
     unsolved
         Number of ticks at which the solver failed.
     samples, clean_share, ticks
@@ -47,8 +46,7 @@ class SpeedRecord:
     build_s, memory_bytes, memory_growth_bytes
         Build time [s]; maximum memory of the process, and its growth since its modules were loaded [bytes].
     whole
-        (repetitions, ticks) times of the whole step [s], NaN if disturbed or cold, for the figure of the tail; not
-        written to the file.
+        Times of the whole step (repetitions, ticks) [s], NaN for disturbed and cold steps; not written to the file.
     """
 
     solver: str
@@ -83,13 +81,13 @@ class SpeedRecord:
 
     def as_json(self) -> dict[str, object]:
         """Convert to plain values; times are rounded to nanoseconds."""
-        written = {member.name: getattr(self, member.name) for member in fields(self) if member.name != "whole"}
-        return {name: round(value, 9) if isinstance(value, float) else value for name, value in written.items()}
+        values = {member.name: getattr(self, member.name) for member in fields(self) if member.name != "whole"}
+        return {name: round(value, 9) if isinstance(value, float) else value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A subject that could not be run, and the reason."""
+    """Subject that could not be run, with the reason."""
 
     solver: str
     model: str
@@ -98,7 +96,7 @@ class Missing:
 
 
 def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
-    """Compute percentiles of times (repetitions, ticks) [s] by the fields of a record; NaN values are ignored."""
+    """Compute the time statistics of a record from times (repetitions, ticks) [s]; NaN values are ignored."""
     ticks = np.nanmedian(whole[:, np.isfinite(whole).any(axis=0)], axis=0)
     statistics = {"tick_p99_s": float(np.percentile(ticks, 99)), "tick_max_s": float(ticks.max())}
     for name, times in (("step", whole), ("solver", inside)):
@@ -109,7 +107,7 @@ def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
 
 
 def growth_exponent(horizons: FloatArray, times: FloatArray) -> float:
-    """Fit the exponent e of times = c horizons^e by least squares of logarithms; NaN with fewer than two horizons."""
+    """Fit the exponent e in times = c horizons^e by least squares of logarithms; NaN for fewer than two horizons."""
     if len(horizons) < 2:
         return float("nan")
     return float(np.polyfit(np.log(horizons), np.log(times), 1)[0])
@@ -124,9 +122,9 @@ class SpeedResults:
     records, missing
         Records and missing subjects in the order of the run.
     core
-        Core that all subjects ran on; None if the system cannot bind a process to a core.
+        Processor core of all subjects; None if the system cannot bind a process to a core.
     load
-        Number of running processes on the machine before and after.
+        Number of running processes on the machine before and after the benchmark.
     """
 
     records: tuple[SpeedRecord, ...]
@@ -160,7 +158,7 @@ class SpeedResults:
         return float("nan") if record is None else field(record)
 
     def growth(self, solver: str, model: str) -> float:
-        """Fit the exponent of the step's median over horizons of at least `GROWTH_FROM`; NaN with fewer than two."""
+        """Fit the growth exponent of the median step over horizons from `GROWTH_FROM` on; NaN for fewer than two."""
         records = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
         return growth_exponent(
             np.array([r.horizon for r in records], dtype=float), np.array([r.step_p50_s for r in records])
@@ -184,13 +182,13 @@ class SpeedResults:
 # Tables of the speed benchmark.
 
 
-_DETAILED = 30
-"""Horizon of the detailed tables, which is the shipped one; if it was not run, the longest horizon is used."""
-_SMALLEST = "ssm"
-"""Model with the minimum number of states, which other models are compared with."""
+_DETAIL_HORIZON = 30
+"""Horizon of the detailed tables, the shipped horizon; the longest horizon replaces it if it was not run."""
+_BASE_MODEL = "ssm"
+"""Model with the fewest states, with which other models are compared."""
 Value = Callable[[SpeedRecord], float]
 Cell = Callable[[str, str, int], str]
-"""Function from solver, model and horizon to a cell."""
+"""Function that formats a cell from solver, model and horizon."""
 
 
 def _whole(record: SpeedRecord) -> float:
@@ -206,13 +204,13 @@ def speed_tables(results: SpeedResults) -> list[Table]:
     models = results.models
     tables = [_medians(results, model) for model in models]
     if ACADOS in results.solvers:
-        own_clock, python = "inside its solver as it reports it", "from Python"
-        tables += [_against_acados(results, model, "inside", own_clock, _inside) for model in models]
-        tables += [_against_acados(results, model, "whole", python, _whole) for model in models]
+        solver_clock, step_clock = "inside its solver as reported by acados", "from Python"
+        tables += [_against_acados(results, model, "inside", solver_clock, _inside) for model in models]
+        tables += [_against_acados(results, model, "whole", step_clock, _whole) for model in models]
     tables += [_tails(results, model) for model in models]
     tables += [_tails_by_horizon(results, model) for model in models]
     tables += [_exactness(results, model) for model in models]
-    if _SMALLEST in models and len(models) > 1:
+    if _BASE_MODEL in models and len(models) > 1:
         tables.append(_models(results))
     tables.append(_growth(results))
     return tables + ([_missing(results)] if results.missing else [])
@@ -220,7 +218,7 @@ def speed_tables(results: SpeedResults) -> list[Table]:
 
 def detailed_horizon(results: SpeedResults) -> int:
     """Return the horizon of the detailed comparison."""
-    return _DETAILED if _DETAILED in results.horizons else results.horizons[-1]
+    return _DETAIL_HORIZON if _DETAIL_HORIZON in results.horizons else results.horizons[-1]
 
 
 def _by_horizon(
@@ -233,8 +231,8 @@ def _by_horizon(
 
     columns = {f"N = {n}{unit}": cell_at(n) for n in results.horizons}
     if isinstance(models, str):
-        alone = [((solver,), (solver, models)) for solver in results.solvers]
-        return Table.build(title, ("solver",), columns, alone, note)
+        entries = [((solver,), (solver, models)) for solver in results.solvers]
+        return Table.build(title, ("solver",), columns, entries, note)
     entries = [((model.upper(), solver), (solver, model)) for model in models for solver in results.solvers]
     return Table.build(title, ("model", "solver"), columns, entries, note)
 
@@ -248,11 +246,11 @@ def _medians(results: SpeedResults, model: str) -> Table:
     return _by_horizon(results, f"Median step {model.upper()}", model, cell, note, unit=" [ms]")
 
 
-def _against_acados(results: SpeedResults, model: str, clock: str, words: str, of_acados: Value) -> Table:
+def _against_acados(results: SpeedResults, model: str, clock: str, description: str, of_acados: Value) -> Table:
     def cell(solver: str, model: str, n: int) -> str:
         return number(results.value(solver, model, n, _whole) / results.value(ACADOS, model, n, of_acados), 2)
 
-    note = f"Ratio of medians: the whole step over that of acados, {words}."
+    note = f"Ratio of medians: whole step over the time of acados, {description}."
     return _by_horizon(results, f"Against acados {clock} {model.upper()}", model, cell, note)
 
 
@@ -269,7 +267,7 @@ def _tails(results: SpeedResults, model: str) -> Table:
         "tick max [ms]": millis(lambda r: r.tick_max_s),
         "p99 / p50": lambda r: number(r.step_p99_s / r.step_p50_s, 1),
     }
-    note = "Whole steps of all repetitions; by tick: the median over repetitions, which shows the effect of the data."
+    note = "Whole steps of all repetitions. Tick: statistics of the median over repetitions, without disturbances."
     return _detail_table(results, "Tail", model, columns, note)
 
 
@@ -294,11 +292,11 @@ def _tails_by_horizon(results: SpeedResults, model: str) -> Table:
 
 def _models(results: SpeedResults) -> Table:
     def cell(solver: str, model: str, n: int) -> str:
-        return number(results.value(solver, model, n, _whole) / results.value(solver, _SMALLEST, n, _whole), 2)
+        return number(results.value(solver, model, n, _whole) / results.value(solver, _BASE_MODEL, n, _whole), 2)
 
-    others = [model for model in results.models if model != _SMALLEST]
-    note = f"Median of the whole step over that of the same solver with {_SMALLEST.upper()}."
-    return _by_horizon(results, f"Against {_SMALLEST.upper()}", others, cell, note)
+    others = [model for model in results.models if model != _BASE_MODEL]
+    note = f"Median of the whole step, relative to the same solver with {_BASE_MODEL.upper()}."
+    return _by_horizon(results, f"Against {_BASE_MODEL.upper()}", others, cell, note)
 
 
 def _exactness(results: SpeedResults, model: str) -> Table:
@@ -308,13 +306,13 @@ def _exactness(results: SpeedResults, model: str) -> Table:
         "omega p50 [mrad/s]": lambda r: f"{1e3 * r.gap_omega_p50:.3f}",
         "omega max [mrad/s]": lambda r: f"{1e3 * r.gap_omega_max:.3f}",
         "cost": lambda r: number(r.closed_loop_cost, 5),
-        "its": lambda r: number(r.iterations_p50, 0),
-        "fails": lambda r: str(r.unsolved),
+        "iterations": lambda r: number(r.iterations_p50, 0),
+        "failures": lambda r: str(r.unsolved),
         "at limits [%]": lambda r: number(100 * r.active_share, 0),
     }
     note = (
-        "Distance of the command from the converged command at the same state, p50 and maximum. Cost: of the closed "
-        "loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver failed."
+        "Distance of the command from the converged command at the same state, p50 and maximum. Cost: closed-loop cost "
+        "per tick. Iterations: median of the solver's iterations. Failures: ticks at which the solver failed."
     )
     return _detail_table(results, "Exactness", model, columns, note)
 
@@ -323,8 +321,8 @@ def _growth(results: SpeedResults) -> Table:
     longest = results.horizons[-1]
 
     def memory(solver: str) -> str:
-        taken = [results.value(solver, model, longest, lambda r: r.memory_growth_bytes) for model in results.models]
-        return number(max((value / 1e6 for value in taken if np.isfinite(value)), default=float("nan")), 0)
+        growths = [results.value(solver, model, longest, lambda r: r.memory_growth_bytes) for model in results.models]
+        return number(max((value / 1e6 for value in growths if np.isfinite(value)), default=float("nan")), 0)
 
     columns: dict[str, Callable[[str], str]] = {
         f"exponent {model.upper()}": lambda solver, model=model: number(results.growth(solver, model), 2)  # type: ignore[misc]

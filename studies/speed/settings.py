@@ -18,21 +18,21 @@ MAX_STEPS = 200
 
 
 class SubjectSettings(StrictModel):
-    """One solver of the problem with its settings."""
+    """Solver of the problem with its settings."""
 
     kind: Literal["ours", "acados", "do-mpc", "nlpsol"]
     settings: dict[str, Any] = Field(description="configuration values for our controller, solver settings for a peer")
 
     @property
-    def foreign(self) -> bool:
-        """True if the subject needs the peers' environment."""
+    def needs_environment(self) -> bool:
+        """True if the subject requires the peers' environment."""
         return self.kind in ("acados", "do-mpc")
 
 
 class SpeedSettings(StrictModel):
-    """Problem, solvers and settings of the measurement; units are stated in the file."""
+    """Problem, solvers and settings of the measurement; `settings.yaml` states the units."""
 
-    config: dict[str, bool | int | float | str] = Field(description="values of every configuration by dotted key")
+    config: dict[str, bool | int | float | str] = Field(description="configuration values of all models by dotted key")
     trajectory: str
     ticks: Count
     plant_sensors: str
@@ -52,7 +52,7 @@ QUICK: dict[str, object] = {"models": ("ssm",), "horizons": (10, 20), "ticks": 6
 
 
 def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> SpeedSettings:
-    """Read a file of settings, by default the shipped one; raise ConfigError if it is invalid."""
+    """Load settings from `file`, by default the shipped file; raise ConfigError if the file is invalid."""
     settings = load_checked(SpeedSettings, file or Path(__file__).with_name("settings.yaml"))
     return settings.model_copy(update=QUICK) if quick else settings
 
@@ -66,10 +66,8 @@ def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> Spe
         return settings
     subjects: dict[str, SubjectSettings] = {}
     for name in names:
-        best = {
-            full: subject for full, subject in settings.subjects.items() if full == name or full.startswith(f"{name}/")
-        }
-        if not best:
-            raise ConfigError(f"--peers: there is no {not_among(name, settings.subjects)}")
-        subjects |= best
+        members = {key: subject for key, subject in settings.subjects.items() if f"{key}/".startswith(f"{name}/")}
+        if not members:
+            raise ConfigError(f"--peers: unknown subject {not_among(name, settings.subjects)}")
+        subjects |= members
     return settings.model_copy(update={"subjects": subjects})

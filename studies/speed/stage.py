@@ -1,7 +1,8 @@
 """Tracking problem of `mpc.problem` by stages, for peers that solve multistage optimal control problems.
 
-The state of a stage is z = (x, pose, past): the velocity model's n states, the pose, and the `memory` commands sent
-before it, oldest first. Stage k has the parameters p_k of `ROWS`; the state of the first stage is given.
+The state of a stage is z = (x, pose, past): the n states of the velocity model, the pose, and the last `memory`
+commands before the stage, oldest first. Stage k has the parameters p_k of `ROWS`; the state of the first stage is
+known.
 """
 
 from __future__ import annotations
@@ -34,25 +35,26 @@ ROWS = (
 
 @dataclass(frozen=True)
 class StageProblem:
-    """Problem for a peer as plain values; the process of a peer needs CasADi and NumPy only.
+    """Problem for a peer as plain values; the process of a peer needs only CasADi and NumPy.
 
-    The peer minimises, over k = 0 to N - 1, effort(z_k, u_k, p_k)^2 weighted by `effort_weights`, and over k = 1 to N,
-    tracking(z_k, p_k)^2 weighted by `tracking_weights`, the last one `terminal` times, each halved; plus
-    soft s + soft_quadratic s^2 / 2 for each amount s by which soft(z_k, p_k) exceeds the limits in p_k in magnitude,
-    k = 1 to N. Hard: z_{k+1} = step(z_k, u_k, p_k), |u_k| <= box, |u_k - u_{k-1}| <= slew.
+    The cost is the sum of three terms. For k = 0 to N - 1: half of effort(z_k, u_k, p_k)^2, weighted by
+    `effort_weights`. For k = 1 to N: half of tracking(z_k, p_k)^2, weighted by `tracking_weights`, and multiplied by
+    `terminal` at k = N. For k = 1 to N: soft s + soft_quadratic s^2 / 2 for each amount s by which the magnitude of a
+    value in soft_values(z_k, p_k) exceeds its limit in p_k. The hard constraints are z_{k+1} = step(z_k, u_k, p_k),
+    |u_k| <= box and |u_k - u_{k-1}| <= slew.
 
     Attributes
     ----------
     horizon, states, parameters
-        N, and the lengths of z and p.
+        Horizon N, and the lengths of z and p.
     box, slew
-        (2,) bounds of the command [m/s, rad/s] and of its increments; u_{k-1} is the end of z_k.
+        Bounds (2,) of the command [m/s, rad/s] and of its increments; the last two values of z_k are u_{k-1}.
     tracking_weights, effort_weights, terminal, soft, soft_quadratic
-        (3,), (4,) and scalars; see `mpc.config.schema.Weights`.
+        Weights (3,) and (4,), and scalar weights; see `mpc.config.schema.Weights`.
     step, tracking, effort, soft_values
-        CasADi functions, serialised: (z, u, p) to z; (z, p) to the errors along, across, in heading; (z, u, p) to
-        the deviation from the feed-forward and the increment less that of the feed-forward; (z, p) to the five values
-        with soft limits.
+        Serialised CasADi functions. `step` maps (z, u, p) to the next z. `tracking` maps (z, p) to the errors along and
+        across the path and in heading. `effort` maps (z, u, p) to the deviation from the feed-forward, and to the
+        increment minus that of the feed-forward. `soft_values` maps (z, p) to the five values with soft limits.
     """
 
     horizon: int
@@ -72,28 +74,28 @@ class StageProblem:
 
 
 def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProblem:
-    """Build the problem of a controller with configuration `config` and sampled `model`."""
+    """Build the problem of a controller with configuration `config` and discrete-time `model`."""
     n, memory = model.order, model.memory
     size = n + 3 + 2 * memory
     z, u, p = ca.SX.sym("z", size), ca.SX.sym("u", 2), ca.SX.sym("p", len(ROWS))
     x, pose = z[:n], z[n : n + 3]
-    line = ca.vertcat(z[n + 3 :], u)
+    commands = ca.vertcat(z[n + 3 :], u)
     reference, heading, feed_forward, gains, offset = p[:3], p[3], p[4:6], p[6:8], p[8:10]
     turn_left, side_slip, ahead = p[10], p[11], p[12]
     point = gains * (ca.DM(model.C) @ x + offset)
-    recent = ca.vertcat(*(line[2 * (memory - int(delay)) + i] for i, delay in enumerate(model.delay)))
-    older = ca.vertcat(*(line[2 * (memory - int(delay) - 1) + i] for i, delay in enumerate(model.delay)))
-    after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
-    mean = _body(turn_left, (point + gains * (ca.DM(model.C) @ after + offset)) / 2)
-    along, across = sliding(pose[2] + mean[1] * model.dt / 2, mean[1], p[13], p[14])
-    lateral = -(ahead + side_slip * mean[0]) * mean[1] + across
-    moved = pose + arc_displacement(pose[2], mean[0] + along, mean[1], ca.SX(model.dt), lateral)
+    current_input = ca.vertcat(*(commands[2 * (memory - int(delay)) + i] for i, delay in enumerate(model.delay)))
+    previous_input = ca.vertcat(*(commands[2 * (memory - int(delay) - 1) + i] for i, delay in enumerate(model.delay)))
+    next_state = ca.DM(model.A) @ x + ca.DM(model.B0) @ current_input + ca.DM(model.B1) @ previous_input
+    mean_twist = _body_twist(turn_left, (point + gains * (ca.DM(model.C) @ next_state + offset)) / 2)
+    along, across = sliding(pose[2] + mean_twist[1] * model.dt / 2, mean_twist[1], p[13], p[14])
+    lateral = -(ahead + side_slip * mean_twist[0]) * mean_twist[1] + across
+    next_pose = pose + arc_displacement(pose[2], mean_twist[0] + along, mean_twist[1], ca.SX(model.dt), lateral)
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     error = pose - reference
     across = c * error[1] - s * error[0]
     half = 0.5 * config.wheels.track
     rim = point / gains
-    soft = ca.vertcat(_body(turn_left, point), rim[0] + half * rim[1], rim[0] - half * rim[1], across)
+    soft = ca.vertcat(_body_twist(turn_left, point), rim[0] + half * rim[1], rim[0] - half * rim[1], across)
     w, limits = with_increments(config, model).weights, config.limits
     return StageProblem(
         horizon=config.horizon,
@@ -106,30 +108,30 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
         terminal=w.terminal,
         soft=w.soft,
         soft_quadratic=w.soft_quadratic,
-        step=_serialise("step", [z, u, p], ca.vertcat(after, moved, line[2:])),
+        step=_serialise("step", [z, u, p], ca.vertcat(next_state, next_pose, commands[2:])),
         tracking=_serialise("tracking", [z, p], ca.vertcat(c * error[0] + s * error[1], across, pose[2] - heading)),
-        effort=_serialise("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2] - p[15:17])),
+        effort=_serialise("effort", [z, u, p], ca.vertcat(u - feed_forward, u - commands[-4:-2] - p[15:17])),
         soft_values=_serialise("soft_values", [z, p], soft),
     )
 
 
 def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute state of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
+    """Compute the state of the first stage (z,) and the parameters of all stages (N + 1, p) for one tick.
 
     Parameters
     ----------
     program, estimate
-        Problem of the tick in the memory of the core, and the estimate that it was built from.
+        Problem of the tick in the memory of the core, and the estimate from which it was built.
     past
-        (memory, 2) commands sent before the tick, oldest first.
+        Commands (memory, 2) sent before the tick, oldest first.
 
     Raises
     ------
     ValueError
-        If the last command of the tick differs from the newest one of `past`, because a stage has only one of them.
+        If the last command of the tick differs from the newest command in `past`; a stage contains only one of the two.
     """
     if not np.array_equal(program.last_command, past[-1]):
-        raise ValueError("the last command differs from the newest past command: peers cannot represent that")
+        raise ValueError("the last command differs from the newest past command; peers cannot represent both")
     N, slip = len(program.feed_forward), estimate.slip
     parameters = np.zeros((N + 1, len(ROWS)))
     parameters[:, :4] = program.aim
@@ -144,8 +146,8 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
 
 
-def _body(turn_left: ca.SX, point: ca.SX) -> ca.SX:
-    """Compute the twist of the body's origin from that of its turning point."""
+def _body_twist(turn_left: ca.SX, point: ca.SX) -> ca.SX:
+    """Compute the twist of the body's origin from the twist of its turning point."""
     return ca.vertcat(point[0] + turn_left * point[1], point[1])
 
 

@@ -1,4 +1,4 @@
-"""Study of the step time, compared with peers on the same problem."""
+"""Study `speed`: step time of the controller, compared with peers on the same problem."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     settings
         Settings of the study.
     peer_folder
-        Folder of the peers' environment; by default in the user's cache folder.
+        Folder of the peers' environment; by default a folder in the user's cache folder.
     """
 
     name = "speed"
@@ -37,7 +37,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         self._peer_folder = peer_folder
 
     def plan(self) -> list[list[SpeedProblem]]:
-        """Plan a problem for each horizon and model; raise ConfigError or ValueError if one is unusable."""
+        """Plan a problem for each horizon and model; raise ConfigError or ValueError if a problem is unusable."""
         s = self.settings
         return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
@@ -53,17 +53,17 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         bar.start_stage("driving", len(plan) * self.settings.ticks)
         with tempfile.TemporaryDirectory() as scratch:
             for problems in plan:
-                place = Path(scratch) / str(problems[0].horizon)
-                measured, lost = measure(self.settings, problems, environment, place, core, bar.advance)
-                records += measured
-                missing += lost
+                folder = Path(scratch) / str(problems[0].horizon)
+                timed, failed = measure(self.settings, problems, environment, folder, core, bar.advance)
+                records += timed
+                missing += failed
         if not records:
             raise ValueError(f"no subject could be run; {missing[0].solver}: {missing[0].reason}")
         return SpeedResults(tuple(records), tuple(missing), core, (load, os.getloadavg()[0]))
 
     def _environment(self) -> PeerEnvironment | SubjectError | None:
-        """Return the peers' environment if it is needed, or the reason for its absence."""
-        if not any(subject.foreign for subject in self.settings.subjects.values()):
+        """Return the peers' environment, None if no subject requires it, or the reason for its absence."""
+        if not any(subject.needs_environment for subject in self.settings.subjects.values()):
             return None
         try:
             return peer_environment(self._peer_folder)
@@ -71,7 +71,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
             return error
 
     def report(self, results: SpeedResults, seconds: float) -> Report:
-        """Build the report with the drive, the timing and the peers."""
+        """Build the report with drive, timing and peers."""
         from studies.speed.figures import draw_horizons, draw_tails  # noqa: PLC0415
 
         s, (before, after) = self.settings, results.load
@@ -80,7 +80,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
         packages = ("comma-deps-acados", "casadi", "do-mpc")
         peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in packages]
-        clean = float(np.mean([record.clean_share for record in results.records]))
+        undisturbed = float(np.mean([record.clean_share for record in results.records]))
         load = {"before": before, "after": after}
         return Report(
             counted=f"{len(results.records)} records",
@@ -91,8 +91,8 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
                 f"BLAS thread, in {seconds} s; {before:.1f} processes ran on the machine before, {after:.1f} after."
             ],
             notes=[
-                f"{100 * clean:.1f} % of the steps were undisturbed by other processes and a slower machine. Disturbed "
-                "steps are omitted, and medians of rows with disturbed steps are marked *.",
+                f"{100 * undisturbed:.1f} % of the steps were not disturbed by other processes or a slower clock. "
+                "Disturbed steps are omitted, and medians of rows with disturbed steps are marked *.",
                 f"Peers: {', '.join(peers)}. Missing: {missing}.",
             ],
             tables=speed_tables(results),

@@ -1,4 +1,4 @@
-"""Virtual environment of the peers that cannot share ours: created once in the user's cache folder."""
+"""Virtual environment of the peers that conflict with our environment, created once in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from studies.speed.process.subject import SubjectError
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
-_FIRST = "comma-deps-acados"
+_FIRST_PACKAGE = "comma-deps-acados"
 """Package to install first: it contains parts of an older CasADi, which a later package overwrites."""
 
 
 @dataclass(frozen=True)
 class PeerEnvironment:
-    """Interpreter, and the environment variables that its processes need."""
+    """Python interpreter, and environment variables for its processes."""
 
     python: str
     variables: dict[str, str]
 
 
 def peer_environment(folder: Path | None = None) -> PeerEnvironment:
-    """Return the environment in `folder`, by default in the user's cache folder; create it if missing.
+    """Return the environment in `folder`, by default in the user's cache folder; create it if it is missing.
 
-    Raises SubjectError if it cannot be created, for instance without a package index or a wheel for this system.
+    Raises SubjectError if the environment cannot be created, for instance without a package index or a wheel for this
+    system.
     """
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = (folder or user_folder() / "peers" / digest).resolve()
     if not (folder / _READY).is_file():
-        _make(folder)
+        _create(folder)
     package = next(folder.glob("lib/python*/site-packages/acados"))
     _link_templates(package)
     return PeerEnvironment(
@@ -50,7 +51,7 @@ def peer_environment(folder: Path | None = None) -> PeerEnvironment:
     )
 
 
-def _make(folder: Path) -> None:
+def _create(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     _run(sys.executable, "-m", "venv", str(folder))
     pip = (
@@ -63,9 +64,9 @@ def _make(folder: Path) -> None:
         "--no-deps",
         "--require-hashes",
     )
-    first = folder / "first.txt"
-    first.write_text(requirement_entry(_FIRST, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
-    _run(*pip, "--requirement", str(first))
+    first_list = folder / "first.txt"
+    first_list.write_text(requirement_entry(_FIRST_PACKAGE, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
+    _run(*pip, "--requirement", str(first_list))
     _run(*pip, "--requirement", str(REQUIREMENTS))
     (folder / _READY).touch()
 
@@ -83,15 +84,15 @@ def requirement_entry(name: str, requirements: str) -> str:
 
 def _run(*command: str) -> None:
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
-    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
-    if done.returncode:
-        lines = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+    process = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
+    if process.returncode:
+        lines = [line.strip().removeprefix("ERROR: ") for line in process.stderr.splitlines() if line.strip()]
         raise SubjectError(f"the peers' environment cannot be created: {lines[-1] if lines else 'no reason given'}")
 
 
 def _link_templates(package: Path) -> None:
-    """Link the templates to the path at which the generator expects them, as in a checkout of acados."""
-    place = package / "install" / "interfaces" / "acados_template"
-    place.mkdir(parents=True, exist_ok=True)
-    if not (place / "acados_template").exists():
-        (place / "acados_template").symlink_to(package / "acados_template", target_is_directory=True)
+    """Link the templates to the path where the generator expects them, as in a checkout of acados."""
+    folder = package / "install" / "interfaces" / "acados_template"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "acados_template").exists():
+        (folder / "acados_template").symlink_to(package / "acados_template", target_is_directory=True)

@@ -1,4 +1,4 @@
-"""Client of the process of one subject."""
+"""Client of a subject's process."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 
 class SubjectError(DiffdriveMpcError, RuntimeError):
-    """A subject cannot be run; the message is the reason in one line."""
+    """Raised if a subject cannot be run; the message is the reason in one line."""
 
 
 class TimedStep(NamedTuple):
-    """One step: command [m/s, rad/s], time of the whole step and inside the solver [s], iterations, True if solved."""
+    """Result of a step: command [m/s, rad/s], times of whole step and solver [s], iterations, and success flag."""
 
     command: tuple[float, float]
     whole: float
@@ -38,16 +38,16 @@ class TimedStep(NamedTuple):
 
 
 class Subject:
-    """A persistent process that handles one request at a time.
+    """Persistent process of a subject, which handles one request at a time.
 
     Parameters
     ----------
     kind
-        See `studies.speed.process.worker.KINDS`.
+        Kind of the subject, a key of `studies.speed.process.worker.KINDS`.
     folder
-        Folder of the subject, for its generated code and its output.
+        Folder for the generated code and the output of the subject.
     python
-        Interpreter; by default that of this process.
+        Python interpreter; by default the interpreter of this process.
     variables
         Additional environment variables.
     """
@@ -70,7 +70,7 @@ class Subject:
         child_end.close()
 
     def __enter__(self) -> Self:
-        """Return the object; its process is already running."""
+        """Return this object; its process is already running."""
         return self
 
     def __exit__(
@@ -85,7 +85,7 @@ class Subject:
             self._process.wait()
 
     def build(self, problem: object, settings: dict[str, Any], core: int | None) -> dict[str, float]:
-        """Build the subject for `problem` and bind it to `core`; return build time and initial memory.
+        """Build the subject for `problem` and bind it to `core`; return build time [s] and initial memory [bytes].
 
         Raises SubjectError if the subject cannot be built.
         """
@@ -97,12 +97,12 @@ class Subject:
         self._request("reset", *data)
 
     def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
-        """Step through ticks, and measure the effort of the process."""
+        """Run the steps of `ticks`; return their results and the effort of the process."""
         steps, effort = self._request("run", *ticks)
         return [TimedStep(*step) for step in steps], Effort(*effort)
 
     def memory(self) -> float:
-        """Return the maximum memory so far [bytes]."""
+        """Return the maximum memory of the process so far [bytes]."""
         return float(self._request("memory"))
 
     def _request(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on the request

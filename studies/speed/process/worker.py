@@ -1,7 +1,7 @@
 """Process that runs one subject on request: `python worker.py FD KIND FOLDER`.
 
-It serves a connection at the file descriptor FD; FOLDER contains our package. A request is a pair (method, arguments),
-and the reply is the result or the exception. The module imports only the necessary modules of this project, so that it
+The process serves a connection at the file descriptor FD; FOLDER contains our package. A request is a pair (method,
+arguments), and the reply is the result or the exception. The process imports only the modules that it needs, so that it
 also runs in the peers' environment.
 """
 
@@ -25,53 +25,53 @@ KINDS = {
 """Module and class of each kind of subject."""
 
 StepTuple = tuple[list[float], float, float, int, bool]
-"""Result of a step: command, time of the whole step and inside the solver [s], iterations, solved."""
+"""Result of a step: command, times of whole step and solver [s], iterations, and success flag."""
 
 
 class Worker:
-    """Server of one subject; its public methods can be requested."""
+    """Server of one subject; the names of its public methods are the requests."""
 
     def __init__(self, kind: str) -> None:
         module, name = KINDS[kind]
-        self._make = getattr(importlib.import_module(module), name)
+        self._subject_class = getattr(importlib.import_module(module), name)
         self._subject: Any = None
-        # Imported here, because the path contains its folder only now.
+        # The import path contains our package only when the process runs, not when this module is imported.
         self._measure_effort = importlib.import_module("diffdrive_mpc.bench.counters").measure_effort
 
     def build(self, problem: object, settings: dict[str, Any], folder: str, core: int | None) -> dict[str, float]:
-        """Build the subject; return the build time [s] and the memory before it [bytes]."""
-        before, began = _resident("VmRSS"), time.perf_counter()
+        """Build the subject; return the build time [s] and the memory before the build [bytes]."""
+        memory_before, start = _memory_figure("VmRSS"), time.perf_counter()
         os.chdir(folder)
-        self._subject = self._make(problem, settings, Path(folder))
+        self._subject = self._subject_class(problem, settings, Path(folder))
         if core is not None:
             os.sched_setaffinity(0, {core})
         gc.collect()
         gc.freeze()
         gc.disable()
-        return {"build_s": time.perf_counter() - began, "before_bytes": before}
+        return {"build_s": time.perf_counter() - start, "before_bytes": memory_before}
 
     def reset(self, *data: object) -> None:
         """Restart a drive with the data of its first tick."""
         self._subject.reset(*data)
 
     def run(self, *ticks: tuple[object, ...]) -> tuple[list[StepTuple], tuple[float, float, int, float]]:
-        """Step through ticks; return the result of each, and the `bench.counters.Effort` of all."""
+        """Run the steps of `ticks`; return their results and the values of their `bench.counters.Effort`."""
         results, effort = self._measure_effort(lambda: [self._time_step(data) for data in ticks])
         return results, tuple(effort)
 
     def _time_step(self, data: tuple[object, ...]) -> StepTuple:
-        began = time.perf_counter()
+        start = time.perf_counter()
         command = self._subject.solve(*data)
-        whole = time.perf_counter() - began
+        whole = time.perf_counter() - start
         return (command.tolist(), whole, *self._subject.report())
 
     def memory(self) -> float:
         """Return the maximum memory of this process [bytes]."""
-        return _resident("VmHWM")
+        return _memory_figure("VmHWM")
 
 
-def _resident(field: str) -> float:
-    """Return a memory figure of this process [bytes]; NaN if the system does not provide it."""
+def _memory_figure(field: str) -> float:
+    """Return a memory field of this process [bytes]; NaN if the system does not provide it."""
     status = Path("/proc/self/status")
     lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
     return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith(field)), float("nan"))

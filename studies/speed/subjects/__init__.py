@@ -1,4 +1,4 @@
-"""Solvers of the problem: our controller, and peers that solve it by stages."""
+"""Solvers of the tracking problem: our controller, and peers that solve its multistage form."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class SolveReport(NamedTuple):
-    """Report of the last solve: time reported by the solver [s], iterations, and True if it was solved."""
+    """Report of the last solve: time reported by the solver [s], iterations, and success flag."""
 
     inside: float
     iterations: int

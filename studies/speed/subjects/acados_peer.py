@@ -1,4 +1,4 @@
-"""acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/results.md.
+"""Peer acados: one real-time iteration (SQP_RTI) with HPIPM in generated and compiled C; see docs/results.md.
 
 The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
 `StageProblem` from this project.
@@ -33,10 +33,10 @@ class AcadosPeer:
     problem
         Fields of a `studies.speed.stage.StageProblem`.
     settings
-        `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
-        `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).
+        `qp_solver`, `stages_per_block` (of partial condensing), `mode` (of HPIPM), `tolerance`, `max_iterations`,
+        `warm_start`, `shift`, `soft_limits`, `flags` (of the compiler).
     folder
-        Folder of the generated and compiled code. The current folder must be this one.
+        Folder for the generated and compiled code, which must be the current folder.
     """
 
     def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:
@@ -53,7 +53,7 @@ class AcadosPeer:
         self._status = 0
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Restart along the feed-forward."""
+        """Reset the solver; the initial guess follows the feed-forward."""
         self._solver.reset()
         self._data[0] = 0.0
         z = state
@@ -67,9 +67,9 @@ class AcadosPeer:
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Compute the command (2,) for the first state and the parameters of all stages."""
         data = self._data
-        split = 1 + len(state)
-        data[1:split] = state
-        data[split:] = parameters.ravel()
+        parameters_start = 1 + len(state)
+        data[1:parameters_start] = state
+        data[parameters_start:] = parameters.ravel()
         self._solver.custom_update(data)
         data[0] = self._shift
         self._status = self._solver.solve()
@@ -116,7 +116,7 @@ def _ocp(problem: dict[str, Any], settings: dict[str, Any]) -> AcadosOcp:
         cost.zl = cost.zu = cost.zl_e = cost.zu_e = linear
         cost.Zl = cost.Zu = cost.Zl_e = cost.Zu_e = quadratic
     options = ocp.solver_options
-    # acados multiplies a stage's cost by its duration: with N seconds in N steps, the weights are those of the problem.
+    # acados multiplies the cost of a stage by its duration, which is 1 s for N seconds in N steps.
     options.tf = float(N)
     options.integrator_type, options.nlp_solver_type, options.hessian_approx = "DISCRETE", "SQP_RTI", "GAUSS_NEWTON"
     options.qp_solver = settings["qp_solver"]

@@ -1,6 +1,6 @@
 /* Update of all data of a tick in one call of acados' custom update hook, instead of about a hundred calls from Python.
- * data: shift (0 or 1), the first state (NX), the parameters of the stages 0 to N (NP each). The last five parameters
- * of a stage are the limits of its soft constraints, upwards and downwards. */
+ * data: shift (0 or 1), first state (NX), parameters of the stages 0 to N (NP each). The last five parameters of a stage
+ * are the limits of the magnitudes of its soft constraints. */
 #include "acados_solver_tracking.h"
 
 #define SOFT 5
@@ -17,10 +17,10 @@ int custom_update_terminate_function(tracking_solver_capsule *capsule)
     return 0;
 }
 
-static void shift(ocp_nlp_config *config, ocp_nlp_dims *dims, ocp_nlp_out *out, const char *field, int last)
+static void shift(ocp_nlp_config *config, ocp_nlp_dims *dims, ocp_nlp_out *out, const char *field, int count)
 {
     double value[64];
-    for (int k = 0; k < last; k++) {
+    for (int k = 0; k < count; k++) {
         ocp_nlp_out_get(config, dims, out, k + 1, field, value);
         ocp_nlp_out_set(config, dims, out, k, field, value);
     }

@@ -1,4 +1,4 @@
-"""do-mpc with IPOPT; see docs/results.md.
+"""Peer do-mpc with IPOPT; see docs/results.md.
 
 The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
 `StageProblem` from this project.
@@ -19,7 +19,7 @@ from studies.speed.subjects.shooting import SOFT
 
 
 class DoMpcPeer:
-    """do-mpc on the whole problem; slacks of soft limits are additional inputs of the model.
+    """do-mpc on the whole problem; the slacks of soft limits are additional inputs of the model.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class DoMpcPeer:
         mpc.settings.nlpsol_opts = {**settings, "print_time": False, "record_time": True}
         model = mpc.model
         z, u, s = model.x["state"], model.u["command"], model.u["slack"]
-        p, p_after = model.tvp["stage"], model.tvp["next_stage"]
+        p, p_next = model.tvp["stage"], model.tvp["next_stage"]
         tracking = ca.Function.deserialize(problem["tracking"])(z, p)
         stage = ca.dot(problem["tracking_weights"], tracking**2) / 2
         effort = ca.Function.deserialize(problem["effort"])(z, u, p)
@@ -53,8 +53,8 @@ class DoMpcPeer:
         increment = u - z[-2:]
         mpc.set_nl_cons("up", increment, ub=problem["slew"])
         mpc.set_nl_cons("down", -increment, ub=problem["slew"])
-        after = ca.Function.deserialize(problem["step"])(z, u, p)
-        values, limits = ca.Function.deserialize(problem["soft_values"])(after, p_after), p_after[-SOFT:]
+        next_parameters = ca.Function.deserialize(problem["step"])(z, u, p)
+        values, limits = ca.Function.deserialize(problem["soft_values"])(next_parameters, p_next), p_next[-SOFT:]
         mpc.set_nl_cons("above", values - limits - s, ub=0.0)
         mpc.set_nl_cons("below", -values - limits - s, ub=0.0)
         self._data = mpc.get_tvp_template()
@@ -63,7 +63,7 @@ class DoMpcPeer:
         self._mpc = mpc
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Restart along the feed-forward of the first stage."""
+        """Reset the solver; the initial guess is the feed-forward of the first stage."""
         mpc = self._mpc
         mpc.reset_history()
         mpc.x0["state"] = state
@@ -72,8 +72,8 @@ class DoMpcPeer:
 
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Compute the command (2,) for the first state and the parameters of all stages."""
-        after = np.vstack([parameters[1:], parameters[-1:]])
-        self._data.master = ca.DM(np.hstack([parameters, after]).ravel())
+        next_parameters = np.vstack([parameters[1:], parameters[-1:]])
+        self._data.master = ca.DM(np.hstack([parameters, next_parameters]).ravel())
         return np.asarray(self._mpc.make_step(state)[:2, 0])
 
     def report(self) -> SolveReport:

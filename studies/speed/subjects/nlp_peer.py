@@ -13,7 +13,7 @@ from studies.speed.subjects.shooting import shooting_program
 
 
 class NlpPeer:
-    """Multiple shooting on the whole problem, started from the last solution and multipliers, shifted by one stage.
+    """Multiple shooting on the whole problem; the initial guess is the last solution, shifted by one stage.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class NlpPeer:
         self._guess: dict[str, Any] = {}
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Restart along the feed-forward."""
+        """Reset the solver; the initial guess follows the feed-forward."""
         commands, states = parameters[:-1, 4:6], [state]
         for u, p in zip(commands, parameters[:-1], strict=True):
             states.append(np.array(self._step(states[-1], u, p)).ravel())
@@ -48,7 +48,7 @@ class NlpPeer:
         solution = self._solver(p=data, **self._guess, **self._program.bounds)
         x = np.array(solution["x"]).ravel()
         multipliers = {"lam_x0": solution["lam_x"], "lam_g0": solution["lam_g"]}
-        self._guess = {"x0": self._program.shifted(x), **multipliers}
+        self._guess = {"x0": self._program.shift(x), **multipliers}
         return self._program.command(x)
 
     def report(self) -> SolveReport:

@@ -1,4 +1,4 @@
-"""Our controller as a subject: the whole step from measurement to command, and its solve."""
+"""Our controller as a subject: whole step from measurement to command, and time of its solve."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studies.speed.subjects import SolveReport
 
 
 class OurSubject:
-    """Our controller. The time inside the solver includes linearising, condensing, solving and the backend.
+    """Our controller; the time inside the solver includes linearisation, condensing and the solution of the QP.
 
     Parameters
     ----------

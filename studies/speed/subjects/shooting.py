@@ -1,4 +1,4 @@
-"""The problem as a nonlinear program by multiple shooting, for the solvers of CasADi."""
+"""Tracking problem as a nonlinear program by multiple shooting, for the solvers of CasADi."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ SOFT = 5
 class ShootingProgram:
     """Nonlinear program in x = (z_0, u_0, s_1, z_1, u_1, ..., s_N, z_N) with p = (z_0, p_0, ..., p_N).
 
-    s_k >= 0 are the violations of the soft limits of stage k. The program is expanded into scalars: a map of one stage
-    over the horizon needs less code, but its derivatives are several times slower to evaluate.
+    s_k >= 0 are the violations of the soft limits of stage k. The program is expanded into scalars, because the
+    derivatives of a map of one stage over the horizon take several times as long to evaluate.
 
     Attributes
     ----------
     nlp
-        x, p, f, g for `casadi.nlpsol`.
+        Expressions x, p, f and g for `casadi.nlpsol`.
     bounds
-        lbx, ubx, lbg, ubg.
+        Bounds lbx, ubx, lbg and ubg.
     equality
-        Rows of g that are equations.
+        Flag of each row of g, True for equations.
     stride, states
         Number of values of a stage in x, and of z; u_k follows z_k.
     """
@@ -38,11 +38,11 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Stack the states (N + 1, z), the commands (N, 2) and zero slacks to x."""
+        """Stack states (N + 1, z), commands (N, 2) and zero slacks to x."""
         slack = np.zeros((len(commands), SOFT))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
-    def shifted(self, x: np.ndarray) -> np.ndarray:
+    def shift(self, x: np.ndarray) -> np.ndarray:
         """Shift x by one stage and repeat the last stage."""
         return np.concatenate([x[self.stride :], x[-self.stride :]])
 
@@ -55,34 +55,35 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
     """Build the program for the fields of a `studies.speed.stage.StageProblem`."""
     N, size = problem["horizon"], problem["states"]
     stride = size + 2 + SOFT
-    stage, last = _stage(problem), ca.Function.deserialize(problem["tracking"])
+    stage, terminal_tracking = _stage(problem), ca.Function.deserialize(problem["tracking"])
     x = ca.SX.sym("x", stride * N + size)
-    first, parameters = ca.SX.sym("first", size), ca.SX.sym("p", problem["parameters"], N + 1)
+    first_state, parameters = ca.SX.sym("first", size), ca.SX.sym("p", problem["parameters"], N + 1)
     g, cost = [], ca.SX(0)
     for k in range(N):
-        after = x[stride * (k + 1) :][:size]
-        rows, stage_cost = stage(x[stride * k :][:stride], after, parameters[:, k], parameters[:, k + 1])
+        next_z = x[stride * (k + 1) :][:size]
+        rows, stage_cost = stage(x[stride * k :][:stride], next_z, parameters[:, k], parameters[:, k + 1])
         g.append(rows)
         if k == 0:
-            g.append(x[:size] - first)
+            g.append(x[:size] - first_state)
         cost += stage_cost
-    # The cost of the last stage contains its end with the weight 1; add the rest of the weight `terminal`.
+    # The cost of the last stage contains its tracking error with weight 1; add the rest of the weight `terminal`.
     weights = (problem["terminal"] - 1.0) * problem["tracking_weights"]
-    cost += ca.dot(weights, last(after, parameters[:, N]) ** 2) / 2
+    cost += ca.dot(weights, terminal_tracking(next_z, parameters[:, N]) ** 2) / 2
 
-    free, none = np.full(size, np.inf), np.zeros(size)
-    low = np.concatenate([none, -problem["slew"], np.full(SOFT, -np.inf), np.zeros(SOFT)])
-    high = np.concatenate([none, problem["slew"], np.zeros(SOFT), np.full(SOFT, np.inf)])
+    unbounded, zeros = np.full(size, np.inf), np.zeros(size)
+    low = np.concatenate([zeros, -problem["slew"], np.full(SOFT, -np.inf), np.zeros(SOFT)])
+    high = np.concatenate([zeros, problem["slew"], np.zeros(SOFT), np.full(SOFT, np.inf)])
     equations = [True] * size + [False] * (len(low) - size)
     box = problem["box"]
-    lower, upper = np.concatenate([-free, -box, np.zeros(SOFT)]), np.concatenate([free, box, np.full(SOFT, np.inf)])
+    lower = np.concatenate([-unbounded, -box, np.zeros(SOFT)])
+    upper = np.concatenate([unbounded, box, np.full(SOFT, np.inf)])
     return ShootingProgram(
-        nlp={"x": x, "p": ca.vertcat(first, ca.vec(parameters)), "f": cost, "g": ca.vertcat(*g)},
+        nlp={"x": x, "p": ca.vertcat(first_state, ca.vec(parameters)), "f": cost, "g": ca.vertcat(*g)},
         bounds={
-            "lbx": np.concatenate([np.tile(lower, N), -free]),
-            "ubx": np.concatenate([np.tile(upper, N), free]),
-            "lbg": np.concatenate([low, none, np.tile(low, N - 1)]),
-            "ubg": np.concatenate([high, none, np.tile(high, N - 1)]),
+            "lbx": np.concatenate([np.tile(lower, N), -unbounded]),
+            "ubx": np.concatenate([np.tile(upper, N), unbounded]),
+            "lbg": np.concatenate([low, zeros, np.tile(low, N - 1)]),
+            "ubg": np.concatenate([high, zeros, np.tile(high, N - 1)]),
         },
         equality=equations + [True] * size + equations * (N - 1),
         stride=stride,
@@ -91,20 +92,20 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
 
 
 def _stage(problem: dict[str, Any]) -> ca.Function:
-    """Build the function that maps (z, u, s) of a stage, the next z and the parameters to rows of g and the cost."""
+    """Build the function that maps a stage (z, u, s), the next z and the parameters to rows of g and the cost."""
     size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
     step, tracking, effort, soft = (
         ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
     )
-    stage, after = ca.SX.sym("here", size + 2 + SOFT), ca.SX.sym("after", size)
-    p, p_after = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "p_after"))
+    stage, next_z = ca.SX.sym("stage", size + 2 + SOFT), ca.SX.sym("next_z", size)
+    p, next_p = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "next_p"))
     z, u, s = stage[:size], stage[size : size + 2], stage[size + 2 :]
-    end = step(z, u, p)
-    # The soft limits apply to `end` and not to `after`, because the inequalities of a stage may depend on this stage
-    # only.
-    values, limits = soft(end, p_after), p_after[soft_limit]
-    rows = ca.vertcat(after - end, u - z[-2:], values - limits - s, values + limits + s)
+    predicted_z = step(z, u, p)
+    # The soft limits apply to `predicted_z` instead of `next_z`, because the inequalities of a stage may depend only on
+    # this stage.
+    values, limits = soft(predicted_z, next_p), next_p[soft_limit]
+    rows = ca.vertcat(next_z - predicted_z, u - z[-2:], values - limits - s, values + limits + s)
     cost = ca.dot(problem["effort_weights"], effort(z, u, p) ** 2) / 2
-    cost += ca.dot(problem["tracking_weights"], tracking(after, p_after) ** 2) / 2
+    cost += ca.dot(problem["tracking_weights"], tracking(next_z, next_p) ** 2) / 2
     cost += problem["soft"] * ca.sum1(s) + problem["soft_quadratic"] * ca.sumsqr(s) / 2
-    return ca.Function("stage", [stage, after, p, p_after], [rows, cost])
+    return ca.Function("stage", [stage, next_z, p, next_p], [rows, cost])
