@@ -1,4 +1,4 @@
-"""The twin: its core, its fit, and a known robot found again."""
+"""Twin: parameters, free runs, identifiability, and the fit of known robots."""
 
 import json
 
@@ -20,16 +20,16 @@ from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
-from diffdrive_mpc_extras.twin.fitting import fit_twin, told_apart
-from diffdrive_mpc_extras.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
-from diffdrive_mpc_extras.twin.held_out import identified
+from diffdrive_mpc_extras.twin.fitting import fit_twin, identifiable_parameters
+from diffdrive_mpc_extras.twin.free_run import FreeMotion, cut_stretch, drive, most_active_windows, sensor_readings
+from diffdrive_mpc_extras.twin.held_out import identified_model
 from diffdrive_mpc_extras.twin.nominal import nominal_robot
 from diffdrive_mpc_extras.twin.problem import TwinProblem
 from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import space_of
 
 MOTORS = """\
-description: what is known of it, the motors' data sheet
+description: data sheet of the motors
 robot: {encoder_pulses: 537.7}
 twin:
   chassis: {body_size: [0.30, 0.24, 0.10]}
@@ -38,8 +38,8 @@ twin:
 """
 
 
-def drawn_truth(seed):
-    """Draw friction, dead time, lags, gain, tracks and mass of a plant, in the terms of a fit."""
+def draw_parameters(seed):
+    """Draw friction, dead time, lags, gain, tracks and mass of a plant [SI units]."""
     stream = np.random.default_rng(seed)
 
     def factor(spread):
@@ -57,7 +57,7 @@ def drawn_truth(seed):
     }
 
 
-def known_robot(truth):
+def build_robot(truth):
     changes = {
         "robot": {"mass": truth["mass"]},
         "twin": {"link": {"dead_time": truth["dead_time"]}, "chassis": {"wheel_base": truth["wheel_base"]}},
@@ -67,7 +67,7 @@ def known_robot(truth):
     return SimulatedRobot.model_validate(merge_mappings(load_simulated_robot("heavy").model_dump(), changes))
 
 
-def record_of(robot, seed, seconds):
+def simulate_record(robot, seed, seconds):
     """Simulate an open-loop drive with the default sensors."""
     plant = MujocoPlant(
         robot.friction, robot.sensors, seed, robot=robot.robot, twin=robot.twin, firmware=robot.firmware
@@ -86,19 +86,19 @@ def record_of(robot, seed, seconds):
     )
 
 
-def fitted(record, file, seconds):
+def fit_record(record, file, seconds):
     """Fit the first 60 % of a record."""
-    train, rest = map(tuple, divide([record], 0.6))
-    data = LogData(train, rest, ("drive",), "the rest", "gyro", (), ())
+    train, held_out = map(tuple, divide([record], 0.6))
+    data = LogData(train, held_out, ("drive",), "the rest", "gyro", (), ())
     runs = join_experiments(sensor_experiments(train))
-    beside = identified(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
+    model = identified_model(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
     nominal = nominal_robot("drive", train, file)
-    space = space_of(nominal, beside.effects, gyro=True, lagging=False)
-    return fit_twin(TwinProblem(space, most_telling(runs, beside.model.dc_gain, seconds)), beside.start(nominal))
+    space = space_of(nominal, model.effects, has_gyro=True, has_encoder_lag=False)
+    return fit_twin(TwinProblem(space, most_active_windows(runs, model.model.dc_gain, seconds)), model.start(nominal))
 
 
-def in_terms_of(fit, truth):
-    """Return the truth in the units of the fit's parameters."""
+def in_fit_units(fit, truth):
+    """Return the true values in the units of the fit's parameters."""
     robot = fit.space.nominal.robot
     return truth | {
         "mass": truth["mass"] / robot.robot.mass,
@@ -116,7 +116,7 @@ def rolling_record(radius, track, count=60):
 
 def test_values_and_deviations_are_inverse():
     nominal = nominal_robot("r", [rolling_record(0.1, 0.4)])
-    space = space_of(nominal, BaseEffects(), gyro=True, lagging=True)
+    space = space_of(nominal, BaseEffects(), has_gyro=True, has_encoder_lag=True)
     z = np.random.default_rng(0).uniform(-0.5, 0.5, len(space.names))
     low, high = space.bounds
     z = np.clip(z, 0.9 * low, 0.9 * high)
@@ -124,30 +124,30 @@ def test_values_and_deviations_are_inverse():
 
 
 @pytest.mark.parametrize(("mass", "radius", "track"), [(5.0, 0.05, 0.25), (600.0, 0.3, 1.1)])
-def test_a_robot_of_any_size_obeys(mass, radius, track, tmp_path):
-    """Scaled from the papers' robot, 5 kg and 600 kg reach the twist that they are told, on their wheels."""
+def test_scaled_robot_follows_its_commands(mass, radius, track, tmp_path):
+    """Robots of 5 kg and 600 kg, scaled from the robot of the papers, reach the commanded wheel twist."""
     (tmp_path / "robot.yaml").write_text(f"robot: {{mass: {mass}}}")
     nominal = nominal_robot("r", [rolling_record(radius, track)], tmp_path / "robot.yaml")
     assert nominal.stated == {"mass"}
-    usual, scaled = 2.38 / (6.85 * 0.0675), nominal.robot.twin.motor.stall_torque / (mass * radius)
-    assert scaled == pytest.approx(usual)
-    space = space_of(nominal, BaseEffects(), gyro=True, lagging=False)
+    default, scaled = 2.38 / (6.85 * 0.0675), nominal.robot.twin.motor.stall_torque / (mass * radius)
+    assert scaled == pytest.approx(default)
+    space = space_of(nominal, BaseEffects(), has_gyro=True, has_encoder_lag=False)
     commands = np.tile([1.0, 0.4], (60, 1))
     run = SampledExperiment("r", 0.05, commands, np.zeros((60, 3)), np.ones((60, 3), dtype=bool))
-    (motion,) = drive(space.robot(space.values(np.zeros(len(space.names)))), [stretch(run, 0, 60, np.eye(2))])
+    (motion,) = drive(space.robot(space.values(np.zeros(len(space.names)))), [cut_stretch(run, 0, 60, np.eye(2))])
     assert motion.wheels[-1, 0] == pytest.approx(1.0, rel=0.03)
     assert motion.twist()[-1, 2] > 0.1
 
 
-def test_sensors_of_the_log_come_late_and_smoothed():
-    """A ramp seen through delay and lag is the ramp, later by their sum; the gyro is prompt, and off by its offset."""
+def test_readings_have_delay_and_lag_of_the_encoders_and_offset_of_the_gyro():
+    """Delay and lag shift a ramp by their sum; the gyro has no delay."""
     count, parts, step = 40, 4, 0.0125
     ramp = step * np.arange(parts * count)
     motion = FreeMotion(parts, np.column_stack([ramp, 2 * ramp]), np.column_stack([ramp, ramp, 3 * ramp]), 0)
     run = SampledExperiment(
         "r", parts * step, np.zeros((count, 2)), np.zeros((count, 3)), np.ones((count, 3), dtype=bool)
     )
-    signals = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
+    signals = sensor_readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
     time = parts * step * np.arange(count)[20:]
     np.testing.assert_allclose(signals[20:, 0], time - 0.08, atol=1e-3)
     np.testing.assert_allclose(signals[20:, 1], 2 * (time - 0.08), atol=2e-3)
@@ -155,49 +155,49 @@ def test_sensors_of_the_log_come_late_and_smoothed():
 
 
 def test_one_of_two_inseparable_parameters_is_identified():
-    """Readings that see the sum alone leave each at 0.7 of its prior; with one at its prior the other is known."""
-    together = np.array([1.0, 1.0, 0.0])
-    alone = np.array([0.0, 0.0, 1.0])
-    information = np.eye(3) + 400.0 * np.outer(together, together) + 400.0 * np.outer(alone, alone)
-    determined = told_apart(information, 0.7)
+    """The sum of two parameters determines each to 0.7 of its prior; with one fixed, the second is determined."""
+    joint = np.array([1.0, 1.0, 0.0])
+    single = np.array([0.0, 0.0, 1.0])
+    information = np.eye(3) + 400.0 * np.outer(joint, joint) + 400.0 * np.outer(single, single)
+    determined = identifiable_parameters(information, 0.7)
     assert sorted(determined[:2]) == [False, True]
     assert determined[2]
-    assert told_apart(np.eye(3), 0.7) == [False, False, False]
+    assert identifiable_parameters(np.eye(3), 0.7) == [False, False, False]
 
 
-def test_the_true_plant_explains_its_log():
-    """Driven by its log's commands with its own numbers, the plant reads what the log holds, to its noise."""
-    truth = drawn_truth(31)
-    record = record_of(known_robot(truth), 31, 12.0)
+def test_free_run_of_the_true_plant_reproduces_its_log():
+    """A free run with the true parameters agrees with the log to its noise."""
+    truth = draw_parameters(31)
+    record = simulate_record(build_robot(truth), 31, 12.0)
     counts = np.ones((len(record.command), 3), dtype=bool)
     run = SampledExperiment("r", record.dt, record.command, np.column_stack([record.twist, record.yaw_rate]), counts)
-    along = most_telling([run], np.eye(2), twin_settings().window)
-    (motion,) = drive(known_robot(truth), along)
-    error = (readings(motion, along[0].experiment, {}) - along[0].experiment.outputs).std(axis=0)
+    windows = most_active_windows([run], np.eye(2), twin_settings().window)
+    (motion,) = drive(build_robot(truth), windows)
+    error = (sensor_readings(motion, windows[0].experiment, {}) - windows[0].experiment.outputs).std(axis=0)
     assert error[0] < 0.02 * np.ptp(run.outputs[:, 0])
     assert error[2] < 0.03 * np.ptp(run.outputs[:, 2])
 
 
-def test_without_wheels_the_robot_must_be_told():
-    bare = Record("r", 0.0, 0.05, np.ones((20, 2)), twist=np.ones((20, 2)), yaw_rate=np.ones(20))
-    with pytest.raises(ConfigError, match="--robot a file with"):
-        nominal_robot("r", [bare])
+def test_log_without_wheel_speeds_requires_a_robot_file():
+    record = Record("r", 0.0, 0.05, np.ones((20, 2)), twist=np.ones((20, 2)), yaw_rate=np.ones(20))
+    with pytest.raises(ConfigError, match="use --robot with a file"):
+        nominal_robot("r", [record])
 
 
 SEEDS = (21, 22, 23, 24, 25, 26)
-"""Seeds that were not used for any choice (11 to 14 were)."""
+"""Seeds of the evaluation; seeds 11 to 14 were used for choices."""
 
 
 @pytest.mark.long
 def test_parameters_are_inside_their_intervals(tmp_path):
-    """Count missed 95 % intervals: chance exceeds 8 of 48 once in a thousand (binomial)."""
+    """At most 8 of 48 values are outside their 95 % interval; a correct fit exceeds this with probability 0.001."""
     file = tmp_path / "motors.yaml"
     file.write_text(MOTORS)
     missed = []
     for seed in SEEDS:
-        truth = drawn_truth(seed)
-        fit = fitted(record_of(known_robot(truth), seed, 60.0), file, 30.0)
-        expected = in_terms_of(fit, truth)
+        truth = draw_parameters(seed)
+        fit = fit_record(simulate_record(build_robot(truth), seed, 60.0), file, 30.0)
+        expected = in_fit_units(fit, truth)
         for parameter in fit.parameters:
             if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
                 missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
@@ -213,12 +213,12 @@ def log(tmp_path_factory):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("quick_search")
-def test_a_log_becomes_a_plant(log):
+def test_twin_command_writes_a_plant_and_a_report(log):
     out = log.parent / "twin"
     call("twin", log, "--seconds", 5, "--jobs", 1, "--out", out)
     numbers = json.loads((out / "twin.json").read_text())
     twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
-    # The log is of this physics: a velocity model cannot beat it by much, whatever the noise.
+    # The log was simulated with this plant: a velocity model cannot be much better.
     assert all(twin[channel] > model[channel] - 2.0 for channel in ("v", "omega"))
     result = {parameter["name"]: parameter for parameter in numbers["parameters"]}
     robot = load_simulated_robot(out / "plant.yaml")
@@ -226,8 +226,8 @@ def test_a_log_becomes_a_plant(log):
     assert robot.twin.link.dead_time == pytest.approx(result["dead_time"]["value"], rel=1e-6)
     assert result["dead_time"]["low"] <= 0.040 <= result["dead_time"]["high"]
     assert result["gain_v"]["low"] <= 1.0 <= result["gain_v"]["high"]
-    stated = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
-    assert {name: parameter["told"] for name, parameter in stated.items()} == {
+    provenance = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
+    assert {name: parameter["told"] for name, parameter in provenance.items()} == {
         name: parameter["told"] for name, parameter in result.items()
     }
     report = (out / "twin.md").read_text()
@@ -237,12 +237,12 @@ def test_a_log_becomes_a_plant(log):
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("options", "line"),
     [
-        (["--seconds", "1"], "error: --seconds 1: give 5 or more of the log to fit"),
+        (["--seconds", "1"], "error: --seconds 1: use 5 or more"),
         (["--model", "lstm"], "error: model 'lstm' is nonlinear"),
     ],
 )
-def test_a_mistake_is_one_line(log, words, line):
-    assert line in refusal("twin", log, *words, "--out", log.parent / "none")
+def test_invalid_option_is_refused_in_one_line(log, options, line):
+    assert line in refusal("twin", log, *options, "--out", log.parent / "none")
     assert not (log.parent / "none").exists()

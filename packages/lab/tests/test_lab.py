@@ -29,6 +29,7 @@ from diffdrive_mpc_lab.numbers import FLOOR, configuration, default_of, lab_sett
 COMMITTED = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
+DRIVES = "laboratory.activeDrives"
 # Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
 ROUNDING = 1e-11
 
@@ -86,8 +87,8 @@ def visit(page: Any, page_file: Path, link: str = "") -> None:
 
 def judged(page: Any) -> float:
     """Return the position RMSE [m] of the whole drive with the present settings, after the page has driven it."""
-    page.wait_for_function("() => laboratory.whole !== null")
-    return float(page.evaluate("laboratory.whole.rms"))
+    page.wait_for_function("() => laboratory.evaluation !== null")
+    return float(page.evaluate("laboratory.evaluation.rms"))
 
 
 def choices(page: Any) -> dict[str, Any]:
@@ -138,7 +139,7 @@ def test_drives_are_those_of_python(page_file: Path) -> None:
         for model, (across, slew) in varied.items():
             for path in PATHS:
                 chosen = standard | {"model": model, "robot": model, "path": path, "across": across, "slew": slew}
-                driven = page.evaluate("(chosen) => laboratory.judge.drive(chosen)", chosen)
+                driven = page.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", chosen)
                 config = configuration(model, {"told": 0.04, "across": across, "slew": slew})
                 reference, plant = load_trajectory(path, config), f"model:{model}+0.04"
                 run = simulate(Controller(config), make_plant(plant), reference)
@@ -151,16 +152,16 @@ def test_drives_are_those_of_python(page_file: Path) -> None:
 
 @pytest.mark.system("firefox")
 def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tmp_path: Path) -> None:
-    ready = "async () => { while (!window.laboratory?.whole) await new Promise((go) => setTimeout(go, 20)); }"
+    ready = "async () => { while (!window.laboratory?.evaluation) await new Promise((go) => setTimeout(go, 20)); }"
     with opened_firefox("firefox-esr", tmp_path) as tab:
         tab.open(f"{page_file.as_uri()}#horizon=1e308")
         tab.evaluate(f"async () => {{ await ({ready})(); return null; }}")
         line, chosen = tab.evaluate("() => [document.getElementById('notice').textContent, laboratory.choices]")
-        assert "'horizon=1e308' is no choice" in line
+        assert "'horizon=1e308' is not a valid choice" in line
         assert chosen["horizon"] == default_of("horizon")
         for path in PATHS:
             changed = chosen | {"path": path, "dead": 0.04, "told": 0.04}
-            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", changed)
+            driven = tab.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", changed)
             config = configuration("ssm", {"told": 0.04})
             run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
             assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
@@ -285,9 +286,9 @@ def test_experiments_show_both_drives_with_their_figures(page_file: Path) -> Non
             if number:
                 page.locator(f"#experiment-{experiment['name']}").click()
             assert page.locator("[id^=experiment-][aria-pressed=true]").inner_text() == experiment["title"]
-            assert page.locator("#seen").inner_text() == experiment["see"]
-            page.wait_for_function("() => laboratory.shown.length === 2 && laboratory.shown.every((d) => d.whole)")
-            rms = page.evaluate("laboratory.shown.map((drive) => drive.whole.rms)")
+            assert page.locator("#explanation").inner_text() == experiment["see"]
+            page.wait_for_function(f"() => {DRIVES}.length === 2 && {DRIVES}.every((drive) => drive.evaluation)")
+            rms = page.evaluate(f"{DRIVES}.map((drive) => drive.evaluation.rms)")
             assert rms[1] <= experiment["share"] * rms[0], experiment["name"]
             shown = [page.locator(f"#rms-{side}").inner_text() for side in "ab"]
             assert shown == [f"{1000 * value:.1f} mm" for value in rms]
@@ -308,7 +309,7 @@ def test_link_opens_a_comparison_with_the_marked_drive(page_file: Path) -> None:
         page.keyboard.press("Enter")
         assert [drive["dead"] for drive in page.evaluate(sides)] == [0.04, 0.08]
         page.locator("#compare").click()
-        assert page.evaluate("laboratory.shown.length") == 1
+        assert page.evaluate("laboratory.activeDrives.length") == 1
         assert page.locator("#rms-a").is_hidden()
 
 
@@ -326,7 +327,7 @@ def test_typed_number_is_used_or_replaced_by_the_nearest_with_a_notice(page_file
 @in_browser
 def test_tools_and_figures_are_above_the_fold_and_keys_act_without_scrolling(page_file: Path) -> None:
     with laboratory(page_file, viewport={"width": 1400, "height": 900}) as page:
-        for name in ("floor", "tools", "deeds", "keys", "rms-a", "rms-b", "mode-b", "charts", "choice-seed"):
+        for name in ("floor", "tools", "actions", "keys", "rms-a", "rms-b", "mode-b", "charts", "choice-seed"):
             assert page.locator(f"#{name}").evaluate("(node) => node.getBoundingClientRect().bottom") <= 900, name
         for used in ("#push", "#side-a", "#choice-slew", "#choices"):
             page.locator(used).click()

@@ -1,6 +1,6 @@
 """Peers in a world: pursuit with the collision stop of Nav2, and MPPI with the seen obstacles in its cost.
 
-Both receive the data of our controller (`sim.worlds.sight.Seen`): the same grid, the same persons. Both assume that
+Both receive the data of our controller (`worlds.sight.Observation`): the same grid, the same persons. Both assume that
 persons stand still at the place where they were seen, as in a costmap. Nav2's paths have no times: the reference's
 clock waits here for a robot that lags.
 """
@@ -26,7 +26,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc_extras.peers.mppi import Floats32, MppiGains, MppiLaw
 from diffdrive_mpc_extras.worlds.passage import outline_points
 from diffdrive_mpc_extras.worlds.shapes import Shapes
-from diffdrive_mpc_extras.worlds.sight import OCCUPIED, Seen
+from diffdrive_mpc_extras.worlds.sight import OCCUPIED, Observation
 
 _FAR = 10.0
 """Distance where nothing has been seen [m]."""
@@ -85,7 +85,7 @@ class SeenDistanceField:
         (2,) of the robot [m]: shapes are drawn into a square around it.
     """
 
-    def __init__(self, obstacles: Seen, position: FloatArray) -> None:
+    def __init__(self, obstacles: Observation, position: FloatArray) -> None:
         discs = np.array([[disc.x, disc.y, disc.radius] for disc in obstacles.discs]).reshape(-1, 3)
         if obstacles.grid is not None:
             self._resolution, self._origin = obstacles.grid.resolution, np.array(obstacles.grid.origin[:2])
@@ -121,7 +121,7 @@ class SeeingPeer(TrackingPeer):
     def __init__(self, law: Law, lead: float, wait: float) -> None:
         super().__init__(law, lead, side_slip=True, config=load_config(MODEL))
         self._wait = wait
-        self._look: Seen | None = None
+        self._look: Observation | None = None
         self._around: SeenDistanceField | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
@@ -130,7 +130,7 @@ class SeeingPeer(TrackingPeer):
         self._progress, self._last_time = 0.0, t0
         self._look, self._around = None, None
 
-    def set_obstacles(self, obstacles: Seen, /) -> None:
+    def set_obstacles(self, obstacles: Observation, /) -> None:
         """Store the received data of a look."""
         self._look = obstacles
 

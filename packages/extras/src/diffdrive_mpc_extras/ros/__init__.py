@@ -1,1 +1,1 @@
-"""Parts of the ROS 2 nodes: topics and services of the features in this package."""
+"""ROS 2 node parts: topics and services of the features in this package."""

@@ -26,21 +26,21 @@ from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
 
 TRANSFORMS, SCAN = "/tf", "scan"
 _TIME_TOLERANCE = 1e-9
-_NEAREST = 0.05
-"""Shorter ranges are invalid [m]; the scanner is inside the hull."""
+_MIN_RANGE = 0.05
+"""Minimum valid range [m]; the scanner is inside the hull."""
 
 
 class TransformSender:
-    """Sends odom -> base_link with the odometry, and where wanted map -> odom so that the chain is the true pose.
+    """Publisher of odom -> base_link from the odometry and, on request, of map -> odom from the true pose.
 
     Parameters
     ----------
     node
-        The robot's node.
+        Node of the robot.
     prefix
-        Before odom and base_link.
+        Prefix of the frames odom and base_link.
     localised
-        Whether map -> odom is sent, as a localisation without error would.
+        True to publish map -> odom such that map -> base_link is the true pose.
 
     Raises
     ------
@@ -50,27 +50,28 @@ class TransformSender:
 
     def __init__(self, node: Node, prefix: str, *, localised: bool) -> None:
         try:
-            self._kind: Any = import_module("tf2_msgs.msg").TFMessage
+            self._message_type: Any = import_module("tf2_msgs.msg").TFMessage
         except ImportError as error:
-            raise ValueError("transforms need tf2_msgs, which is not installed; leave --transforms out") from error
+            raise ValueError("transforms need tf2_msgs, which is not installed; omit --transforms") from error
         self._odom, self._base, self._localised = prefix + ODOM, prefix + BASE, localised
-        self._publisher = node.create_publisher(self._kind, TRANSFORMS, 100)
+        self._publisher = node.create_publisher(self._message_type, TRANSFORMS, 100)
 
     def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
-        """Send the transforms with the odometry; see `sim.ros.simulated_base.BaseTopics`."""
+        """Publish the transforms of a new odometry pose; see `sim.ros.simulated_base.BaseTopics`."""
         del origin
         if odometry is None:
             return
-        in_odom, in_map = _matrix(odometry), _matrix(plant.true_pose)
-        sent = [_transform(now, self._odom, self._base, in_odom)]
+        odom_from_base, map_from_base = _matrix(odometry), _matrix(plant.true_pose)
+        stamped = [_transform(now, self._odom, self._base, odom_from_base)]
         if self._localised:
-            sent.append(_transform(now, MAP, self._odom, in_map @ np.linalg.inv(in_odom)))
-        message = self._kind(transforms=sent)
+            stamped.append(_transform(now, MAP, self._odom, map_from_base @ np.linalg.inv(odom_from_base)))
+        message = self._message_type(transforms=stamped)
         self._publisher.publish(message)
         yield TRANSFORMS, message
 
 
 def _matrix(pose: ArrayLike) -> FloatArray:
+    """Return the homogeneous transform (3, 3) of a pose (3,)."""
     x, y, theta = np.asarray(pose, dtype=float)
     cos, sin = np.cos(theta), np.sin(theta)
     return np.array([[cos, -sin, x], [sin, cos, y], [0.0, 0.0, 1.0]])
@@ -86,12 +87,12 @@ def _transform(now: int, parent: str, child: str, matrix: FloatArray) -> Any:  #
 
 
 def transforms(node: Node, _plant: Plant, settings: BaseSettings) -> TransformSender:
-    """Make the transforms that the settings ask for; raises ValueError if tf2_msgs is not installed."""
+    """Create the sender of transforms for the settings; raises ValueError if tf2_msgs is not installed."""
     return TransformSender(node, settings.frame_prefix, localised=settings.transforms == "map")
 
 
 class ScanSender:
-    """Topic `scan` of a robot in a world.
+    """Publisher of the topic `scan` of a robot in a world.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ class ScanSender:
     plant
         Plant in a world.
     settings
-        Settings of the base: prefix of the frame.
+        Settings of the simulated base, with the frame prefix.
     """
 
     def __init__(self, node: Node, plant: WorldPlant, settings: BaseSettings) -> None:
@@ -108,9 +109,9 @@ class ScanSender:
         self._publisher = node.create_publisher(LaserScan, SCAN, qos_profile_sensor_data)
 
     def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
-        """Send the scan that has arrived; see `sim.ros.simulated_base.BaseTopics`."""
+        """Publish a new scan; see `sim.ros.simulated_base.BaseTopics`."""
         del now, odometry
-        scan = self._scanner.look(plant.time, plant.true_pose, lambda time: origin + round(1e9 * time))
+        scan = self._scanner.scan(plant.time, plant.true_pose, lambda time: origin + round(1e9 * time))
         if scan is not None:
             if self._prefix:
                 messages.set_prefix(scan, self._prefix)
@@ -119,12 +120,12 @@ class ScanSender:
 
 
 class Scanner:
-    """A planar laser scanner in the middle of the robot, in base_link: obstacles and persons, with noise and latency.
+    """Planar laser scanner at the origin of base_link, with noise and latency; it detects obstacles and persons.
 
     Parameters
     ----------
     world
-        World and settings of the scanner.
+        World with the settings of the scanner.
     seed
         Seed of the noise, not negative.
     """
@@ -132,33 +133,38 @@ class Scanner:
     def __init__(self, world: World, seed: int = 0) -> None:
         self._world, self._sight = world, world.sight
         self._random = np.random.default_rng(seed)
-        self._next = 0.0
-        self._coming: deque[tuple[float, Any]] = deque()
+        self._next_time = 0.0
+        self._pending: deque[tuple[float, Any]] = deque()
 
-    def look(self, time: float, pose: ArrayLike, stamp: Callable[[float], int]) -> Any:  # noqa: ANN401
-        """Look from the true `pose` (3,) if it is time [s] to; the scan that has arrived, None for no news."""
-        if time >= self._next - _TIME_TOLERANCE:
-            self._next += self._sight.period
-            self._coming.append((time + self._sight.latency, self._scan(time, np.asarray(pose, float), stamp(time))))
+    def scan(self, time: float, pose: ArrayLike, stamp: Callable[[float], int]) -> Any:  # noqa: ANN401
+        """Measure from the true `pose` (3,) if a scan is due at `time` [s].
+
+        Return the newest scan that has arrived since the last call, with the time stamp [ns] that `stamp` computes from
+        its time [s]; None without a new scan.
+        """
+        if time >= self._next_time - _TIME_TOLERANCE:
+            self._next_time += self._sight.period
+            message = self._measure(time, np.asarray(pose, float), stamp(time))
+            self._pending.append((time + self._sight.latency, message))
         arrived = None
-        while self._coming and self._coming[0][0] <= time + _TIME_TOLERANCE:
-            arrived = self._coming.popleft()[1]
+        while self._pending and self._pending[0][0] <= time + _TIME_TOLERANCE:
+            arrived = self._pending.popleft()[1]
         return arrived
 
-    def _scan(self, time: float, pose: FloatArray, stamp: int) -> Any:  # noqa: ANN401
+    def _measure(self, time: float, pose: FloatArray, stamp: int) -> Any:  # noqa: ANN401
         sight, standing = self._sight, self._world.shapes(time)
         persons = [(*mover.position(time), mover.radius) for mover in self._world.movers]
         discs = np.vstack([standing.discs, np.reshape(persons, (-1, 3))])
         distances, _ = cast_rays(pose, Shapes(standing.polygons, discs), sight)
-        measured = np.maximum(distances + sight.range_sd * self._random.standard_normal(len(distances)), _NEAREST)
+        ranges = np.maximum(distances + sight.range_sd * self._random.standard_normal(len(distances)), _MIN_RANGE)
         message = LaserScan(
             angle_min=-0.5 * sight.field_of_view,
             angle_max=0.5 * sight.field_of_view,
             angle_increment=sight.field_of_view / (sight.rays - 1),
             scan_time=sight.period,
-            range_min=_NEAREST,
+            range_min=_MIN_RANGE,
             range_max=sight.range,
-            ranges=measured.astype(np.float32).tolist(),
+            ranges=ranges.astype(np.float32).tolist(),
         )
         message.header.stamp, message.header.frame_id = messages.time_message(stamp), BASE
         return message

@@ -1,7 +1,7 @@
-"""Part of the node that predicts errors: for the limit of paths of `follow_path`, and for `~/predict_error`.
+"""Node part that predicts tracking errors, for the error limit of `follow_path` and the service `~/predict_error`.
 
-A prediction takes about a millisecond for a path of a minute, and some seconds of simulated drives for the robot's own
-plant, so the side process makes it.
+A prediction takes about a millisecond for a path of one minute, but some seconds if it simulates drives of the robot's
+own plant. It therefore runs in the side process.
 """
 
 from __future__ import annotations
@@ -31,46 +31,48 @@ from diffdrive_mpc_extras.predicted_error.drives import predict_reference
 from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError, check_origin, predict_tubes
 
 OWN = "own"
-"""Population of the plant that belongs to the configuration."""
+"""Population of simulated drives with the plant of the configuration."""
 _DRAWS = 20
-"""Simulated drives of that plant: the fewest for 95 %, as the side process serves others, too."""
-_SLOWER = (0.8, 0.6, 0.4, 0.2)
-"""Shares of speed and acceleration at which a path is tried that has too wide a tube at full speed [-]."""
+"""Number of simulated drives of that plant: the minimum for 95 %, because the side process has other jobs as well."""
+_SPEED_SHARES = (0.8, 0.6, 0.4, 0.2)
+"""Shares of speed and acceleration that are tried for a path that exceeds the limit at full speed [-]."""
 
 
 class PredictedErrorSettings(PartSettings):
-    """Predicted errors, and the limit of them for paths of `follow_path`."""
+    """Settings of predicted errors, and their limit for paths of `follow_path`."""
 
     follow_error_limit: NotNegative = Field(
         0.0,
-        description="a path is slowed or refused if its predicted lateral tube, of the share of drives that the "
-        "calibration states (95 % as shipped), is wider than this; 0: never [m]",
+        description="limit of the half width of a path's predicted lateral tube, for the share of drives that the "
+        "calibration states (95 % as shipped); a path above it is slowed or refused; 0: no limit [m]",
     )
     follow_error_response: Literal["slow", "refuse"] = Field(
         "slow",
-        description="slow: such a path is driven slower, and refused if a fifth of its speed is still too fast; "
-        "refuse: it is refused [-]",
+        description="response to a path above follow_error_limit; slow: drive slower, and refuse the path if a fifth "
+        "of its speed is still too fast; refuse: refuse the path [-]",
     )
     error_population: str = Field(
-        "drawn", min_length=1, description="population of the calibration; own: drives of the own plant, no limit [-]"
+        "drawn",
+        min_length=1,
+        description="population of the calibration; own: simulated drives of the robot's plant, without limit [-]",
     )
     error_calibration: str = Field("", description="calibration file of predicted errors; empty: the shipped one [-]")
 
 
 @dataclass(frozen=True)
 class ErrorPredictor:
-    """Predicts errors of references for the model of a controller; it can be sent to the side process.
+    """Predictor of tracking errors for the model of a controller; it can be pickled for the side process.
 
     Attributes
     ----------
     lag
-        (2,) of the model [s].
+        (2,) lags of the model [s].
     population
-        Population of drives; `calibration` has it.
+        Population of `calibration`, or `OWN`.
     calibration
         Coefficients and quantiles.
     plant
-        Plant of `OWN`.
+        Plant of the population `OWN`, else empty.
     """
 
     lag: FloatArray
@@ -80,32 +82,33 @@ class ErrorPredictor:
 
     @classmethod
     def build(cls, controller: Controller, settings: PredictedErrorSettings, config: str = "") -> ErrorPredictor:
-        """Read the calibration; ConfigError or ValueError where it cannot be used, or is for another model.
+        """Load the calibration and build the predictor.
 
-        `config` is the name or path of the configuration, in whose folder the plant of `OWN` is.
+        `config` is the name or path of the configuration; its folder contains the plant of `OWN`. Raises ConfigError
+        for invalid settings or calibrations, and ValueError for a model without a prediction.
         """
         calibration = load_calibration(settings.error_calibration or None)
         is_own = settings.error_population == OWN
         if is_own and settings.follow_error_limit:
-            raise ConfigError(f"error_population: {OWN} takes seconds; with follow_error_limit give a population")
+            raise ConfigError(f"error_population: {OWN} takes seconds; use another population with follow_error_limit")
         if not is_own:
             calibration.population(settings.error_population)
         check_origin(controller.model)
         return cls(controller.model.lag, settings.error_population, calibration, own_plant(config) if is_own else "")
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:
-        """Predict the error; raise ValueError for a reference of no duration or over two hours, or of lost drives."""
+        """Predict the error; raises ValueError for a duration of zero or over two hours, or if a drive is lost."""
         if self.population == OWN:
             return predict_reference(reference, config, self.plant, _DRAWS)
         return predict_tubes(reference, config, self.lag, self.population, self.calibration)
 
     def summary(self, reference: Reference, config: ControllerConfig) -> str:
-        """Summarise the prediction in one line of JSON, see `_summary`."""
+        """Return the prediction as one line of JSON, see `_summary`."""
         return json.dumps(_summary(self.predict(reference, config), self.population))
 
 
 def _summary(predicted: PredictedError, population: str) -> dict[str, object]:
-    """Describe the widest place of both tubes: half width [m], time [s], distance [m], reasons, warnings."""
+    """Return the widest point of both tubes: half width [m], time [s], arc length [m], description, and warnings."""
 
     def widest(tube: ErrorTube, words: str, index: int) -> dict[str, object]:
         return {
@@ -129,7 +132,7 @@ def _summary(predicted: PredictedError, population: str) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class ErrorLimit:
-    """Condition on paths: the predicted error keeps to `follow_error_limit`; see `PathCheck`."""
+    """Check of paths against `follow_error_limit`; see `PathCheck`."""
 
     predictor: ErrorPredictor
     settings: PredictedErrorSettings
@@ -137,39 +140,38 @@ class ErrorLimit:
     def lay(
         self, lay: Callable[..., PlannedPath], config: ControllerConfig, speed: float, limits: TrajectoryLimits
     ) -> PlannedPath:
-        """Lay a path whose predicted error keeps to the limit, slower if the settings allow that.
+        """Lay a path with a predicted error within the limit, at reduced speed if the settings allow that.
 
-        A reference that began below the present `speed` [m/s] of the robot would pull it back: a moving robot is
-        slowed no further than that, and otherwise refused, so that it stands when the next path comes.
+        The reduced speed is not below the current `speed` [m/s] of the robot, because the reference would fall behind
+        the robot at its start.
 
         Raises
         ------
         ConfigError
-            If no allowed speed observes the limit, with the excess and its place.
+            If the path exceeds the limit at every allowed speed; the message states the excess and its place.
         """
         limit = self.settings.follow_error_limit
-        slower = _SLOWER if self.settings.follow_error_response == "slow" else ()
-        shares = (1.0, *(share for share in slower if share * limits.v >= speed))
-        complaints = []
+        reduced = _SPEED_SHARES if self.settings.follow_error_response == "slow" else ()
+        shares = (1.0, *(share for share in reduced if share * limits.v >= speed))
+        reasons = []
         for share in shares:
-            laid = lay(_slowed(limits, share))
+            path = lay(_scale_limits(limits, share))
             try:
-                complaint = _complaint(self.predictor.predict(laid.reference, config), limit)
+                reason = _reason_to_refuse(self.predictor.predict(path.reference, config), limit)
             except ValueError as error:
                 raise ConfigError(f"path: follow_error_limit cannot be checked: {error}") from error
-            if not complaint:
-                slowed = f"driven at {100 * share:g} % of its speed for follow_error_limit" if share < 1.0 else ""
-                return replace(laid, note=slowed)
-            complaints.append(complaint)
-        slowest = f"; at {100 * shares[-1]:g} % of this speed: {complaints[-1]}" if complaints[1:] else ""
+            if not reason:
+                note = f"driven at {100 * share:g} % of its speed for follow_error_limit" if share < 1.0 else ""
+                return replace(path, note=note)
+            reasons.append(reason)
+        slowest = f"; at {100 * shares[-1]:g} % of this speed: {reasons[-1]}" if reasons[1:] else ""
         raise ConfigError(
-            f"path: {complaints[0]}{slowest}. Plan an easier path, lower follow_speed_share, or raise "
-            "follow_error_limit"
+            f"path: {reasons[0]}{slowest}. Plan an easier path, lower follow_speed_share, or raise follow_error_limit"
         )
 
 
-def _complaint(predicted: PredictedError, limit: float) -> str:
-    """Describe why a path may exceed the limit [m]; empty if it does not."""
+def _reason_to_refuse(predicted: PredictedError, limit: float) -> str:
+    """Describe why a path may exceed the limit [m]; empty within the limit."""
     width = float(predicted.lateral.everywhere.max())
     if width > limit:
         return (
@@ -179,13 +181,13 @@ def _complaint(predicted: PredictedError, limit: float) -> str:
     return predicted.warnings[0] if predicted.warnings else ""
 
 
-def _slowed(limits: TrajectoryLimits, share: float) -> TrajectoryLimits:
+def _scale_limits(limits: TrajectoryLimits, share: float) -> TrajectoryLimits:
     names = ("v", "omega", "v_acceleration", "omega_acceleration")
     return replace(limits, **{name: share * getattr(limits, name) for name in names})
 
 
 class PredictedErrorPart(NodePart):
-    """Service `~/predict_error`, and the limit of the predicted error of paths."""
+    """Node part with the service `~/predict_error` and the error limit of paths."""
 
     schema = PredictedErrorSettings
 
@@ -193,16 +195,16 @@ class PredictedErrorPart(NodePart):
         super().__init__(node)
         self._settings = PredictedErrorSettings()
         self._predictor: ErrorPredictor | None = None
-        self._unpredictable = ""
+        self._missing_reason = ""
         self._pending: set[Future] = set()
-        # The reentrant group lets ticks continue while the service awaits the side process.
+        # With a reentrant group, ticks continue while the service awaits the side process.
         group = ReentrantCallbackGroup()
         node.create_service(Trigger, "~/predict_error", self._predict, callback_group=group)
 
     def configure(self, tools: NodeTools) -> None:
-        """Load the calibration; without a limit, a model without a prediction is accepted."""
+        """Load the calibration; a model without a prediction is accepted if no limit is set."""
         settings = self._settings = tools.part_settings(PredictedErrorSettings)
-        self._predictor, self._unpredictable = None, ""
+        self._predictor, self._missing_reason = None, ""
         try:
             self._predictor = ErrorPredictor.build(tools.controller, settings, tools.settings.config)
         except ConfigError:
@@ -210,7 +212,7 @@ class PredictedErrorPart(NodePart):
         except ValueError as error:
             if settings.follow_error_limit:
                 raise RefusedError(f"follow_error_limit is set, and {error}") from error
-            self._unpredictable = str(error)
+            self._missing_reason = str(error)
 
     def tear_down(self) -> None:
         """Answer the pending requests."""
@@ -218,17 +220,17 @@ class PredictedErrorPart(NodePart):
             future.set_result((False, "the node was deactivated and cleaned up"))
 
     def path_check(self) -> PathCheck | None:
-        """Return the limit of the predicted error."""
+        """Return the check of the error limit; None without a limit."""
         if self._predictor is None or not self._settings.follow_error_limit:
             return None
         return ErrorLimit(self._predictor, self._settings)
 
     async def _predict(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Predict the error of the present reference in the side process."""
+        """Predict the error of the current reference in the side process."""
         try:
             loop, tools = self.running()
             if self._predictor is None:
-                raise RefusedError(self._unpredictable)
+                raise RefusedError(self._missing_reason)
             if loop.reference is None:
                 raise RefusedError("there is no reference yet; send one, or set the parameter trajectory")
         except ValueError as error:
@@ -240,8 +242,8 @@ class PredictedErrorPart(NodePart):
             "predict_error",
             ErrorPredictor.summary,
             (self._predictor, loop.reference, tools.controller.config),
-            lambda words: future.set_result((True, words)),
-            lambda why: future.set_result((False, why)),
+            lambda summary: future.set_result((True, summary)),
+            lambda reason: future.set_result((False, reason)),
         )
         response.success, response.message = await future
         self._pending.discard(future)

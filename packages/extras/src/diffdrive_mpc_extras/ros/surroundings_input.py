@@ -1,9 +1,8 @@
-"""Surroundings of the robot from topics: a costmap, and moving objects.
+"""Surroundings of the robot from topics: a costmap and moving obstacles, both in the control frame.
 
 `costmap` is a nav_msgs/OccupancyGrid. `obstacles` is a sensor_msgs/PointCloud2 with the fields x, y, radius, and vx, vy
-where they move: of the types with a wheel it is the one that carries named numbers of many things in one block, and
-RViz shows it; markers and polygons have no velocity. The size of both is checked first, they are read in the process
-beside the loop, and are in the frame of control.
+for moving obstacles. PointCloud2 carries named numbers of many obstacles in one block, and RViz displays it; markers
+and polygons have no velocity. The node checks the size of a message first, and the side process reads the message.
 """
 
 from __future__ import annotations
@@ -44,25 +43,25 @@ from diffdrive_mpc_extras.free_space.feature import KeepClear
 from diffdrive_mpc_extras.free_space.pieces import PreparedGrid, prepared_grid
 from diffdrive_mpc_extras.free_space.surroundings import check_disc
 
-_MOST_DISCS = 500
+_MAX_DISCS = 500
 _OVERHEAD = 1024 + 2 * MAX_NAME_LENGTH
-_OBSTACLES_BYTES = 64 * _MOST_DISCS + _OVERHEAD
-_NUMBERS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
-_NEEDED, _MOTION = ("x", "y", "radius"), ("vx", "vy")
-_WARN_EVERY = 5.0
-"""Between two warnings about one topic [s]: bad messages may come at any rate, and diagnostics have the last reason."""
+_OBSTACLES_BYTES = 64 * _MAX_DISCS + _OVERHEAD
+_NUMBER_FORMATS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
+_REQUIRED_FIELDS, _VELOCITY_FIELDS = ("x", "y", "radius"), ("vx", "vy")
+_WARNING_PERIOD = 5.0
+"""Minimum time between two warnings about one topic [s]; diagnostics contain the reason of every refusal."""
 
 
 class CostmapMessage(NamedTuple):
-    """A costmap, its frame and its stamp [ns]."""
+    """Costmap with its frame and its stamp [ns]."""
 
     grid: PreparedGrid
     frame: str
     stamp: int
 
 
-class SeenDiscs(NamedTuple):
-    """Things that may move, (n, 5) x, y, radius, vx, vy, with their frame and stamp [ns]."""
+class ObstaclesMessage(NamedTuple):
+    """Discs (n, 5) x, y, radius [m], vx, vy [m/s] with their frame and stamp [ns]."""
 
     discs: FloatArray
     frame: str
@@ -75,62 +74,62 @@ def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
     Raises
     ------
     MessageError, SurroundingsError
-        With the error in one line.
+        If the message is invalid; the text is one line.
     """
     message: GridMessage = deserialize_message(raw, GridMessage)
     info = message.info
     cells = np.asarray(message.data, dtype=np.int8)
     if cells.size != info.width * info.height or not cells.size:
-        raise MessageError(f"it has {cells.size} cells and says {info.width} x {info.height}")
+        raise MessageError(f"it has {cells.size} cells, but its size is {info.width} x {info.height}")
     grid = OccupancyGrid(cells.reshape(info.height, info.width), round(info.resolution, 6), planar_pose(info.origin))
     prepared = prepared_grid(grid, settings)
     if len(prepared.boxes) > settings.max_pieces:
-        count, most = len(prepared.boxes), settings.max_pieces
-        raise MessageError(f"its occupied cells make {count} rectangles, free_space.max_pieces is {most}")
+        count, limit = len(prepared.boxes), settings.max_pieces
+        raise MessageError(f"its occupied cells make {count} rectangles, free_space.max_pieces is {limit}")
     return CostmapMessage(prepared, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
-def read_obstacles(raw: bytes) -> SeenDiscs:
+def read_obstacles(raw: bytes) -> ObstaclesMessage:
     """Convert a serialised PointCloud2 to discs.
 
     Raises
     ------
     MessageError, SurroundingsError
-        With the error in one line.
+        If the message is invalid; the text is one line.
     """
     message: PointCloud2 = deserialize_message(raw, PointCloud2)
     count = message.width * message.height
-    if count > _MOST_DISCS:
-        raise MessageError(f"it has {count} points; give {_MOST_DISCS} at most, the nearest ones")
+    if count > _MAX_DISCS:
+        raise MessageError(f"it has {count} points; send at most the nearest {_MAX_DISCS}")
     if message.is_bigendian or message.point_step * count != len(message.data):
-        raise MessageError("its data do not have the length that it states, or are big-endian")
+        raise MessageError("the length of its data differs from point_step times points, or they are big-endian")
     fields = {field.name: field for field in message.fields}
-    missing = [name for name in _NEEDED if name not in fields]
+    missing = [name for name in _REQUIRED_FIELDS if name not in fields]
     if missing:
-        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of moving ones")
+        raise MessageError(f"it has no field {missing[0]}; send x, y, radius, and vx, vy for moving obstacles")
     columns = []
-    for name in (*_NEEDED, *_MOTION):
+    for name in (*_REQUIRED_FIELDS, *_VELOCITY_FIELDS):
         field = fields.get(name)
         if field is None:
             columns.append(np.zeros(count))
             continue
-        kind = _NUMBERS.get(field.datatype)
-        if kind is None or field.count != 1 or field.offset + int(kind[1]) > message.point_step:
-            raise MessageError(f"its field {name} is no single float32 or float64 inside a point")
+        number = _NUMBER_FORMATS.get(field.datatype)
+        if number is None or field.count != 1 or field.offset + int(number[1]) > message.point_step:
+            raise MessageError(f"its field {name} is not a single float32 or float64 inside a point")
         layout = np.dtype(
-            {"names": [name], "formats": [kind], "offsets": [field.offset], "itemsize": message.point_step}
+            {"names": [name], "formats": [number], "offsets": [field.offset], "itemsize": message.point_step}
         )
         columns.append(np.frombuffer(bytes(message.data), layout)[name].astype(float))
     discs = np.stack(columns, axis=1)
     if not np.isfinite(discs).all():
-        raise MessageError("it holds a number that is not finite")
+        raise MessageError("it contains a number that is not finite")
     for index, (x, y, radius, vx, vy) in enumerate(discs.tolist()):
         check_disc(MovingDisc(x, y, radius, vx, vy), f"disc {index}", timed=True)
-    return SeenDiscs(discs, message.header.frame_id, nanoseconds(message.header.stamp))
+    return ObstaclesMessage(discs, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 class SurroundingsSettings(PartSettings):
-    """Topics that show the surroundings."""
+    """Settings of the topics with the surroundings."""
 
     use_costmap: bool = Field(
         False,
@@ -145,7 +144,7 @@ class SurroundingsSettings(PartSettings):
 
 
 class SurroundingsInput:
-    """Combines the data of the topics, and gives them to the controller.
+    """Input that combines the data of the topics and passes them to the controller.
 
     Parameters
     ----------
@@ -155,10 +154,10 @@ class SurroundingsInput:
         Controller that uses the surroundings.
     inbox
         Clock and frame of control.
-    aside
-        The process that reads messages.
+    side_process
+        Process that reads messages.
     log
-        Called with the reason why something was refused, once in some seconds for each topic.
+        Function that logs the reason of a refusal; called at most once in some seconds for each topic.
     """
 
     def __init__(
@@ -166,24 +165,24 @@ class SurroundingsInput:
         settings: SurroundingsSettings,
         controller: Controller,
         inbox: Inbox,
-        aside: SideProcess,
+        side_process: SideProcess,
         log: Callable[[str], None],
     ) -> None:
-        self._controller, self._inbox, self._aside, self._log = controller, inbox, aside, log
+        self._controller, self._inbox, self._side_process, self._log = controller, inbox, side_process, log
         self._free_space = free_space_of(controller.config)
         self._keep_clear: KeepClear = controller.feature("free_space")
         self.costmap, self.obstacles = TopicWatch("costmap"), TopicWatch("obstacles")
-        used = ((self.costmap, settings.use_costmap), (self.obstacles, settings.use_obstacles))
-        self.topics = [topic for topic, uses in used if uses]
-        self._warned: dict[str, float] = {}
+        uses = ((self.costmap, settings.use_costmap), (self.obstacles, settings.use_obstacles))
+        self.topics = [topic for topic, is_used in uses if is_used]
+        self._warning_times: dict[str, float] = {}
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was seen: until everything has arrived the robot does not drive."""
+        """Discard all data; the robot does not drive until every topic has a new message."""
         self._grid: PreparedGrid | None = None
         self._discs: FloatArray = np.zeros((0, 5))
         self._stamps: dict[str, float] = {}
-        self._keep()
+        self._save()
         for watch in self.topics:
             watch.restart()
         if self.topics:
@@ -191,22 +190,22 @@ class SurroundingsInput:
 
     @property
     def fault(self) -> str:
-        """Name the missing or old topic; empty if there is none."""
+        """Description of missing or old topics; empty without a fault."""
         now, limit = self._inbox.now, self._free_space.max_age
         return "; ".join(filter(None, (watch.fault(now, limit) for watch in self.topics)))
 
     def take_costmap(self, raw: bytes) -> None:
         """Handle a serialised OccupancyGrid."""
-        most = self._free_space.max_cells + _OVERHEAD
-        if len(raw) > most:
-            self._refuse(self.costmap, too_long(len(raw), most))
+        limit = self._free_space.max_cells + _OVERHEAD
+        if len(raw) > limit:
+            self._refuse(self.costmap, too_long(len(raw), limit))
             return
-        self._aside.submit(
+        self._side_process.submit(
             "costmap",
             read_costmap,
             (raw, self._free_space),
-            self._see_grid,
-            lambda why: self._refuse(self.costmap, why),
+            self._use_costmap,
+            lambda text: self._refuse(self.costmap, text),
         )
 
     def take_obstacles(self, raw: bytes) -> None:
@@ -214,19 +213,19 @@ class SurroundingsInput:
         if len(raw) > _OBSTACLES_BYTES:
             self._refuse(self.obstacles, too_long(len(raw), _OBSTACLES_BYTES))
             return
-        self._aside.submit(
-            "obstacles", read_obstacles, (raw,), self._see_discs, lambda why: self._refuse(self.obstacles, why)
+        self._side_process.submit(
+            "obstacles", read_obstacles, (raw,), self._use_obstacles, lambda text: self._refuse(self.obstacles, text)
         )
 
-    def _see_grid(self, grid: CostmapMessage) -> None:
-        if self._accept(self.costmap, grid.frame, grid.stamp):
-            self._grid = grid.grid
-            self._tell(self.costmap)
+    def _use_costmap(self, message: CostmapMessage) -> None:
+        if self._accept(self.costmap, message.frame, message.stamp):
+            self._grid = message.grid
+            self._update_controller(self.costmap)
 
-    def _see_discs(self, discs: SeenDiscs) -> None:
-        if self._accept(self.obstacles, discs.frame, discs.stamp):
-            self._discs = discs.discs
-            self._tell(self.obstacles)
+    def _use_obstacles(self, message: ObstaclesMessage) -> None:
+        if self._accept(self.obstacles, message.frame, message.stamp):
+            self._discs = message.discs
+            self._update_controller(self.obstacles)
 
     def _accept(self, watch: TopicWatch, frame: str, stamp: int) -> bool:
         try:
@@ -239,37 +238,37 @@ class SurroundingsInput:
         self._stamps[watch.name] = time
         return True
 
-    def _tell(self, watch: TopicWatch) -> None:
-        """Let the controller see everything, as it was when the older of the two was."""
+    def _update_controller(self, watch: TopicWatch) -> None:
+        """Pass the surroundings to the controller, for the time of the older of the two messages."""
         if len(self._stamps) < len(self.topics):
-            self._keep()
+            self._save()
             return
         oldest = min(self._stamps.values())
-        since = self._stamps.get(self.obstacles.name, oldest) - oldest
-        discs = [MovingDisc(x - vx * since, y - vy * since, r, vx, vy) for x, y, r, vx, vy in self._discs.tolist()]
+        age = self._stamps.get(self.obstacles.name, oldest) - oldest
+        discs = [MovingDisc(x - vx * age, y - vy * age, r, vx, vy) for x, y, r, vx, vy in self._discs.tolist()]
         try:
             self._keep_clear.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
-            # Messages that cannot be used together must not affect later ones, nor count as fresh.
-            watch.take_back(self._kept[2].get(watch.name))
+            # Restore the last valid combination: the refused message must not count as fresh or affect later messages.
+            watch.take_back(self._saved[2].get(watch.name))
             self._refuse(watch, str(error))
-            self._grid, self._discs, self._stamps = self._kept[0], self._kept[1], dict(self._kept[2])
+            self._grid, self._discs, self._stamps = self._saved[0], self._saved[1], dict(self._saved[2])
         else:
-            self._keep()
+            self._save()
 
-    def _keep(self) -> None:
-        self._kept = self._grid, self._discs, dict(self._stamps)
+    def _save(self) -> None:
+        self._saved = self._grid, self._discs, dict(self._stamps)
 
     def _refuse(self, watch: TopicWatch, reason: str) -> None:
         watch.refuse(plain_line(reason))
         now = monotonic()
-        if now - self._warned.get(watch.name, -math.inf) >= _WARN_EVERY:
-            self._warned[watch.name] = now
+        if now - self._warning_times.get(watch.name, -math.inf) >= _WARNING_PERIOD:
+            self._warning_times[watch.name] = now
             self._log(watch.reason)
 
 
 class FreeSpacePart(NodePart):
-    """Costmap and obstacles for the controller; without fresh ones the robot does not drive."""
+    """Node part with costmap and obstacles for the controller; the robot drives only with fresh messages."""
 
     schema = SurroundingsSettings
 
@@ -281,7 +280,7 @@ class FreeSpacePart(NodePart):
         if not (settings.use_costmap or settings.use_obstacles):
             return
         if not free_space_of(tools.controller.config).enabled:
-            raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
+            raise RefusedError("use_costmap or use_obstacles is set; also set free_space.enabled")
         warn = self.node.get_logger().warning
         surroundings = SurroundingsInput(settings, tools.controller, tools.inbox, tools.side_process, warn)
         self.surroundings, self.topics = surroundings, surroundings.topics
@@ -292,10 +291,10 @@ class FreeSpacePart(NodePart):
         tools.side_process.prepare(preload)
 
     def activate(self) -> None:
-        """Forget the surroundings of the last activation."""
+        """Discard the surroundings of the previous activation."""
         if self.surroundings is not None:
             self.surroundings.restart()
 
     def tear_down(self) -> None:
-        """Forget the surroundings."""
+        """Discard the surroundings."""
         self.surroundings, self.topics = None, ()

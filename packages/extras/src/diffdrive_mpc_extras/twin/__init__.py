@@ -1,1 +1,1 @@
-"""The digital twin of a user's robot: the physics fitted to a log of it."""
+"""Digital twin of a robot: the MuJoCo plant fitted to logs."""

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc twin`: from a log of a robot to a plant that behaves like it."""
+"""`diffdrive-mpc twin`: fit a simulated plant to logs of a robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def twin(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="What is known of the robot (YAML): mass, wheel base, motors.",
+            help="Known values of the robot (YAML): mass, wheel base, motors.",
             show_default="scaled from the track of the log",
         ),
     ] = None,
@@ -28,19 +28,19 @@ def twin(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Identified linear model to begin with and to stand beside.",
+            help="Identified linear model for the initial values and the comparison.",
             show_default="an SM, identified from the same rows",
         ),
     ] = None,
     effects: Annotated[
-        bool, typer.Option("--effects", help="Look for what the base does around that SM: slew, steps, veer; minutes.")
+        bool, typer.Option("--effects", help="Identify effects of the base for that SM: slew, steps, veer; minutes.")
     ] = False,
-    seconds: Annotated[float | None, typer.Option(help="How much of the log is fitted [s].", show_default="90")] = None,
+    seconds: Annotated[float | None, typer.Option(help="Duration of the fitted data [s].", show_default="90")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the robot.", show_default="from the logs")] = None,
     jobs: Jobs = None,
-    force: Annotated[bool, typer.Option("--force", help="Go on where the logs speak against it.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Continue although the logs have errors.")] = False,
 ) -> None:
-    """Fit the physics plant to a log: its parameters, and a plant file for `simulate --plant mujoco:FILE`."""
+    """Fit the MuJoCo plant to logs; write its parameters and a plant file for `simulate --plant mujoco:FILE`."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.twin.study import TwinStudy  # noqa: PLC0415
 

@@ -1,9 +1,9 @@
-"""Fit a plant to a log, and report the determined parameters.
+"""Fit of a plant to a log, and the parameters that the log determines.
 
-Bounded least squares on the errors of free runs (`scipy.optimize.least_squares`, trust region reflective): the errors
-are smooth, a start within the right valley comes from the identified model, and a drive of the plant takes seconds, so
-slopes by differences pay where a population of candidates (differential evolution, CMA-ES) would need hundreds of
-drives more. Priors are used with the readings, so parameters that these do not determine keep their prior value.
+The method is bounded least squares on the errors of free runs (`scipy.optimize.least_squares`, trust region
+reflective). The errors are smooth, and the identified model gives initial values near the minimum. A drive of the plant
+takes seconds, and derivatives by finite differences need hundreds of drives fewer than differential evolution or
+CMA-ES. Parameters that the readings do not determine keep the median of their prior.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from diffdrive_mpc_extras.twin.problem import TwinProblem
 from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import Space, Values
 
-_ENOUGH = 1e-4
-"""Fall of the sum of squares, as a part of it, below which the search ends."""
+_COST_TOLERANCE = 1e-4
+"""Relative decrease of the cost below which the search stops."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class FittedParameter:
     name, unit, words
         Name, unit and description of the parameter.
     value
-        In the plant.
+        Value in the plant.
     low, high
-        Bounds of its 95 % interval: of the posterior where the log determines it, else of the prior.
+        Bounds of the 95 % interval: of the posterior if the log determines the parameter, else of the prior.
     share
-        Posterior deviation over the prior's [-].
+        Standard deviation of the posterior over that of the prior [-].
     told
-        Whether the log determines it; otherwise `value` is the prior's.
+        True if the log determines the parameter; otherwise `value` is the median of the prior.
     """
 
     name: str
@@ -56,20 +56,20 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class TwinFit:
-    """A plant fitted to a log.
+    """Result of the fit of a plant to a log.
 
     Attributes
     ----------
     space
-        The parameters.
+        Space of the parameters.
     values
-        Their values, by name.
+        Values of the parameters, by name.
     parameters
-        Result of each parameter, in the order of the space.
+        Posterior of each parameter, in the order of the space.
     drives
-        Number of sets of parameters that were driven.
+        Number of simulations of the fitted stretches.
     seconds
-        Duration of the log that was fitted [s].
+        Duration of the fitted stretches [s].
     """
 
     space: Space
@@ -80,7 +80,7 @@ class TwinFit:
 
     @property
     def robot(self) -> SimulatedRobot:
-        """The plant."""
+        """Fitted plant."""
         return self.space.robot(self.values)
 
 
@@ -90,62 +90,63 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     Parameters
     ----------
     problem
-        Problem to fit; its weights are found here.
+        Problem to fit; this function sets its weights.
     start
-        Values to begin with, by name; other parameters begin at their prior.
+        Initial values, by name; missing parameters start at the median of their prior.
     on_stage
-        Called with the next step, and the approximate number of its drives.
+        Called with the name of the next stage, and the approximate number of its drives.
 
     Raises
     ------
     ValueError
-        If the plant does not come through the log's commands at the start.
+        If the plant tips over or diverges with the initial values.
     """
     settings, space = twin_settings(), problem.space
     search = _Search(problem)
     announce = on_stage or (lambda _text, _count: None)
-    every = list(range(len(space.names)))
+    indices = list(range(len(space.names)))
     z = space.deviations(start)
-    first = search.motions(z)
-    if first is None:
+    motions = search.motions(z)
+    if motions is None:
         raise ValueError("the plant tips over or diverges under the commands of this log: check mass, sizes and units")
-    problem.weigh(problem.errors(z, first))
-    for round_, evaluations in enumerate(settings.evaluations):
-        announce(f"fit, part {round_ + 1} of 3", evaluations + len(every))
-        z = search.least(z, every, evaluations)
-        if round_ == 0:
-            problem.weigh(problem.errors(z, search.motions(z)))
-    announce("fit, part 3 of 3", settings.refined + len(every))
+    problem.set_weights(problem.errors(z, motions))
+    for part, evaluations in enumerate(settings.evaluations):
+        announce(f"fit, part {part + 1} of 3", evaluations + len(indices))
+        z = search.minimise(z, indices, evaluations)
+        if part == 0:
+            problem.set_weights(problem.errors(z, search.motions(z)))
+    announce("fit, part 3 of 3", settings.refined + len(indices))
     deviation, information, slopes = search.posterior(z)
-    distinct = told_apart(information, settings.told)
-    free = [i for i in every if distinct[i]]
-    moved = z.copy()
-    fixed = [i for i in every if not distinct[i]]
+    is_determined = identifiable_parameters(information, settings.told)
+    free = [i for i in indices if is_determined[i]]
+    refined = z.copy()
+    fixed = [i for i in indices if not is_determined[i]]
     if fixed and free:
-        # Values of the others when these return to their prior, to first order.
-        moved[free] += np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, fixed)] @ z[fixed])
-    moved[fixed] = 0.0
+        # First-order change of the free parameters when the fixed ones return to the median of their prior.
+        refined[free] += np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, fixed)] @ z[fixed])
+    refined[fixed] = 0.0
     low, high = space.bounds
-    moved = np.clip(moved, low + 1e-6, high - 1e-6)
-    z = search.least(moved, free, settings.refined, slopes[:, free]) if free else moved
+    refined = np.clip(refined, low + 1e-6, high - 1e-6)
+    z = search.minimise(refined, free, settings.refined, slopes[:, free]) if free else refined
     values = space.values(z)
-    known = []
+    parameters = []
     for i, (name, prior) in enumerate(space.priors.items()):
-        known_to = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if distinct[i] else 1.0
-        reach = settings.interval * known_to
-        low_end, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
+        spread = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if is_determined[i] else 1.0
+        half_width = settings.interval * spread
+        ends = (float(np.clip(prior.value(z[i] + side * half_width), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
-        known.append(
-            FittedParameter(name, prior.unit, prior.words, values[name], low_end, end, share, bool(distinct[i]))
+        parameters.append(
+            FittedParameter(name, prior.unit, prior.words, values[name], *ends, share, bool(is_determined[i]))
         )
     seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
-    return TwinFit(space, values, tuple(known), search.drives, seconds)
+    return TwinFit(space, values, tuple(parameters), search.drives, seconds)
 
 
-def told_apart(information: FloatArray, threshold: float) -> list[bool]:
-    """Select the identifiable parameters: the least identifiable ones return to their prior one by one.
+def identifiable_parameters(information: FloatArray, threshold: float) -> list[bool]:
+    """Select the identifiable parameters from an information matrix (q, q) of readings and unit priors.
 
-    Of two that it cannot separate, one is kept: the slightly better determined one.
+    The parameter with the largest deviation is fixed at its prior, one by one, until all deviations are at most
+    `threshold`. Of two inseparable parameters, the slightly better determined one stays free.
     """
     free = list(range(len(information)))
     while free:
@@ -158,81 +159,83 @@ def told_apart(information: FloatArray, threshold: float) -> list[bool]:
 
 
 class _Search:
-    """Least squares of a problem, with the drives at the last point kept."""
+    """Least-squares search that caches the motions at the last point and counts drives."""
 
     def __init__(self, problem: TwinProblem) -> None:
         self.problem = problem
         self.drives = 0
-        self._at: FloatArray | None = None
+        self._point: FloatArray | None = None
         self._motions: list[FreeMotion] | None = None
 
     def motions(self, z: FloatArray) -> list[FreeMotion] | None:
-        if self._at is None or not np.array_equal(z, self._at):
-            self._at, self._motions = z.copy(), self.problem.motions(z)
+        if self._point is None or not np.array_equal(z, self._point):
+            self._point, self._motions = z.copy(), self.problem.motions(z)
             self.drives += 1
         return self._motions
 
-    def differences(self, z: FloatArray, free: list[int], motions: list[FreeMotion]) -> FloatArray:
-        """Compute `TwinProblem.slopes`, and count the call."""
+    def slopes(self, z: FloatArray, free: list[int], motions: list[FreeMotion]) -> FloatArray:
+        """Compute `TwinProblem.slopes`, and count its drives."""
         self.drives += sum(self.problem.drives(free))
         return self.problem.slopes(z, free, motions)
 
-    def least(self, z: FloatArray, free: list[int], evaluations: int, known: FloatArray | None = None) -> FloatArray:
-        """Search for the least sum of squares over the parameters `free`: (q,).
+    def minimise(
+        self, z: FloatArray, free: list[int], evaluations: int, first_slopes: FloatArray | None = None
+    ) -> FloatArray:
+        """Minimise the sum of squares over the parameters `free`, starting at `z` (q,); return the minimum (q,).
 
-        Slopes are found by differences at every other step, and follow the steps in between (Broyden, Mathematics of
-        Computation 1965, 19(92), 577-593); at the first they may be `known` (n, len(free)).
+        Slopes are computed by finite differences at every other step and updated by the method of Broyden (Mathematics
+        of Computation 1965, 19(92), 577-593) in between. `first_slopes` (n, len(free)) are the slopes at `z`, if known.
         """
         problem, (low, high) = self.problem, self.problem.space.bounds
 
-        def whole(part: FloatArray) -> FloatArray:
+        def full_point(part: FloatArray) -> FloatArray:
             point = z.copy()
             point[free] = part
             return point
 
-        def errors(part: FloatArray) -> FloatArray:
-            point = whole(part)
+        def residuals(part: FloatArray) -> FloatArray:
+            point = full_point(part)
             return np.concatenate([problem.rows(problem.errors(point, self.motions(point))), part])
 
-        last: list[FloatArray] = []
-        calls = itertools.count(0 if known is None else 1)
+        previous: list[FloatArray] = []
+        calls = itertools.count(0 if first_slopes is None else 1)
 
-        def slopes(part: FloatArray) -> FloatArray:
-            point = whole(part)
+        def jacobian(part: FloatArray) -> FloatArray:
+            point = full_point(part)
             motions = self.motions(point)
             assert motions is not None
-            now, call = problem.rows(problem.errors(point, motions)), next(calls)
-            if last and call % 2:
-                then, before, old = last
-                step = part - before
-                new = old + np.outer(now - then - old @ step, step) / max(float(step @ step), 1e-12)
-            elif known is not None and not last:
-                new = known
+            rows, call = problem.rows(problem.errors(point, motions)), next(calls)
+            if previous and call % 2:
+                previous_rows, previous_part, previous_slopes = previous
+                step = part - previous_part
+                change = rows - previous_rows - previous_slopes @ step
+                slopes = previous_slopes + np.outer(change, step) / max(float(step @ step), 1e-12)
+            elif first_slopes is not None and not previous:
+                slopes = first_slopes
             else:
-                new = self.differences(point, free, motions)
-            last[:] = [now, part.copy(), new]
-            return np.vstack([new, np.eye(len(free))])
+                slopes = self.slopes(point, free, motions)
+            previous[:] = [rows, part.copy(), slopes]
+            return np.vstack([slopes, np.eye(len(free))])
 
-        start = np.clip(z[free], low[free] + 1e-9, high[free] - 1e-9)
+        start, bounds = np.clip(z[free], low[free] + 1e-9, high[free] - 1e-9), (low[free], high[free])
         solution = least_squares(
-            errors, start, slopes, bounds=(low[free], high[free]), ftol=_ENOUGH, xtol=1e-4, max_nfev=evaluations
+            residuals, start, jacobian, bounds=bounds, ftol=_COST_TOLERANCE, xtol=1e-4, max_nfev=evaluations
         )
-        return whole(solution.x)
+        return full_point(solution.x)
 
     def posterior(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute deviations (q,) over the prior's, information (q, q) of readings and priors, and slopes (n, q).
+        """Compute posterior over prior deviations (q,), information (q, q) of readings and priors, and slopes (n, q).
 
-        The deviations are those of the information, or where parts of the log differ by more, those of their scatter.
+        Each deviation is the larger of two: from the information, and from the scatter between blocks of the log.
         """
         problem = self.problem
         motions = self.motions(z)
         assert motions is not None
-        every = list(range(len(z)))
-        slopes = self.differences(z, every, motions)
+        slopes = self.slopes(z, list(range(len(z))), motions)
         errors = problem.rows(problem.errors(z, motions))
         information = slopes.T @ slopes + np.eye(len(z))
         covariance = np.linalg.inv(information)
         scores = np.array([slopes[rows].T @ errors[rows] for rows in problem.blocks()])
         scores -= scores.mean(axis=0)
-        spread = covariance @ (scores.T @ scores + np.eye(len(z))) @ covariance
-        return np.sqrt(np.maximum(np.diag(covariance), np.diag(spread))), information, slopes
+        robust = covariance @ (scores.T @ scores + np.eye(len(z))) @ covariance
+        return np.sqrt(np.maximum(np.diag(covariance), np.diag(robust))), information, slopes

@@ -1,4 +1,4 @@
-"""From a log of a robot to its twin, and how far to trust it."""
+"""Fit of a twin to logs of a robot, and its scores on held-out rows."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from diffdrive_mpc.models.structures.model_file import ModelFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc_extras.twin.fitting import TwinFit, fit_twin
-from diffdrive_mpc_extras.twin.free_run import most_telling
+from diffdrive_mpc_extras.twin.free_run import most_active_windows
 from diffdrive_mpc_extras.twin.held_out import (
     HeldOutPrediction,
     HeldOutScore,
-    Identified,
-    drift_of,
+    IdentifiedModel,
     fit_percent,
-    hold_model,
-    hold_twin,
-    identified,
+    identified_model,
+    pose_drifts,
+    predict_with_model,
+    predict_with_twin,
 )
 from diffdrive_mpc_extras.twin.nominal import nominal_robot
-from diffdrive_mpc_extras.twin.problem import Together, TwinProblem, one_by_one
+from diffdrive_mpc_extras.twin.problem import TaskRunner, TwinProblem, run_sequentially
 from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import space_of
 
-LEAST_SECONDS = 5.0
+MIN_SECONDS = 5.0
 """Minimum duration of a log for the fit [s]."""
 
 
@@ -50,33 +50,33 @@ class FittedTwin:
     name
         Name of the robot.
     data
-        The log, divided.
+        Training and held-out rows of the logs.
     fit
-        The plant.
+        Fitted plant.
     model
-        The identified velocity model beside it, and its name.
+        Identified velocity model that the twin is compared with.
     model_name
         Name of the model.
-    twin_held, model_held
-        Both on the rows held out.
+    twin_score, model_score
+        Scores of twin and model on the held-out rows.
     experiments
-        Those rows.
+        Held-out rows.
     notes
-        Notes about missing results and other peculiarities.
+        Notes about missing results and limitations.
     """
 
     name: str
     data: LogData
     fit: TwinFit
-    model: Identified
+    model: IdentifiedModel
     model_name: str
-    twin_held: HeldOutScore
-    model_held: HeldOutScore
+    twin_score: HeldOutScore
+    model_score: HeldOutScore
     experiments: tuple[SampledExperiment, ...]
     notes: tuple[str, ...]
 
 
-def twin_of(
+def fit_twin_to_logs(
     logs: Sequence[Path],
     *,
     mapping: str | Path | None = None,
@@ -86,33 +86,33 @@ def twin_of(
     seconds: float | None = None,
     name: str | None = None,
     force: bool = False,
-    together: Together = one_by_one,
+    run_tasks: TaskRunner = run_sequentially,
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_stage: Callable[[str, int], None] | None = None,
     on_drive: Callable[[], None] | None = None,
 ) -> FittedTwin:
-    """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others are for the scores.
+    """Fit the MuJoCo plant to logs of one robot: the first 60 % of each log for the fit, the rest for the scores.
 
     Parameters
     ----------
     logs, mapping, force, on_findings
-        As `models.identification.identify`.
+        As in `models.identification.identify`.
     robot
         Robot file with known values of the robot: mass, wheel base, motors; shipped name or path.
     model
-        Identified model to begin with and to compare with; by default SM is identified from the same rows.
+        Identified model for the initial values and the comparison; by default an SM of the same rows.
     effects
-        Whether to identify the effects of the base around that SM.
+        True to identify the effects of the base for that SM.
     seconds
-        Duration of the log that is fitted [s]; by default that of the settings.
+        Duration of the fitted windows [s]; by default the value of the settings.
     name
         Name of the robot; by default from the logs.
-    together
-        Function that runs several drives of the plant.
+    run_tasks
+        Function that runs several simulations of the plant.
     on_stage
-        Called with the next step, and the approximate number of its drives.
+        Called with the name of the next stage, and the approximate number of its drives.
     on_drive
-        Called after each drive.
+        Called after each simulation of the fitted windows.
 
     Raises
     ------
@@ -121,11 +121,11 @@ def twin_of(
     """
     settings = twin_settings()
     announce = on_stage or (lambda _text, _count: None)
-    if seconds is not None and not (np.isfinite(seconds) and seconds >= LEAST_SECONDS):
-        raise ConfigError(f"--seconds {seconds:g}: give {LEAST_SECONDS:g} or more of the log to fit")
+    if seconds is not None and not (np.isfinite(seconds) and seconds >= MIN_SECONDS):
+        raise ConfigError(f"--seconds {seconds:g}: use {MIN_SECONDS:g} or more")
     if model is not None and effects:
-        raise ConfigError("--effects: the model of --model has those of its file; give one of them")
-    content = None if model is None else _content(model)
+        raise ConfigError("--effects: the file of --model already states the effects; use one of these options")
+    content = None if model is None else _model_content(model)
     announce("reading", 1)
     data = read_data(
         logs,
@@ -145,73 +145,75 @@ def twin_of(
         assert isinstance(report, ModelFile)
         content = report
     experiments = sensor_experiments(data.train, data.yaw)
-    beside = identified(content, join_experiments(experiments))
-    gyro = data.yaw == "gyro"
-    sensors = {"gyro.offset": 0.0, "encoders.delay": 0.0} | dict(beside.sensors)
-    poses = pose_sensor(data.train, sensors) if gyro else None
+    velocity_model = identified_model(content, join_experiments(experiments))
+    has_gyro = data.yaw == "gyro"
+    sensors = {"gyro.offset": 0.0, "encoders.delay": 0.0} | dict(velocity_model.sensors)
+    poses = pose_sensor(data.train, sensors) if has_gyro else None
     mount = dict(zip(poses.names, map(float, poses.values), strict=True)) if poses else None
     travel = mount["pose.travel"] if mount else 1.0
-    nominal = nominal.clipping(beside.limits)
-    space = space_of(nominal, beside.effects, gyro=gyro, lagging="encoders.lag" in beside.sensors, travel=travel)
-    stretches = most_telling(join_experiments(experiments), beside.model.dc_gain, seconds or settings.seconds)
-    problem = TwinProblem(space, stretches, together, on_drive or (lambda: None))
-    fit = fit_twin(problem, beside.start(nominal), on_stage)
-    announce("driving the rows held out", 1)
+    nominal = nominal.with_limits(velocity_model.limits)
+    has_lag = "encoders.lag" in velocity_model.sensors
+    space = space_of(nominal, velocity_model.effects, has_gyro=has_gyro, has_encoder_lag=has_lag, travel=travel)
+    dc_gain = velocity_model.model.dc_gain
+    windows = most_active_windows(join_experiments(experiments), dc_gain, seconds or settings.seconds)
+    problem = TwinProblem(space, windows, run_tasks, on_drive or (lambda: None))
+    fit = fit_twin(problem, velocity_model.start(nominal), on_stage)
+    announce("predicting the held-out rows", 1)
     held_out = sensor_experiments(data.validation, data.yaw)
-    notes = [*_notes(beside), energy_note([*data.train, *data.validation])]
+    notes = [*_notes(velocity_model), energy_note([*data.train, *data.validation])]
 
-    def held(predictions: Sequence[HeldOutPrediction], metres: float) -> HeldOutScore:
-        drift = drift_of(data.validation, predictions, mount, travel=metres, on_missing=notes.append)
+    def score(predictions: Sequence[HeldOutPrediction], metres: float) -> HeldOutScore:
+        drift = pose_drifts(data.validation, predictions, mount, travel=metres, on_missing=notes.append)
         return HeldOutScore(fit_percent(predictions, held_out), drift, tuple(predictions))
 
     try:
-        by_twin = held(hold_twin(fit, beside, held_out), 1.0)
+        twin_score = score(predict_with_twin(fit, velocity_model, held_out), 1.0)
     except RobotLostError as error:
-        raise ConfigError(f"the fitted plant does not come through the rows held out: {error}") from error
-    by_model = held(hold_model(beside, held_out), travel)
+        raise ConfigError(f"the fitted plant fails on the held-out rows: {error}") from error
+    model_score = score(predict_with_model(velocity_model, held_out), travel)
     return FittedTwin(
         title,
         data,
         fit,
-        beside,
+        velocity_model,
         content.name,
-        by_twin,
-        by_model,
+        twin_score,
+        model_score,
         tuple(held_out),
         tuple(dict.fromkeys(notes)),
     )
 
 
 def energy_note(records: Sequence[Record]) -> str:
-    """Format the caveat on energies of drives with the plant: its motors' losses are those of the prior."""
-    silent = all(record.motor_current is None and record.battery is None for record in records)
-    why = "the log held no currents" if silent else "the currents of the log are not fitted"
+    """Format the note that energies of drives with the plant are inaccurate, because motor losses are not fitted."""
+    has_no_currents = all(record.motor_current is None and record.battery is None for record in records)
+    reason = "the log contains no currents" if has_no_currents else "the currents of the log are not fitted"
     return (
-        f"energy and power of a drive with this plant are the prior's and may be wrong several times over: {why}; "
-        "compare drives by them, and plan no battery with them"
+        f"energy and power of a drive with this plant use prior motor losses and may be wrong by a factor of several: "
+        f"{reason}; use them to compare drives, not to size a battery"
     )
 
 
-def _content(model: str | Path) -> ModelFile:
-    """Load the file of a linear model; raise ConfigError, or ModelError for a model that is a function."""
+def _model_content(model: str | Path) -> ModelFile:
+    """Load the file of a linear model; raise ConfigError, or ModelError for a nonlinear model."""
     load_linear_model(model)
     path = model_path(model)
     read_yaml(path)
     return read_model_file(path)
 
 
-def _notes(beside: Identified) -> Sequence[str]:
-    """List the parts of the identified model that the plant cannot have."""
+def _notes(model: IdentifiedModel) -> Sequence[str]:
+    """List the parts of the identified model that the plant lacks or takes over."""
     notes = []
-    if beside.effects.yaw_relaxation is not None:
+    if model.effects.yaw_relaxation is not None:
         notes.append(
-            "twist of the tyres (yaw_relaxation) is not in the plant: contacts creep with time, not over an angle"
+            "the plant has no twist of the tyres (yaw_relaxation): its contacts creep with time, not over an angle"
         )
-    if beside.effects.wheel_command is not None:
-        notes.append("steps, coasting and top speed of the wheels are those of the model; they are not fitted again")
-    if np.isfinite(beside.limits).any():
-        notes.append("the plant clips commands at the levels at which the model says that the robot does")
-    delayed = [name for name in ("encoders.delay", "encoders.lag") if abs(beside.sensors.get(name, 0.0)) > 0.0]
+    if model.effects.wheel_command is not None:
+        notes.append("steps, coasting and top speed of the wheels come from the model; they are not fitted again")
+    if np.isfinite(model.limits).any():
+        notes.append("the plant clips commands at the limits of the identified model")
+    delayed = [name for name in ("encoders.delay", "encoders.lag") if abs(model.sensors.get(name, 0.0)) > 0.0]
     if delayed:
-        notes.append("delay and lag of the log's encoders are fitted; the plant's own encoders are prompt")
+        notes.append("delay and lag of the log's encoders are fitted; the encoders of the plant have no delay")
     return notes

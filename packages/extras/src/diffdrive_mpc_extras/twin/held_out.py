@@ -1,4 +1,4 @@
-"""A twin and the identified model held against the rows that neither was made from."""
+"""Comparison of a twin and the identified velocity model on held-out rows of a log."""
 
 from __future__ import annotations
 
@@ -21,30 +21,27 @@ from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc_extras.twin.fitting import TwinFit
-from diffdrive_mpc_extras.twin.free_run import drive, readings, stretch
+from diffdrive_mpc_extras.twin.free_run import cut_stretch, drive, sensor_readings
 from diffdrive_mpc_extras.twin.nominal import Nominal
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
-# The identified velocity model compared with a twin: its prediction of a log, and the start of the twin's fit.
-
-
-_LOOP = 0.03
-"""Approximate share of the motors' control loops in a model's lag [s]."""
-_LEAST_LAG = 0.01
+_MOTOR_LOOP_LAG = 0.03
+"""Approximate part of a model's lag that the control loops of the motors cause [s]."""
+_MIN_LAG = 0.01
 
 
 @dataclass(frozen=True)
-class Identified:
-    """A velocity model seen through the sensors of a log.
+class IdentifiedModel:
+    """Identified velocity model with the sensors of a log.
 
     Attributes
     ----------
     model, effects
-        The model, and the effects of its base.
+        Velocity model, and effects of the base.
     point
         Parameters of a model with effects, by the names of `models.identification.effects.free_run`; else empty.
     sensors
-        "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
+        "encoders.yaw_ratio", "gyro.offset", and optionally "encoders.delay" and "encoders.lag".
     """
 
     model: VelocityModel
@@ -54,25 +51,25 @@ class Identified:
 
     @property
     def limits(self) -> FloatArray:
-        """(2,) levels at which the robot clips its commands, the larger side of each."""
+        """(2,) levels at which the robot clips v [m/s] and omega [rad/s]; the larger of both directions."""
         return np.asarray(limits_in(self.effects)[:, :2].max(axis=1))
 
     def readings(self, run: SampledExperiment) -> FloatArray:
-        """Simulate v of the encoders and omega as the model defines it (K, 2), from commands and first readings."""
+        """Simulate v of the encoders [m/s] and omega of the model [rad/s] (K, 2) from commands and first readings."""
         if self.point:
             return np.asarray(free_run(self.point, run)[:, [0, -1]])
         return np.asarray(self.body(run) + np.array([0.0, self.sensors["gyro.offset"]]))
 
     def body(self, run: SampledExperiment) -> FloatArray:
-        """Simulate v [m/s] in metres of the encoders, and the true yaw rate [rad/s] (K, 2)."""
+        """Simulate v in encoder metres [m/s] and the true yaw rate [rad/s] (K, 2)."""
         first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
         start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
         return respond(self.model, self.effects, run.inputs, run.dt, start).body
 
     def start(self, nominal: Nominal) -> dict[str, float]:
-        """Return the start of a twin's fit, as near to this model as an estimate by hand."""
+        """Return initial values of a twin's fit that approximate this model."""
         gain, dead_time = self.model.dc_gain, float(self.model.dead_time.mean())
-        lag = np.maximum(self.model.lag - dead_time - _LOOP, _LEAST_LAG)
+        lag = np.maximum(self.model.lag - dead_time - _MOTOR_LOOP_LAG, _MIN_LAG)
         ratio = self.sensors["encoders.yaw_ratio"]
         values = {
             "dead_time": dead_time,
@@ -83,8 +80,8 @@ class Identified:
         }
         if ratio > 1.0:
             # Coulomb friction: effective over geometric track is 1 + (wheel base / track)^2.
-            skid = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
-            values["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
+            wheel_base = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
+            values["wheel_base"] = wheel_base / nominal.robot.twin.chassis.wheel_base
         if self.effects.twist_slew is not None:
             slews = {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
             values |= {name: float(slew) for name, slew in slews.items() if slew is not None}
@@ -94,38 +91,40 @@ class Identified:
         return values | {names[name]: value for name, value in self.sensors.items() if name in names}
 
 
-def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identified:
-    """Build the model of a file, with the sensors of a log, identified from `runs` if the file lacks them.
+def identified_model(content: ModelFile, runs: Sequence[SampledExperiment]) -> IdentifiedModel:
+    """Build the model of a file with the sensors of a log; sensors that the file lacks are estimated from `runs`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the model has effects of a base, but not the sensors that they were found through.
+        If the file has base effects, but not the sensors that they were identified with.
     """
     model, effects = build_model(content), content.base_effects
-    known: dict[str, float] = {}
+    estimates: dict[str, float] = {}
     if content.uncertainty is not None:
-        known = dict(zip(content.uncertainty.parameters, content.uncertainty.value, strict=True))
-    sensors = {name: known[name] for name in known if name.startswith(("encoders.", "gyro."))}
+        estimates = dict(zip(content.uncertainty.parameters, content.uncertainty.value, strict=True))
+    sensors = {name: estimates[name] for name in estimates if name.startswith(("encoders.", "gyro."))}
     if "encoders.yaw_ratio" not in sensors:
         sensors["encoders.yaw_ratio"] = _yaw_ratio(runs)
-    around = effects.model_copy(update={"pose_mount": None, "twist_range": None})
+    motion_effects = effects.model_copy(update={"pose_mount": None, "twist_range": None})
     if "gyro.offset" not in sensors:
-        around = around.model_copy(update={"twist_slew": None})
-    if around == BaseEffects():
-        start = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0})
-        sensors.setdefault("gyro.offset", _offset(start, runs))
-        return Identified(model, effects, {}, sensors)
+        motion_effects = motion_effects.model_copy(update={"twist_slew": None})
+    if motion_effects == BaseEffects():
+        without_offset = IdentifiedModel(model, effects, {}, sensors | {"gyro.offset": 0.0})
+        sensors.setdefault("gyro.offset", _gyro_offset(without_offset, runs))
+        return IdentifiedModel(model, effects, {}, sensors)
     if "gyro.offset" not in sensors or content.structure != "sm":
         raise ConfigError(
-            f"model '{content.name}': its base effects stand there without the sensors that they were found through; "
-            "give a file that `identify --effects` wrote"
+            f"model '{content.name}' has base effects without the sensors that they were identified with; "
+            "use a file that `identify --effects` wrote"
         )
-    return Identified(model, effects, _point(content.model_dump(), effects, sensors), sensors)
+    return IdentifiedModel(model, effects, _free_run_parameters(content.model_dump(), effects, sensors), sensors)
 
 
-def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]) -> dict[str, float]:
-    """Convert an SM file with effects to the names of `models.identification.effects`."""
+def _free_run_parameters(
+    content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]
+) -> dict[str, float]:
+    """Convert an SM file with effects to the parameters of `models.identification.effects.free_run`."""
     point: dict[str, float] = {"encoders.delay": 0.0, **sensors}
     for channel in CHANNELS:
         linear = content["channels"][channel]
@@ -152,24 +151,24 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
 
 
 def _yaw_ratio(runs: Sequence[SampledExperiment]) -> float:
-    """Compute the yaw rate by the encoders over that of the gyro; 1 without a gyro."""
-    if runs[0].outputs.shape[1] < _WITH_GYRO:
+    """Estimate the ratio of the yaw rates of encoders and gyro; 1 without a gyro."""
+    if runs[0].outputs.shape[1] < _GYRO_OUTPUTS:
         return 1.0
-    both = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
-    wheels, gyro = (both[:, 1:] - both[:, 1:].mean(axis=0)).T
-    shared = float(wheels @ gyro)
-    return float(wheels @ wheels) / shared if shared > 0 else 1.0
+    complete = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
+    wheels, gyro = (complete[:, 1:] - complete[:, 1:].mean(axis=0)).T
+    product = float(wheels @ gyro)
+    return float(wheels @ wheels) / product if product > 0 else 1.0
 
 
-_WITH_GYRO = 3
-"""Readings of a log with a gyro: v and omega of the encoders, omega of the gyro."""
+_GYRO_OUTPUTS = 3
+"""Number of readings in a log with a gyro: v and omega of the encoders, omega of the gyro."""
 
 
-def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
-    """Compute the mean residual of the model's omega."""
+def _gyro_offset(model: IdentifiedModel, runs: Sequence[SampledExperiment]) -> float:
+    """Compute the mean residual of the model's omega [rad/s], within the bounds of the parameter."""
     low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
-    left = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
-    return float(np.clip(np.mean(np.concatenate(left)), low, high))
+    residuals = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
+    return float(np.clip(np.mean(np.concatenate(residuals)), low, high))
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,9 +178,10 @@ class HeldOutPrediction(ReadOnlyArrays):
     Attributes
     ----------
     readings
-        (K, p) v and omega of the encoders and, with a gyro, its omega; the model's own two where p is 2.
+        (K, p) v [m/s] and omega [rad/s] of the encoders and, for a twin of a log with a gyro, omega of the gyro. An
+        identified model has p = 2.
     body
-        (K, 2) v in metres of the encoders [m/s] and true yaw rate [rad/s].
+        (K, 2) v in encoder metres [m/s] and true yaw rate [rad/s].
     """
 
     readings: FloatArray
@@ -190,16 +190,16 @@ class HeldOutPrediction(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """Quality of the prediction of a model or twin.
+    """Accuracy of the predictions of a model or twin on held-out records.
 
     Attributes
     ----------
     fit_percent
-        FIT of "v", "omega", and of the twin "omega of the encoders" [%], pooled over the records.
+        FIT [%] of "v", "omega" and, for a twin, "omega of the encoders", pooled over the records.
     drift
-        Error of the pose at each horizon; empty without poses.
+        Pose error at each horizon; empty without poses.
     predictions
-        For each record.
+        Prediction for each record.
     """
 
     fit_percent: Mapping[str, float]
@@ -207,29 +207,30 @@ class HeldOutScore:
     predictions: tuple[HeldOutPrediction, ...]
 
 
-def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
-    """Predict with the identified model, in one free run over each run without gaps."""
+def predict_with_model(model: IdentifiedModel, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
+    """Predict experiments with the identified model, in one free run over each section without gaps."""
     runs = join_experiments(experiments)
-    predicted = split_rows([model.readings(run) for run in runs], experiments)
+    outputs = split_rows([model.readings(run) for run in runs], experiments)
     body = split_rows([model.body(run) for run in runs], experiments)
-    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
+    return [HeldOutPrediction(*rows) for rows in zip(outputs, body, strict=True)]
 
 
-def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
-    """Predict with the twin, as `hold_model`."""
+def predict_with_twin(
+    fit: TwinFit, model: IdentifiedModel, experiments: Sequence[SampledExperiment]
+) -> list[HeldOutPrediction]:
+    """Predict experiments with the twin, as `predict_with_model`; the gain of `model` gives the initial motion."""
     runs = join_experiments(experiments)
-    stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
+    stretches = [cut_stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
     motions = drive(fit.robot, stretches)
-    predicted = split_rows(
-        [readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments
+    outputs = split_rows(
+        [sensor_readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments
     )
-    twists = [motion.twist() for motion in motions]
-    body = split_rows([twist[:, [0, 2]] for twist in twists], experiments)
-    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
+    body = split_rows([motion.twist()[:, [0, 2]] for motion in motions], experiments)
+    return [HeldOutPrediction(*rows) for rows in zip(outputs, body, strict=True)]
 
 
 def fit_percent(predictions: Sequence[HeldOutPrediction], experiments: Sequence[SampledExperiment]) -> dict[str, float]:
-    """Compute FIT [%] of v and omega, and of omega of the encoders if it is predicted next to the gyro's."""
+    """Compute FIT [%] of v and omega, and of the encoders' omega if the prediction has a separate gyro omega."""
     width = experiments[0].outputs.shape[1]
     columns = {"v": (0, 0), "omega": (-1, -1)}
     if predictions[0].readings.shape[1] == width and width > len(columns):
@@ -246,41 +247,41 @@ def fit_percent(predictions: Sequence[HeldOutPrediction], experiments: Sequence[
     }
 
 
-def drift_of(
+def pose_drifts(
     records: Sequence[Record],
     predictions: Sequence[HeldOutPrediction],
     mount: Mapping[str, float] | None,
     *,
     travel: float,
-    on_missing: Callable[[str], None] = lambda _words: None,
+    on_missing: Callable[[str], None] = lambda _reason: None,
 ) -> tuple[PoseDrift, ...]:
-    """Compute the open-loop error of the pose about the centre of rotation; empty without poses.
+    """Compute the open-loop errors of the pose of the centre of rotation; empty without poses.
 
     Parameters
     ----------
     records
-        Records that were predicted.
+        Held-out records.
     predictions
-        One for each.
+        Prediction of each record.
     mount
-        "pose.delay", "mount.ahead", "mount.left", "mount.heading", as `models.identification.effects.pose_sensor`.
+        "pose.delay", "mount.ahead", "mount.left", "mount.heading" of `models.identification.effects.pose_sensor`.
     travel
         Metres travelled for each metre of v in the predictions [-].
     on_missing
-        Called with the reason where a horizon is longer than the records.
+        Called with the reason if a horizon is longer than the records.
     """
     if mount is None:
         return ()
-    place = PoseMount(**{name: mount[f"mount.{name}"] for name in ("ahead", "left", "heading")})
-    posed, twists = [], []
+    pose_mount = PoseMount(**{name: mount[f"mount.{name}"] for name in ("ahead", "left", "heading")})
+    centred, twists = [], []
     for record, prediction in zip(records, predictions, strict=True):
         if record.pose is not None:
-            posed.append(replace(record, pose=place.centre(record.pose)))
+            centred.append(replace(record, pose=pose_mount.centre(record.pose)))
             twists.append(prediction.body * np.array([travel, 1.0]))
     drifts: list[PoseDrift] = []
     for horizon in identification_settings().horizons:
         try:
-            drifts += pose_drift(posed, twists, pose_lag=max(mount["pose.delay"], 0.0), horizons=[horizon])
+            drifts += pose_drift(centred, twists, pose_lag=max(mount["pose.delay"], 0.0), horizons=[horizon])
         except ValueError as error:
             on_missing(str(error))
     return tuple(drifts)

@@ -1,8 +1,8 @@
-"""The robot that a fit begins with: the user's file, and missing values scaled from the papers' robot.
+"""Initial robot of a fit: the user's file, with missing values scaled from the robot of the papers.
 
-Lengths of the body go with the track, wheel masses with the mass, torques with weight times wheel radius, gains of the
-motors' loops with one over their speed. MuJoCo's contact has time constants and ratios alone, so it is as soft for
-600 kg as for 6 kg, and the step of the physics need not change.
+Lengths of the body scale with the track, wheel masses with the mass, torques with weight times wheel radius, and gains
+of the motor loops with the inverse of their speed. Contacts in MuJoCo depend on time constants and ratios only. Their
+relative stiffness is therefore equal for 600 kg and 6 kg, and the physics step does not change.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_pa
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
-_STATED = {
+_KEYS = {
     "mass": ("robot", "mass"),
     "wheel_base": ("twin", "chassis", "wheel_base"),
     "inertia": ("twin", "chassis", "body_size"),
@@ -34,51 +34,51 @@ _STATED = {
     "top_speed": ("twin", "motor", "no_load_speed"),
     "driver": ("twin", "driver", "proportional_gain"),
 }
-"""Places of a parameter's number in a robot file."""
+"""Keys of each parameter in a robot file."""
 
 
 @dataclass(frozen=True)
 class Nominal:
-    """Start of the fit.
+    """Initial robot of the fit.
 
     Attributes
     ----------
     robot
-        The robot.
+        Initial robot.
     stated
-        Parameters whose number the user's file says.
+        Parameters with a value in the user's file.
     track_of_encoders
-        By which omega of the log's encoders was computed [m].
+        Track in the computation of the encoders' omega in the log [m].
     """
 
     robot: SimulatedRobot
     stated: frozenset[str]
     track_of_encoders: float
 
-    def clipping(self, levels: FloatArray) -> Nominal:
-        """Return the start with a link that clips v and omega at these levels (2,), infinite for no limit."""
+    def with_limits(self, levels: FloatArray) -> Nominal:
+        """Return a copy that clips v [m/s] and omega [rad/s] at `levels` (2,), infinite for no limit."""
         limits = self.robot.robot.limits
-        lower = {name: min(getattr(limits, name), float(level)) for name, level in zip(CHANNELS, levels, strict=True)}
-        body = self.robot.robot.model_copy(update={"limits": limits.model_copy(update=lower)})
+        reduced = {name: min(getattr(limits, name), float(level)) for name, level in zip(CHANNELS, levels, strict=True)}
+        body = self.robot.robot.model_copy(update={"limits": limits.model_copy(update=reduced)})
         return replace(self, robot=self.robot.model_copy(update={"robot": body}))
 
 
 def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None = None) -> Nominal:
-    """Estimate the robot behind some records.
+    """Estimate the initial robot from records and a robot file.
 
     Parameters
     ----------
     name
-        Description of the robot, in a line.
+        Description of the robot in one line.
     records
         Records to fit.
     file
-        Robot file, of which nothing is compulsory where the records have wheel speeds; shipped name or path.
+        Robot file, shipped name or path. If the records have wheel speeds, all of its keys are optional.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake, or neither it nor the records determine track and wheel radius.
+        If the file is invalid, or neither the file nor the records determine track and wheel radius.
     """
     stated_data: Mapping[str, Any] = {}
     where = name
@@ -94,41 +94,41 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     radius = geometry.radius if geometry else body.get("wheel_radius")
     if not all(isinstance(length, (int, float)) and length > 0 for length in (track, radius)):
         raise ConfigError(
-            f"{where}: the log has no wheel speeds, so track and wheel radius are unknown; give --robot a file with "
-            "robot: {track: ..., wheel_radius: ...} [m]"
+            f"{where}: the log has no wheel speeds, and track and wheel radius are unknown; use --robot with a file "
+            "that contains robot: {track: ..., wheel_radius: ...} [m]"
         )
     assert track is not None and radius is not None
     mass = body.get("mass")
-    usual = load_robot()
+    default = load_robot()
     if not (isinstance(mass, (int, float)) and mass > 0):
-        mass = usual.mass * (track / usual.track) ** 3
-    data = merge_mappings(_scaled(name, records, float(track), float(radius), float(mass)), stated_data)
-    stated = frozenset(key for key, path in _STATED.items() if _holds(stated_data, path))
+        mass = default.mass * (track / default.track) ** 3
+    data = merge_mappings(_scaled_robot(name, records, float(track), float(radius), float(mass)), stated_data)
+    stated = frozenset(key for key, path in _KEYS.items() if _has_key(stated_data, path))
     return Nominal(check(SimulatedRobot, data, where), stated, float(geometry.track if geometry else track))
 
 
-def _scaled(name: str, records: Sequence[Record], track: float, radius: float, mass: float) -> dict[str, Any]:
-    """Scale the papers' robot to the size, mass and speed of another."""
-    settings, usual, twin = twin_settings(), load_robot(), load_twin_parameters().model_dump()
+def _scaled_robot(name: str, records: Sequence[Record], track: float, radius: float, mass: float) -> dict[str, Any]:
+    """Scale the robot of the papers to track [m], wheel radius [m], mass [kg] and the commands of the records."""
+    settings, default, twin = twin_settings(), load_robot(), load_twin_parameters().model_dump()
     command = np.abs(np.concatenate([record.command for record in records])).max(axis=0)
     limits = settings.limit_margin * np.maximum(command, 1e-3)
-    fastest = (command[0] + 0.5 * settings.parameters["track"].prior * track * command[1]) / radius
-    size, weight = track / usual.track, mass / usual.mass
+    max_wheel_speed = (command[0] + 0.5 * settings.parameters["track"].prior * track * command[1]) / radius
+    size, weight = track / default.track, mass / default.mass
     chassis, motor, driver = twin["chassis"], twin["motor"], twin["driver"]
     chassis["body_size"] = [size * length for length in chassis["body_size"]]
     chassis["body_height"] *= size
     chassis["wheel_base"] = settings.wheel_base_share * track
     chassis["wheel_mass"] *= weight
-    no_load = settings.speed_margin * float(fastest)
-    quicker = no_load / motor["no_load_speed"]
-    leverage = weight * radius / usual.wheel_radius
-    motor["stall_torque"] *= leverage
-    motor["rotor_inertia"] *= leverage * radius / usual.wheel_radius
+    no_load = settings.speed_margin * float(max_wheel_speed)
+    speed_ratio = no_load / motor["no_load_speed"]
+    torque_ratio = weight * radius / default.wheel_radius
+    motor["stall_torque"] *= torque_ratio
+    motor["rotor_inertia"] *= torque_ratio * radius / default.wheel_radius
     motor["no_load_speed"] = no_load
     motor["spread"] = [1.0, 1.0, 1.0, 1.0]
-    driver["proportional_gain"] /= quicker
-    driver["integral_gain"] /= quicker
-    body = usual.model_dump() | {
+    driver["proportional_gain"] /= speed_ratio
+    driver["integral_gain"] /= speed_ratio
+    body = default.model_dump() | {
         "name": name,
         "track": track,
         "wheel_radius": radius,
@@ -147,29 +147,29 @@ def _scaled(name: str, records: Sequence[Record], track: float, radius: float, m
 
 
 def _sensors(records: Sequence[Record], radius: float) -> dict[str, Any]:
-    """Estimate noise and rates from the log; values that it does not show are those of the default set."""
+    """Estimate noise and rates of the sensors from the records; other values are those of the default set."""
     noise, sensors = sensor_noise(records), load_sensor_set(DEFAULT).model_dump()
     if "yaw_rate_noise" in noise:
         sensors["gyro"]["noise_sd"] = noise["yaw_rate_noise"]
     if "wheel_speed_noise" in noise:
-        # v is the mean of four wheels.
+        # The noise of v is half that of one wheel, because v is the mean of four wheels.
         sensors["encoders"]["speed_sd"] = max(2.0 * noise["wheel_speed_noise"] / radius, 1e-6)
     if "position_noise" in noise:
         sensors["pose"] |= {"position_sd": noise["position_noise"], "heading_sd": noise.get("heading_noise", 0.0)}
-    steps = [
+    periods = [
         float(np.median(np.diff(np.flatnonzero(record.fresh_pose)))) * record.dt
         for record in records
         if record.fresh_pose is not None and record.fresh_pose.sum() > 2
     ]
-    if steps:
-        sensors["pose"]["period"] = max(float(np.median(steps)), 1e-3)
+    if periods:
+        sensors["pose"]["period"] = max(float(np.median(periods)), 1e-3)
     return sensors
 
 
-def _holds(stated_data: Mapping[str, Any], path: Sequence[str]) -> bool:
-    place: Any = stated_data
+def _has_key(stated_data: Mapping[str, Any], path: Sequence[str]) -> bool:
+    node: Any = stated_data
     for key in path:
-        if not isinstance(place, Mapping) or key not in place:
+        if not isinstance(node, Mapping) or key not in node:
             return False
-        place = place[key]
+        node = node[key]
     return True

@@ -1,4 +1,4 @@
-"""Output errors of the plant and their slopes, with the priors as further rows."""
+"""Least-squares problem of a fit: output errors of the plant and their derivatives."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.statistics import effective_samples
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
-from diffdrive_mpc_extras.twin.free_run import FreeMotion, LogStretch, drive, readings
+from diffdrive_mpc_extras.twin.free_run import FreeMotion, LogStretch, drive, sensor_readings
 from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import Space
 
 Task = Callable[[], list[FreeMotion] | None]
-Together = Callable[[Sequence[Task]], list[list[FreeMotion] | None]]
-"""Calls all tasks, in one process or several, and gives their results in order."""
-_LOST = 10.0
-"""Error of a robot that tips over, in deviations."""
+TaskRunner = Callable[[Sequence[Task]], list[list[FreeMotion] | None]]
+"""Function that runs tasks in one or several processes and returns their results in order."""
+_FAILURE_ERROR = 10.0
+"""Error of all readings if the robot tips over or diverges, in standard deviations."""
 
 
-def one_by_one(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
+def run_sequentially(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
     """Run the tasks in this process."""
     return [task() for task in tasks]
 
 
-def _driven(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[FreeMotion] | None:
+def _try_drive(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[FreeMotion] | None:
+    """Return the result of `drive`; None if the robot tips over or diverges."""
     try:
         return drive(robot, stretches)
     except RobotLostError:
@@ -38,95 +39,95 @@ def _driven(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[Free
 
 @dataclass
 class TwinProblem:
-    """Least squares: readings over their noise, parameters over their priors.
+    """Least-squares problem with the errors of readings over their noise.
 
     Attributes
     ----------
     space
-        The parameters.
+        Space of the parameters.
     stretches
-        Stretches of the log that are fitted.
-    together
-        Function that runs several drives.
+        Fitted stretches of the log.
+    run_tasks
+        Function that runs several simulations.
     on_drive
-        Called after each set of parameters that was driven.
+        Called after each simulation of the stretches.
     weight
-        (p,) one over the noise of a reading of each sensor; a reading of correlated noise counts for less than one.
+        (p,) weight of the readings of each sensor: the inverse of their noise, reduced for correlated noise.
     """
 
     space: Space
     stretches: Sequence[LogStretch]
-    together: Together = one_by_one
+    run_tasks: TaskRunner = run_sequentially
     on_drive: Callable[[], None] = lambda: None
     weight: FloatArray | None = None
 
     def motions(self, z: FloatArray) -> list[FreeMotion] | None:
-        """Simulate the plant at deviations `z` (q,); None if it fails."""
-        motions = _driven(self.space.robot(self.space.values(z)), self.stretches)
+        """Simulate the plant at deviations `z` (q,); None if it tips over or diverges."""
+        motions = _try_drive(self.space.robot(self.space.values(z)), self.stretches)
         self.on_drive()
         return motions
 
     def errors(self, z: FloatArray, motions: Sequence[FreeMotion] | None) -> list[FloatArray]:
-        """Compute simulated less measured readings (K, p) of each stretch, NaN without reading."""
+        """Compute simulated minus measured readings (K, p) of each stretch; NaN without a reading."""
         values = self.space.values(z)
         if motions is None:
             assert self.weight is not None
-            lost = _LOST / self.weight
-            return [np.where(stretch.experiment.counts, lost, np.nan) for stretch in self.stretches]
+            failure_errors = _FAILURE_ERROR / self.weight
+            return [np.where(stretch.experiment.counts, failure_errors, np.nan) for stretch in self.stretches]
         return [
             np.where(
                 stretch.experiment.counts,
-                readings(motion, stretch.experiment, values) - stretch.experiment.outputs,
+                sensor_readings(motion, stretch.experiment, values) - stretch.experiment.outputs,
                 np.nan,
             )
             for stretch, motion in zip(self.stretches, motions, strict=True)
         ]
 
-    def weigh(self, errors: Sequence[FloatArray]) -> None:
-        """Take the noise from errors: their size, times the root of how many readings are worth one."""
-        every = np.concatenate(errors)
-        used = np.isfinite(every).sum(axis=0)
-        size = np.sqrt(np.nanmean(every**2, axis=0))
-        self.weight = 1.0 / np.maximum(size * np.sqrt(used / effective_samples(errors)), 1e-9)
+    def set_weights(self, errors: Sequence[FloatArray]) -> None:
+        """Set the weights from the RMS of errors (K, p) and their number of effective samples."""
+        stacked = np.concatenate(errors)
+        count = np.isfinite(stacked).sum(axis=0)
+        rms = np.sqrt(np.nanmean(stacked**2, axis=0))
+        self.weight = 1.0 / np.maximum(rms * np.sqrt(count / effective_samples(errors)), 1e-9)
 
     def rows(self, errors: Sequence[FloatArray]) -> FloatArray:
-        """Stack the weighted errors (n,) of all readings that count."""
+        """Stack the weighted errors (n,) of all readings."""
         assert self.weight is not None
-        every = np.concatenate(errors) * self.weight
-        return np.asarray(every[np.isfinite(every)])
+        weighted = np.concatenate(errors) * self.weight
+        return np.asarray(weighted[np.isfinite(weighted)])
 
     def drives(self, free: Sequence[int]) -> list[bool]:
-        """Return True for each parameter of `free` that needs another drive; the log's sensors need none."""
+        """Return True for each parameter of `free` that needs a simulation; parameters of sensors do not."""
         return [self.space.names[i] not in twin_settings().sensors for i in free]
 
     def slopes(self, z: FloatArray, free: Sequence[int], motions_at_z: Sequence[FreeMotion]) -> FloatArray:
-        """Compute derivatives (n, len(free)) of `rows` by one-sided differences; those of the sensors need no drive."""
+        """Compute derivatives (n, len(free)) of `rows` by one-sided finite differences."""
         _, high = self.space.bounds
         steps = self.space.steps
-        moved = []
+        points = []
         for i in free:
-            varied = z.copy()
-            varied[i] += steps[i] if z[i] + steps[i] < high[i] else -steps[i]
-            moved.append(varied)
-        driven = self.drives(free)
+            point = z.copy()
+            point[i] += steps[i] if z[i] + steps[i] < high[i] else -steps[i]
+            points.append(point)
+        needs_drive = self.drives(free)
         tasks = [
-            partial(_driven, self.space.robot(self.space.values(varied)), self.stretches)
-            for varied, new in zip(moved, driven, strict=True)
-            if new
+            partial(_try_drive, self.space.robot(self.space.values(point)), self.stretches)
+            for point, is_needed in zip(points, needs_drive, strict=True)
+            if is_needed
         ]
-        results = iter(self.together(tasks))
+        results = iter(self.run_tasks(tasks))
         base = self.rows(self.errors(z, motions_at_z))
         columns = []
-        for i, varied, new in zip(free, moved, driven, strict=True):
-            motions = next(results) if new else list(motions_at_z)
-            if new:
+        for i, point, is_needed in zip(free, points, needs_drive, strict=True):
+            motions = next(results) if is_needed else list(motions_at_z)
+            if is_needed:
                 self.on_drive()
-            away = base if motions is None else self.rows(self.errors(varied, motions))
-            columns.append((away - base) / (varied[i] - z[i]))
+            rows = base if motions is None else self.rows(self.errors(point, motions))
+            columns.append((rows - base) / (point[i] - z[i]))
         return np.column_stack(columns)
 
     def blocks(self) -> list[NDArray[np.int64]]:
-        """Return the indices of `rows` by blocks of a few seconds."""
+        """Return the indices of `rows` in each block of a few seconds."""
         span = max(1, round(twin_settings().block / self.stretches[0].experiment.dt))
         labels: list[NDArray[np.int64]] = []
         next_label = 0
@@ -137,5 +138,5 @@ class TwinProblem:
             labels.append(
                 np.repeat(label[:, None], stretch.experiment.counts.shape[1], axis=1)[stretch.experiment.counts]
             )
-        every = np.concatenate(labels)
-        return [np.flatnonzero(every == label) for label in range(next_label)]
+        all_labels = np.concatenate(labels)
+        return [np.flatnonzero(all_labels == label) for label in range(next_label)]

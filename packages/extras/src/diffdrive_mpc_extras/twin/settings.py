@@ -1,4 +1,4 @@
-"""Priors and sizes of the fit of a plant to a log: read from `settings.yaml`."""
+"""Priors and settings of the fit of a plant to a log, read from `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -14,31 +14,30 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class Prior(StrictModel):
-    """Prior of one parameter, and the range of the search.
+    """Prior of one parameter, and the bounds of the search.
 
-    The search is in standard deviations of the prior: z = (t(value) - t(prior)) / deviation with
-    the logarithm, or nothing, for t.
+    The search variable is z = (t(value) - t(prior)) / deviation, where t is the logarithm or the identity.
     """
 
-    scale: Literal["log", "linear"] = Field(description="on which the prior is normal")
+    scale: Literal["log", "linear"] = Field(description="scale on which the prior is normal")
     prior: float = Field(description="median")
     deviation: Positive = Field(description="standard deviation on that scale")
-    stated: Positive | None = Field(default=None, description="the same, if the robot file states the number")
-    floor: Positive = Field(description="least deviation of an interval, on that scale")
-    low: float = Field(description="least value")
-    high: float = Field(description="largest value")
-    step: Positive = Field(description="of finite differences, on that scale")
+    stated: Positive | None = Field(default=None, description="standard deviation if the robot file states the value")
+    floor: Positive = Field(description="minimum standard deviation of an interval, on that scale")
+    low: float = Field(description="minimum value")
+    high: float = Field(description="maximum value")
+    step: Positive = Field(description="step of finite differences, on that scale")
     unit: str
     words: str
 
     def z(self, value: float) -> float:
-        """Convert `value` to deviations from the prior's median."""
+        """Convert `value` to deviations from the median of the prior."""
         if self.scale == "log":
             return float(np.log(value / self.prior)) / self.deviation
         return (value - self.prior) / self.deviation
 
     def value(self, z: float) -> float:
-        """Invert `z`."""
+        """Convert deviations from the median of the prior to a value."""
         if self.scale == "log":
             return self.prior * float(np.exp(self.deviation * z))
         return self.prior + self.deviation * z
@@ -52,7 +51,7 @@ class Prior(StrictModel):
 
 
 class TwinSettings(StrictModel):
-    """The fields of `settings.yaml`; see there."""
+    """Settings of the fit; `settings.yaml` describes the fields."""
 
     parameters: dict[str, Prior]
     sensors: list[str]
@@ -74,5 +73,5 @@ class TwinSettings(StrictModel):
 
 @cache
 def twin_settings() -> TwinSettings:
-    """Read `settings.yaml`; raises ConfigError on a mistake in it."""
+    """Read `settings.yaml`; raises ConfigError if it is invalid."""
     return load_checked(TwinSettings, Path(__file__).with_name("settings.yaml"))

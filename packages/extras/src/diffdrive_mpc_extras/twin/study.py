@@ -26,16 +26,16 @@ from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc_extras.twin.free_run import FreeMotion
-from diffdrive_mpc_extras.twin.from_log import FittedTwin, twin_of
+from diffdrive_mpc_extras.twin.from_log import FittedTwin, fit_twin_to_logs
 from diffdrive_mpc_extras.twin.held_out import HeldOutScore
-from diffdrive_mpc_extras.twin.problem import Task, one_by_one
+from diffdrive_mpc_extras.twin.problem import Task, run_sequentially
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
 PLANT = "plant.yaml"
 _HEAD = """\
 # A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
-# models/parameters/robot.yaml. `friction` and `sensors` are the defaults of this plant; another --surface or --sensors
-# replaces them. firmware.provenance holds the fitted parameters, their intervals, and whether the log determines them.
+# models/parameters/robot.yaml. `friction` and `sensors` are the defaults of this plant; --surface and --sensors replace
+# them. firmware.provenance contains the fitted parameters, their intervals, and whether the log determines them (told).
 """
 
 
@@ -48,23 +48,23 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
         "method": "least squares of free runs of the plant, from commands alone, with priors (diffdrive-mpc twin)",
         "date": day.isoformat(),
         "seconds_fitted": round(twin.fit.seconds, 1),
-        "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_held.fit_percent.items()},
+        "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_score.fit_percent.items()},
         "parameters": {
             parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
             | {"told": parameter.told}
             for parameter in twin.fit.parameters
         },
     }
-    plain = _plain(data)
-    return _HEAD + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    content = _round_numbers(data)
+    return _HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - nested data
-    """Round numbers to the digits of the plant file; keep texts and booleans."""
+def _round_numbers(value: Any) -> Any:  # noqa: ANN401 - nested data
+    """Round all numbers of nested data to the digits of the plant file."""
     if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
+        return {key: _round_numbers(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
+        return [_round_numbers(entry) for entry in value]
     if isinstance(value, float):
         return rounded(value)
     return value
@@ -72,10 +72,10 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - nested data
 
 def fit_table(twin: FittedTwin) -> Table:
     """Tabulate FIT and drift of the twin and of the identified model on the held-out rows."""
-    names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
-    horizons = [drift.horizon for drift in twin.twin_held.drift]
+    names = list(dict.fromkeys([*twin.model_score.fit_percent, *twin.twin_score.fit_percent]))
+    horizons = [drift.horizon for drift in twin.twin_score.drift]
     rows = []
-    for name, score in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
+    for name, score in (("twin", twin.twin_score), (twin.model_name, twin.model_score)):
         cells = [f"{score.fit_percent[key]:.1f}" if key in score.fit_percent else "-" for key in names]
         cells += [f"{drift.position_rmse:.3f}" for drift in score.drift]
         cells += [f"{drift.heading_rmse:.3f}" for drift in score.drift]
@@ -105,14 +105,14 @@ def parameter_table(twin: FittedTwin) -> Table:
     columns = ("parameter", "description", "unit", "value", "95 % interval", "deviation / prior", "determined")
     note = (
         f"Not determined: the posterior has at least {twin_settings().told:g} of the width of the prior; the plant "
-        "keeps the prior, and the table shows its interval. If a log determines only a combination of two (mass, "
-        "torque), one of them may count as determined, given the prior of the other."
+        "keeps the median of the prior, and the table shows the interval of the prior. If a log determines only a "
+        "combination of two parameters (mass, torque), one may count as determined, given the prior of the second."
     )
     return Table("Parameters", columns, rows, text_columns=3, note=note)
 
 
-def numbers(twin: FittedTwin) -> dict[str, Any]:
-    """Return the scores and the parameters as plain data."""
+def scores_and_parameters(twin: FittedTwin) -> dict[str, Any]:
+    """Return the scores and the parameters as the content of `twin.json`."""
     keys = ("horizon", "position_rmse", "heading_rmse")
 
     def plain_score(score: HeldOutScore) -> dict[str, Any]:
@@ -122,17 +122,14 @@ def numbers(twin: FittedTwin) -> dict[str, Any]:
         }
 
     parameters = [asdict(parameter) for parameter in twin.fit.parameters]
-    return {"twin": plain_score(twin.twin_held), "model": plain_score(twin.model_held), "parameters": parameters}
-
-
-# Figure of a twin: measurement, twin and identified model on held-out rows.
+    return {"twin": plain_score(twin.twin_score), "model": plain_score(twin.model_score), "parameters": parameters}
 
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 
 
 def draw_held_out(twin: FittedTwin, path: Path) -> None:
-    """Draw the most active window of the longest held-out section, v above and omega below."""
+    """Draw measurement, twin and identified model in the most active window of the longest held-out section."""
     longest = int(np.argmax([run.samples for run in twin.experiments]))
     run, record = twin.experiments[longest], twin.data.validation[longest]
     window = round(WINDOW / run.dt)
@@ -147,7 +144,7 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
             panel.plot(
                 time[counts], run.outputs[rows, -i][counts], ".", markersize=2.5, color=colour(0), label="measured"
             )
-            for k, (name, score) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
+            for k, (name, score) in enumerate((("twin", twin.twin_score), ("identified model", twin.model_score))):
                 fit = score.fit_percent[channel]
                 values = score.predictions[longest].readings[rows, -i]
                 panel.plot(time, values, line_style(k), color=colour(k + 1), label=f"{name}: FIT {fit:.1f} %")
@@ -167,12 +164,12 @@ def _most_active_window(commands: FloatArray, window: int) -> int:
 
 
 class TwinStudy(Study[None, FittedTwin]):
-    """Fit of a plant to logs; `logs` and `options` as in `twin_of`."""
+    """Fit of a plant to logs; `logs` and `options` as in `fit_twin_to_logs`."""
 
     name = "twin"
     title = "A plant fitted to a log"
 
-    def __init__(self, logs: Sequence[Path], **options: Any) -> None:  # noqa: ANN401 - options of `twin_of`
+    def __init__(self, logs: Sequence[Path], **options: Any) -> None:  # noqa: ANN401 - of `fit_twin_to_logs`
         self._logs, self._options = logs, options
 
     def plan(self) -> None:
@@ -188,9 +185,9 @@ class TwinStudy(Study[None, FittedTwin]):
                 return list(pool(delayed(_call)(task) for task in tasks))
 
             try:
-                return twin_of(
+                return fit_twin_to_logs(
                     self._logs,
-                    together=one_by_one if jobs == 1 else parallel,
+                    run_tasks=run_sequentially if jobs == 1 else parallel,
                     on_stage=bar.start_stage,
                     on_drive=bar.advance,
                     on_findings=_print_findings,
@@ -207,10 +204,10 @@ class TwinStudy(Study[None, FittedTwin]):
         return Report(
             counted=f"{results.fit.drives} drives of the plant",
             meta={"logs": list(results.data.logs), "robot": results.name, "model": results.model_name},
-            content=numbers(results),
+            content=scores_and_parameters(results),
             facts=[
-                f"{results.name}: fitted to {results.fit.seconds:.0f} s of {', '.join(results.data.logs)}, the parts "
-                f"in which the commands change most. {note}",
+                f"{results.name}: fitted to {results.fit.seconds:.0f} s of {', '.join(results.data.logs)}, the windows "
+                f"with the largest command changes. {note}",
                 f"Next: `diffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square`.",
             ],
             notes=results.notes,

@@ -1,4 +1,4 @@
-"""Passage of a run through its world: arrival, contacts and clearance."""
+"""Evaluation of a run in a world: arrival, contacts and clearance."""
 
 from __future__ import annotations
 
@@ -12,25 +12,23 @@ from diffdrive_mpc_extras.worlds.settings import world_settings
 from diffdrive_mpc_extras.worlds.shapes import Shapes
 from diffdrive_mpc_extras.worlds.world import World
 
-# Contacts of the robot: MuJoCo's contacts combined to events.
-
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The robot's hull against one obstacle, from the first contact that MuJoCo found to the last.
+    """Contact event between the robot's hull and one obstacle, combined from MuJoCo contacts of successive steps.
 
     Attributes
     ----------
     time, until
-        First and last instant [s].
+        Start and end of the event [s].
     obstacle
-        Name of the touched object: kind and number in the world's file, from zero.
+        Name of the obstacle: kind and zero-based index in the world's file.
     x, y
-        Place of the first contact [m].
+        Position of the first contact point [m].
     speed
-        Speed of the robot's own hull at that place, just before [m/s].
-    fastest
-        The same, the largest over the whole contact [m/s].
+        Speed of the hull at that point just before the first contact [m/s].
+    max_speed
+        Maximum speed of the hull at the contact points of the event [m/s].
     """
 
     time: float
@@ -39,73 +37,73 @@ class Contact:
     x: float
     y: float
     speed: float
-    fastest: float
+    max_speed: float
 
     @property
     def sentence(self) -> str:
-        """Describe the result in words."""
+        """Description of the contact for people."""
         return (
-            f"t = {self.time:.2f} s: it touched {self.obstacle} at x = {self.x:.2f} m, y = {self.y:.2f} m "
-            f"with {self.fastest:.2f} m/s"
+            f"t = {self.time:.2f} s: the robot touched {self.obstacle} at x = {self.x:.2f} m, y = {self.y:.2f} m "
+            f"with {self.max_speed:.2f} m/s"
         )
 
 
 class ContactLog:
-    """Collects contacts of all steps of the physics; `gap` [s] without one ends an event."""
+    """Log that combines contacts of physics steps to events; `gap` [s] without contact ends an event."""
 
     def __init__(self, gap: float) -> None:
         self._gap = gap
         self._events: list[Contact] = []
-        self._last: dict[str, int] = {}
+        self._index_by_obstacle: dict[str, int] = {}
 
     @property
     def events(self) -> tuple[Contact, ...]:
-        """Every event so far, in the order of their beginnings."""
+        """All events, ordered by start time."""
         return tuple(self._events)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Delete all events."""
         self._events.clear()
-        self._last.clear()
+        self._index_by_obstacle.clear()
 
-    def touched(self, time: float, obstacle: str, x: float, y: float, speed: float) -> None:
-        """Enter one contact at `time` [s] and place [m], where the hull moves at `speed` [m/s]."""
-        index = self._last.get(obstacle)
+    def record(self, time: float, obstacle: str, x: float, y: float, speed: float) -> None:
+        """Record a contact at `time` [s] and point `x`, `y` [m], where the hull moves at `speed` [m/s]."""
+        index = self._index_by_obstacle.get(obstacle)
         if index is not None and time - self._events[index].until <= self._gap:
             event = self._events[index]
-            self._events[index] = replace(event, until=time, fastest=max(event.fastest, speed))
+            self._events[index] = replace(event, until=time, max_speed=max(event.max_speed, speed))
             return
-        self._last[obstacle] = len(self._events)
+        self._index_by_obstacle[obstacle] = len(self._events)
         self._events.append(Contact(time, time, obstacle, x, y, speed, speed))
 
 
-_LOOKED_AT = 5
-"""Number of ticks between two measurements of the clearance."""
+_CLEARANCE_STRIDE = 5
+"""Number of ticks between two evaluations of the clearance."""
 _OUTLINE_STEP = 0.03
-"""Between points of the outline at which it is taken [m]."""
+"""Maximum distance between points of the outline [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """Passage of a run through a world.
+    """Result of a run through a world.
 
     Attributes
     ----------
     arrived
-        Whether it stood at the end of its way within the time limit, and had touched nothing while it moved.
+        True if the robot stopped at the goal within the time limit without a contact while it moved.
     time_s
-        Time at which it came to stand there [s]; NaN where it did not.
+        Time of arrival [s]; NaN if the robot did not arrive.
     contacts
-        Number of obstacles that it touched while it moved.
+        Number of contacts while the robot moved.
     walked_into
-        Number of persons who touched it while it stood.
+        Number of contacts while the robot stood.
     contact_speed_m_s
-        Fastest of its own hull at a contact; NaN without one.
+        Maximum speed of the hull at a contact [m/s]; NaN without contacts.
     clearance_m
-        Least distance of its outline from anything, zero at a contact; infinite in an empty world. Taken every five
-        ticks at points of the outline 3 cm apart.
+        Minimum distance of the robot's outline from any obstacle [m]: zero after a contact, infinite in an empty world.
+        It is evaluated every five ticks at points of the outline at most 3 cm apart.
     standing_s
-        Time for which it stood on the way [s].
+        Total standstill before the arrival [s].
     """
 
     arrived: bool
@@ -126,43 +124,43 @@ def passage_of(
     pose: FloatArray,
     twist: FloatArray,
 ) -> Passage:
-    """Evaluate the passage of a run of n ticks.
+    """Evaluate a run of n ticks.
 
     Parameters
     ----------
     world, outline, contacts
-        As in `sim.run.Run`.
+        Fields of `WorldRecord`.
     goal
-        (3,) pose at the end of the way.
+        (3,) pose x, y [m], theta [rad] at the end of the path.
     time, pose, twist
-        (n,) [s], (n, 3) true poses and (n, 3) true twists.
+        (n,) time [s], (n, 3) true poses [m, m, rad] and (n, 3) true twists [m/s, m/s, rad/s].
     """
     rules = world_settings()
-    moving = [contact for contact in contacts if contact.fastest > rules.contact.moving_speed]
+    moving = [contact for contact in contacts if contact.max_speed > rules.contact.moving_speed]
     speed = np.hypot(twist[:, 0], twist[:, 1])
-    near = np.hypot(*(pose[:, :2] - goal[:2]).T) <= rules.goal.distance
-    arrivals = np.flatnonzero(near & (speed <= rules.goal.speed) & (time <= world.time_limit))
+    at_goal = np.hypot(*(pose[:, :2] - goal[:2]).T) <= rules.goal.distance
+    arrivals = np.flatnonzero(at_goal & (speed <= rules.goal.speed) & (time <= world.time_limit))
     arrived = bool(arrivals.size) and not moving
-    until = arrivals[0] if arrived else len(time) - 1
-    stood = (speed[: until + 1] <= rules.contact.moving_speed).sum()
+    end = arrivals[0] if arrived else len(time) - 1
+    standing_ticks = (speed[: end + 1] <= rules.contact.moving_speed).sum()
     tick = float(time[1] - time[0]) if len(time) > 1 else 0.0
     return Passage(
         arrived=arrived,
         time_s=float(time[arrivals[0]]) if arrived else float("nan"),
         contacts=len(moving),
         walked_into=len(contacts) - len(moving),
-        contact_speed_m_s=max((event.fastest for event in moving), default=float("nan")),
-        clearance_m=0.0 if contacts else least_clearance(world, outline, time, pose),
-        standing_s=float(stood) * tick,
+        contact_speed_m_s=max((event.max_speed for event in moving), default=float("nan")),
+        clearance_m=0.0 if contacts else min_clearance(world, outline, time, pose),
+        standing_s=float(standing_ticks) * tick,
     )
 
 
-def least_clearance(world: World, outline: tuple[float, float], time: FloatArray, pose: FloatArray) -> float:
-    """Compute the least distance [m] of the robot's outline from any obstacle over a run, as in `Passage`."""
-    around, clearance = outline_points(outline), np.inf
-    for t, (x, y, theta) in zip(time[::_LOOKED_AT], pose[::_LOOKED_AT], strict=True):
+def min_clearance(world: World, outline: tuple[float, float], time: FloatArray, pose: FloatArray) -> float:
+    """Compute the minimum distance [m] of the robot's outline from any obstacle over a run, as in `Passage`."""
+    body_points, clearance = outline_points(outline), np.inf
+    for t, (x, y, theta) in zip(time[::_CLEARANCE_STRIDE], pose[::_CLEARANCE_STRIDE], strict=True):
         c, s = np.cos(theta), np.sin(theta)
-        points = np.array([x, y]) + around @ np.array([[c, s], [-s, c]])
+        points = np.array([x, y]) + body_points @ np.array([[c, s], [-s, c]])
         shapes = world.shapes(float(t))
         discs = [shapes.discs, *(np.array([[*mover.position(float(t)), mover.radius]]) for mover in world.movers)]
         nearby = np.vstack(discs)
@@ -172,7 +170,7 @@ def least_clearance(world: World, outline: tuple[float, float], time: FloatArray
 
 
 def outline_points(outline: tuple[float, float]) -> FloatArray:
-    """Compute points (n, 2) along the outline of the robot in its own frame [m]."""
+    """Compute points (n, 2) along the outline of the robot in the body frame [m]."""
     length, width = outline
     corners = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
     edges = np.roll(corners, -1, axis=0) - corners

@@ -1,4 +1,4 @@
-"""Obstacles as in their files, and as polygons and discs in the plane."""
+"""Obstacles of world files, and their polygons and discs in the plane."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 
 Place = Annotated[float, Field(ge=-1e3, le=1e3)]
-"""A coordinate [m]: a world that is larger was meant in other units."""
+"""Coordinate [m]; the limit detects files in other units."""
 Point = tuple[Place, Place]
 Length = Annotated[float, Field(gt=0, le=1e3)]
 Angle = Annotated[float, Field(ge=-7, le=7)]
-_LEAST_AREA = 1e-6
+_MIN_AREA = 1e-6
 
 
 class StandingObstacle(StrictModel):
     """Base class of standing obstacles."""
 
     until: Annotated[float, Field(gt=0, le=1e5)] | None = Field(
-        default=None, description="it is taken away at this time [s]; null: it stays"
+        default=None, description="time at which the obstacle disappears [s]; null: it stays"
     )
 
 
 class Wall(StandingObstacle):
     """A straight wall."""
 
-    start: Point = Field(description="one end of its middle line, x, y [m]")
-    end: Point = Field(description="the other end [m]")
+    start: Point = Field(description="start of the centre line x, y [m]")
+    end: Point = Field(description="end of the centre line x, y [m]")
     thickness: Length = Field(default=0.1, description="thickness [m]")
 
     @model_validator(mode="after")
     def _has_length(self) -> Wall:
         if self.start == self.end:
-            raise ValueError("start and end coincide; give a wall of some length, or a post")
+            raise ValueError("start and end coincide; move one of them, or use a post")
         return self
 
     @property
@@ -53,9 +53,9 @@ class Wall(StandingObstacle):
 class Box(StandingObstacle):
     """A rectangle."""
 
-    centre: Point = Field(description="x, y [m]")
+    centre: Point = Field(description="centre x, y [m]")
     size: tuple[Length, Length] = Field(description="length and width [m]")
-    angle: Angle = Field(default=0.0, description="of its length, turned to the left from x [rad]")
+    angle: Angle = Field(default=0.0, description="angle from x to the length, counter-clockwise [rad]")
 
     @property
     def corners(self) -> FloatArray:
@@ -69,45 +69,46 @@ class Box(StandingObstacle):
 class Polygon(StandingObstacle):
     """A convex polygon."""
 
-    points: tuple[Point, ...] = Field(min_length=3, max_length=100, description="corners x, y [m] in turn")
+    points: tuple[Point, ...] = Field(min_length=3, max_length=100, description="corners x, y in order [m]")
 
     @model_validator(mode="after")
     def _is_convex(self) -> Polygon:
-        turns = _turns(np.array(self.points))
-        if not (np.all(turns > 0) or np.all(turns < 0)) or abs(_area(np.array(self.points))) < _LEAST_AREA:
-            raise ValueError("points: give a convex polygon, its corners in turn; make several of one that is not")
+        points = np.array(self.points)
+        turns = _corner_cross_products(points)
+        if not (np.all(turns > 0) or np.all(turns < 0)) or abs(_signed_area(points)) < _MIN_AREA:
+            raise ValueError("points: the polygon is not convex; order its corners, or split it into convex polygons")
         return self
 
     @property
     def corners(self) -> FloatArray:
         """(k, 2) corners [m], counter-clockwise."""
         points = np.array(self.points)
-        return points if _area(points) > 0 else points[::-1]
+        return points if _signed_area(points) > 0 else points[::-1]
 
 
 class Post(StandingObstacle):
     """A round post."""
 
-    at: Point = Field(description="x, y of its middle [m]")
+    at: Point = Field(description="centre x, y [m]")
     radius: Length = Field(description="radius [m]")
 
 
 class Mover(StrictModel):
-    """A round body, such as a person, that walks straight on at a constant speed; a run's seed may draw its values."""
+    """Disc, such as a person, with a constant velocity; the seed of a run may draw its values."""
 
-    x: Place = Field(description="where it is at `time` [m]")
-    y: Place = Field(description="where it is at `time` [m]")
-    time: Annotated[float, Field(ge=-1e5, le=1e5)] = Field(default=0.0, description="when it is at x, y [s]")
-    direction: Angle = Field(default=0.0, description="where it walks to, turned to the left from x [rad]")
-    speed: Annotated[float, Field(ge=0, le=10)] = Field(default=0.0, description="how fast it walks [m/s]")
+    x: Place = Field(description="x at `time` [m]")
+    y: Place = Field(description="y at `time` [m]")
+    time: Annotated[float, Field(ge=-1e5, le=1e5)] = Field(default=0.0, description="time of the position x, y [s]")
+    direction: Angle = Field(default=0.0, description="direction of motion from x, counter-clockwise [rad]")
+    speed: Annotated[float, Field(ge=0, le=10)] = Field(default=0.0, description="speed [m/s]")
     radius: Annotated[float, Field(gt=0, le=5)] = Field(default=0.25, description="radius [m]")
     seen_from: Annotated[float, Field(ge=0, le=1e5)] = Field(
-        default=0.0, description="hidden from the robot until then [s]"
+        default=0.0, description="time until which the sensors cannot detect the mover [s]"
     )
 
     @property
     def velocity(self) -> FloatArray:
-        """(2,) [m/s]."""
+        """Velocity (2,) [m/s]."""
         return self.speed * np.array([math.cos(self.direction), math.sin(self.direction)])
 
     def position(self, time: float) -> FloatArray:
@@ -122,7 +123,7 @@ class Shapes:
     Attributes
     ----------
     polygons
-        (k, 2) corners of each convex one [m], counter-clockwise.
+        (k, 2) corners of each convex polygon [m], counter-clockwise.
     discs
         (n, 3) x, y, radius [m].
     """
@@ -144,19 +145,21 @@ class Shapes:
 def distance_to_polygon(points: FloatArray, corners: FloatArray) -> FloatArray:
     """Compute distances (m,) of points (m, 2) from a convex polygon (k, 2), counter-clockwise [m]; zero inside."""
     edges = np.roll(corners, -1, axis=0) - corners
-    gaps = points[:, None] - corners
-    share = np.clip((gaps * edges).sum(-1) / (edges * edges).sum(-1), 0.0, 1.0)
-    nearest = np.hypot(*(gaps - share[..., None] * edges).transpose(2, 0, 1)).min(axis=1)
-    inside = np.all(edges[:, 0] * gaps[..., 1] - edges[:, 1] * gaps[..., 0] >= 0, axis=1)
-    return np.where(inside, 0.0, nearest)
+    offsets = points[:, None] - corners
+    fraction = np.clip((offsets * edges).sum(-1) / (edges * edges).sum(-1), 0.0, 1.0)
+    distance = np.hypot(*(offsets - fraction[..., None] * edges).transpose(2, 0, 1)).min(axis=1)
+    inside = np.all(edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0, axis=1)
+    return np.where(inside, 0.0, distance)
 
 
-def _turns(points: FloatArray) -> FloatArray:
+def _corner_cross_products(points: FloatArray) -> FloatArray:
+    """Compute the cross product (k,) of the two edges at each corner [m^2]; positive at a left turn."""
     edges = np.roll(points, -1, axis=0) - points
-    after = np.roll(edges, -1, axis=0)
-    return np.asarray(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0])
+    next_edges = np.roll(edges, -1, axis=0)
+    return np.asarray(edges[:, 0] * next_edges[:, 1] - edges[:, 1] * next_edges[:, 0])
 
 
-def _area(points: FloatArray) -> float:
-    after = np.roll(points, -1, axis=0)
-    return float(0.5 * np.sum(points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]))
+def _signed_area(points: FloatArray) -> float:
+    """Compute the area of a polygon (k, 2) [m^2]; positive if counter-clockwise."""
+    next_points = np.roll(points, -1, axis=0)
+    return float(0.5 * np.sum(points[:, 0] * next_points[:, 1] - next_points[:, 0] * points[:, 1]))

@@ -1,21 +1,21 @@
 "use strict";
 
-/* The compiled laboratory, and the data that it is given. Nothing is computed here: arrays are put together by name. */
+/* Interface to the compiled laboratory and its data. Arrays are selected by name and copied to its memory. */
 class Engine {
   constructor(exports, index, numbers) {
     this.c = exports;
     this.index = index;
     this.arrays = [];
-    let begin = 0;
+    let start = 0;
     for (const length of index.lengths) {
-      this.arrays.push(numbers.subarray(begin, begin + length));
-      begin += length;
+      this.arrays.push(numbers.subarray(start, start + length));
+      start += length;
     }
-    this.slots = new Map();
-    this.give("robot", this.arrays[index.robot]);
-    this.give("peer", this.arrays[index.peer]);
-    this.give("drawing", this.arrays[index.drawing]);
-    this.give("ice", this.arrays[index.floors[index.ice.surface]]);
+    this.addresses = new Map();
+    this.set("robot", this.arrays[index.robot]);
+    this.set("peer", this.arrays[index.peer]);
+    this.set("drawing", this.arrays[index.drawing]);
+    this.set("ice", this.arrays[index.floors[index.ice.surface]]);
   }
 
   static async open(module, index, numbers, now) {
@@ -28,68 +28,67 @@ class Engine {
     return new Float64Array(this.c.memory.buffer, address, count);
   }
 
-  /* Put numbers into the laboratory's memory, and call lab_set_KIND with them; what was there before is given back. */
-  give(kind, numbers) {
+  /* Copy numbers to the memory of the laboratory, pass them to lab_set_KIND, and free the previous ones. */
+  set(kind, numbers) {
     const address = this.c.lab_allocate(numbers.length);
     this.view(address, numbers.length).set(numbers);
-    const taken = this.c[`lab_set_${kind}`](address);
-    const before = this.slots.get(kind);
-    if (before !== undefined) this.c.lab_free(before);
-    this.slots.set(kind, address);
-    return taken;
+    this.c[`lab_set_${kind}`](address);
+    const previous = this.addresses.get(kind);
+    if (previous !== undefined) this.c.lab_free(previous);
+    this.addresses.set(kind, address);
   }
 
-  /* The constants of a controller: those of its base, and the ones that are proportional to other choices. */
+  /* Return the constants of a controller: those of its base, some of them scaled by continuous choices. */
   controllerNumbers(choices) {
     const base = this.index.controllers[`${choices.model} ${choices.horizon} ${choices.told}`];
-    const fields = base.fields.map((place) => this.arrays[place].slice());
+    const fields = base.fields.map((array) => this.arrays[array].slice());
     for (const [name, changes] of Object.entries(base.varied)) {
       const factor = choices[name] ** this.index.choices[name].power;
-      for (const [field, places, array] of changes)
-        places.forEach((place, i) => { fields[field][place] = factor * this.arrays[array][i]; });
+      for (const [field, indices, array] of changes)
+        indices.forEach((index, i) => { fields[field][index] = factor * this.arrays[array][i]; });
     }
     const parts = [this.arrays[base.sizes], ...fields];
-    const whole = new Float64Array(parts.reduce((sum, part) => sum + part.length, 0));
-    let begin = 0;
+    const numbers = new Float64Array(parts.reduce((sum, part) => sum + part.length, 0));
+    let start = 0;
     for (const part of parts) {
-      whole.set(part, begin);
-      begin += part.length;
+      numbers.set(part, start);
+      start += part.length;
     }
-    return whole;
+    return numbers;
   }
 
   setWorld(choices) {
     const { index, arrays } = this;
-    this.give("floor", arrays[index.floors[choices.surface]]);
-    this.give("sensors", arrays[index.sensors[choices.sensors]]);
-    this.give("noise", arrays[index.noise[choices.seed]]);
-    this.give("model", arrays[index.models[`${choices.robot} ${choices.dead}`]]);
+    this.set("floor", arrays[index.floors[choices.surface]]);
+    this.set("sensors", arrays[index.sensors[choices.sensors]]);
+    this.set("noise", arrays[index.noise[choices.seed]]);
+    this.set("model", arrays[index.models[`${choices.robot} ${choices.dead}`]]);
     const ice = choices.ice.flatMap(([x, y]) => [x, y, index.ice.radius]);
-    this.give("patches", new Float64Array([choices.ice.length, ...ice]));
+    this.set("patches", new Float64Array([choices.ice.length, ...ice]));
   }
 
-  /* Whether there is such a path at such a speed, and it is the reference now. */
+  /* Set the reference; return false if the path is not possible at this speed. */
   setPath(choices) {
-    if (choices.drawn.length) return this.draw(choices.drawn, choices.speed);
-    const place = this.index.references[`${choices.path} ${choices.speed}`];
-    if (place === undefined) return false;
-    this.give("reference", this.arrays[place]);
+    if (choices.drawn.length) return this.setDrawnPath(choices.drawn, choices.speed);
+    const array = this.index.references[`${choices.path} ${choices.speed}`];
+    if (array === undefined) return false;
+    this.set("reference", this.arrays[array]);
     return true;
   }
 
-  draw(points, speed) {
+  setDrawnPath(points, speed) {
     const address = this.c.lab_allocate(2 * points.length);
     this.view(address, 2 * points.length).set(points.flat());
-    const drawn = this.c.lab_draw(address, points.length, speed || this.index.drawn.speed);
+    const isPossible = this.c.lab_draw(address, points.length, speed || this.index.drawn.speed);
     this.c.lab_free(address);
-    return Boolean(drawn);
+    return Boolean(isPossible);
   }
 
-  /* A drive from its beginning with these choices; whether the controller takes it. */
+  /* Start a drive; return false if path or controller cannot be used. */
   start(choices) {
     this.setWorld(choices);
     if (!this.setPath(choices)) return false;
-    this.give("controller", this.controllerNumbers(choices));
+    this.set("controller", this.controllerNumbers(choices));
     this.steps = choices.horizon;
     return Boolean(this.c.lab_start());
   }
@@ -98,15 +97,15 @@ class Engine {
     this.c.lab_tick();
   }
 
-  /* Numbers of the last tick by name. */
+  /* Return the values of the last tick by name. */
   report() {
     const fields = this.index.report;
     const names = Object.keys(fields);
-    const [last, count] = fields[names.at(-1)];
-    const all = this.view(this.c.lab_get_report(), last + count);
+    const [lastStart, lastLength] = fields[names.at(-1)];
+    const numbers = this.view(this.c.lab_get_report(), lastStart + lastLength);
     return Object.fromEntries(names.map((name) => {
-      const [place, length] = fields[name];
-      return [name, length === 1 ? all[place] : Array.from(all.subarray(place, place + length))];
+      const [start, length] = fields[name];
+      return [name, length === 1 ? numbers[start] : Array.from(numbers.subarray(start, start + length))];
     }));
   }
 
@@ -114,7 +113,7 @@ class Engine {
     return Array.from(this.view(this.c.lab_plan(), 3 * (this.steps + 1)));
   }
 
-  /* Poses and twists (5 numbers) of the reference, `step` seconds apart. */
+  /* Return rows of the reference at a period `step` [s]: time, pose (3) and twist (2). */
   referencePoints(step) {
     const duration = this.report().duration;
     const address = this.c.lab_allocate(5);
@@ -129,7 +128,7 @@ class Engine {
     return points;
   }
 
-  /* The whole drive at once: commands of each tick, and its figures. */
+  /* Compute a complete drive; return the rows of all ticks and the figures. */
   drive(choices) {
     if (!this.start(choices)) return null;
     const commands = [], poses = [], peer = [], modes = [];
@@ -147,7 +146,7 @@ class Engine {
   }
 }
 
-/* What a drive is judged by, as `simulate` prints it, to the end of the reference. */
+/* Return the figures of a drive up to the end of the reference, as `simulate` prints them. */
 function figures(report) {
   return {
     rms: Math.sqrt(report.square_sum / Math.max(report.counted, 1)),
@@ -156,18 +155,18 @@ function figures(report) {
   };
 }
 
-/* What the page holds, unpacked. */
-async function unpacked(name) {
+/* Decompress data that the page contains. */
+async function unpack(name) {
   const text = document.getElementById(`held-${name}`).textContent;
-  const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const compressed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([compressed]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).arrayBuffer();
 }
 
-/* So many laboratories with memory of their own. */
+/* Open a number of engines with separate memories. */
 async function openEngines(count) {
-  const [module, numbers, text] = await Promise.all(["module", "numbers", "index"].map(unpacked));
-  const index = JSON.parse(new TextDecoder().decode(text)), all = new Float64Array(numbers);
+  const [module, buffer, text] = await Promise.all(["module", "numbers", "index"].map(unpack));
+  const index = JSON.parse(new TextDecoder().decode(text)), numbers = new Float64Array(buffer);
   const now = () => performance.now() / 1000;
-  return Promise.all(Array.from({ length: count }, () => Engine.open(module, index, all, now)));
+  return Promise.all(Array.from({ length: count }, () => Engine.open(module, index, numbers, now)));
 }

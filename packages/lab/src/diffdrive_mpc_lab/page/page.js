@@ -1,30 +1,31 @@
-/* The page itself: controls, the pointer, and the clock. */
+/* User interface of the page: controls, pointer and keyboard events, and animation. */
 
 const MODES = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "FINISHED"];
-const LIVE = ["dead", "surface", "ice"]; /* choices that take effect during a drive */
-const SHARED = ["path", "speed", "drawn", "ice"]; /* choices of both drives of a comparison */
+const LIVE_CHOICES = ["dead", "surface", "ice"]; /* choices that take effect during a drive */
+const SHARED_CHOICES = ["path", "speed", "drawn", "ice"]; /* choices that both drives of a comparison share */
 const TOOLS = { carry: "Carry the robot", ice: "Paint ice", draw: "Draw a path" };
-const HINT = "A comparison keeps a drive as A. Settings are those of the marked drive; path, speed, ice and buttons act on both.";
-const HISTORY = 1500; /* reports that are kept of each drive */
-const MOST_TICKS = 6; /* per picture: a slow machine runs slower than real time */
-const SLICE = 6; /* computing time for whole drives between two pictures [ms] */
-const REST = 1.5; /* time between the end of a drive and its repetition [s] */
+const HINT =
+  "A comparison keeps this drive as A. Settings apply to the selected drive; path, speed, ice and buttons to both.";
+const MAX_REPORTS = 1500; /* number of reports in the history of a drive */
+const MAX_TICKS = 6; /* per animation frame: a slow machine runs slower than real time */
+const SLICE = 6; /* computing time of an evaluation between two frames [ms] */
+const END_PAUSE = 1.5; /* time between the end of a drive and its repetition [s] */
 const element = (id) => document.getElementById(id);
 
-function made(kind, properties, ...children) {
-  const node = Object.assign(document.createElement(kind), properties);
+function createNode(tag, properties, ...children) {
+  const node = Object.assign(document.createElement(tag), properties);
   node.append(...children);
   return node;
 }
 
-/* A drive: its settings, its present state with the history, and the figures of the whole path. */
+/* A drive: its settings, its present state with the history, and the evaluation of the complete drive. */
 class Drive {
   constructor(engine, side, colour) {
     Object.assign(this, { engine, side, colour });
   }
 
-  take(choices) {
-    Object.assign(this, { choices, whole: null });
+  setChoices(choices) {
+    Object.assign(this, { choices, evaluation: null });
   }
 
   start(isCovered) {
@@ -41,7 +42,7 @@ class Drive {
     this.engine.tick();
     this.report = this.engine.report();
     this.rows.push(this.report);
-    if (this.rows.length > HISTORY) this.rows.shift();
+    if (this.rows.length > MAX_REPORTS) this.rows.shift();
   }
 
   carry(x, y) {
@@ -52,90 +53,90 @@ class Drive {
 }
 
 class Laboratory {
-  constructor([a, b, judge]) {
+  constructor([a, b, evaluator]) {
     this.drives = { a: new Drive(a, "a", "rival"), b: new Drive(b, "b", "robot") };
-    this.judge = judge; /* drives whole paths for the figures */
-    this.index = judge.index;
-    this.period = judge.arrays[this.index.robot][0];
+    this.evaluator = evaluator; /* engine that computes complete drives */
+    this.index = evaluator.index;
+    this.period = evaluator.arrays[this.index.robot][0];
     const colours = new Colours();
     this.floor = new FloorView(element("floor"), this.index, colours);
     this.charts = new TimeView(element("charts"), this.index, colours);
-    this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    Object.assign(this, { tool: "carry", paused: this.calm, covered: false, held: false, job: 0 });
-    this.makeExperiments();
-    this.makeTools();
-    this.makeChoices();
-    this.listen();
+    this.reducedMotion = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    Object.assign(this, { tool: "carry", paused: this.reducedMotion, isCovered: false, isDragging: false, evaluationId: 0 });
+    this.createExperimentButtons();
+    this.createToolButtons();
+    this.createChoiceControls();
+    this.addListeners();
     this.openLink();
-    requestAnimationFrame((now) => this.picture(now));
+    requestAnimationFrame((now) => this.animate(now));
   }
 
-  /* The marked drive, to which settings belong; without a comparison it is the only one. */
-  get marked() { return this.drives[this.side]; }
-  get choices() { return this.marked.choices; }
-  get report() { return this.marked.report; }
-  get whole() { return this.marked.whole; }
-  get shown() { return this.isCompared ? [this.drives.a, this.drives.b] : [this.drives.b]; }
+  /* Drive that the settings apply to; without a comparison, the only drive. */
+  get selectedDrive() { return this.drives[this.side]; }
+  get choices() { return this.selectedDrive.choices; }
+  get report() { return this.selectedDrive.report; }
+  get evaluation() { return this.selectedDrive.evaluation; }
+  get activeDrives() { return this.isCompared ? [this.drives.a, this.drives.b] : [this.drives.b]; }
 
   /* Settings. */
 
   openLink() {
-    const text = safeDecoded(location.hash.slice(1)), link = readLink(text, this.index);
-    const complaint = link.fault || (this.compare(link) ? "" : "its path, speed and limits do not go together");
-    if (complaint || !text) this.compare(this.index.experiments[0]);
-    this.notice(complaint && `This link cannot be used, so the first experiment is shown: ${complaint}.`);
+    const text = safeDecode(location.hash.slice(1)), link = readLink(text, this.index);
+    const fault = link.fault || (this.compare(link) ? "" : "its path, speed and limits are not compatible");
+    if (fault || !text) this.compare(this.index.experiments[0]);
+    this.showNotice(fault && `This link cannot be used, so the first experiment is shown: ${fault}.`);
   }
 
-  /* Drive A, if it is not null, and B; returns whether both can be driven. */
+  /* Set the choices of drive A (null: no comparison) and B, and start them; return false if a drive cannot start. */
   compare({ a, b, side = "b" }) {
-    Object.assign(this, { side, isCompared: Boolean(a), peer: !a });
-    this.drives.a.take({ ...defaultChoices(this.index), ...a });
-    this.drives.b.take({ ...defaultChoices(this.index), ...b });
-    this.notice("");
+    Object.assign(this, { side, isCompared: Boolean(a), isPeerVisible: !a });
+    this.drives.a.setChoices({ ...defaultChoices(this.index), ...a });
+    this.drives.b.setChoices({ ...defaultChoices(this.index), ...b });
+    this.showNotice("");
     return this.restart();
   }
 
-  mark(side) {
+  select(side) {
     this.side = side;
-    this.settle();
+    this.showSettings();
   }
 
-  notice(text) {
+  showNotice(text) {
     element("notice").textContent = text;
     element("notice").hidden = !text;
   }
 
-  /* Change settings of the marked drive, or of both; a drive continues if only surface or dead time change. */
+  /* Change settings of the selected drive, or shared settings; only live choices do not restart the drives. */
   choose(changes) {
-    const names = Object.keys(changes), before = this.shown.map((drive) => drive.choices);
-    const drives = names.every((name) => SHARED.includes(name)) ? this.shown : [this.marked];
-    for (const drive of drives) drive.take({ ...drive.choices, ...changes });
-    this.notice("");
-    if (names.every((name) => LIVE.includes(name))) {
+    const names = Object.keys(changes), previous = this.activeDrives.map((drive) => drive.choices);
+    const drives = names.every((name) => SHARED_CHOICES.includes(name)) ? this.activeDrives : [this.selectedDrive];
+    for (const drive of drives) drive.setChoices({ ...drive.choices, ...changes });
+    this.showNotice("");
+    if (names.every((name) => LIVE_CHOICES.includes(name))) {
       for (const drive of drives) drive.engine.setWorld(drive.choices);
-      this.settle();
+      this.showSettings();
       return;
     }
     if (this.restart()) return;
-    this.shown.forEach((drive, i) => drive.take(before[i]));
+    this.activeDrives.forEach((drive, i) => drive.setChoices(previous[i]));
     this.restart();
-    this.notice("This path at this speed exceeds the limits: choose a lower speed or another path.");
+    this.showNotice("This path at this speed exceeds the limits: choose a lower speed or another path.");
   }
 
   restart() {
-    if (!this.shown.every((drive) => drive.start(this.covered))) return false;
-    this.floor.frame(this.shown.flatMap((drive) => drive.path));
-    this.owed = 0;
-    this.settle();
+    if (!this.activeDrives.every((drive) => drive.start(this.isCovered))) return false;
+    this.floor.frame(this.activeDrives.flatMap((drive) => drive.path));
+    this.pendingTime = 0;
+    this.showSettings();
     return true;
   }
 
-  /* Show link, controls and figures of the settings. */
-  settle() {
+  /* Update link, controls and evaluations after a change of the settings. */
+  showSettings() {
     const { index, choices, side } = this, { a, b } = this.drives;
-    const [rival, letter] = side === "a" ? [b, "b."] : [a, "a."];
-    const words = [linkOf(choices, index), ...(this.isCompared ? [linkOf(rival.choices, index, letter)] : [])];
-    history.replaceState(null, "", `#${words.join("&")}`);
+    const [unselected, prefix] = side === "a" ? [b, "b."] : [a, "a."];
+    const parts = [linkOf(choices, index), ...(this.isCompared ? [linkOf(unselected.choices, index, prefix)] : [])];
+    history.replaceState(null, "", `#${parts.join("&")}`);
     document.body.classList.toggle("compared", this.isCompared);
     element("differs-a").textContent = differences(a.choices, b.choices, index);
     element("differs-b").textContent = differences(b.choices, a.choices, index);
@@ -143,109 +144,109 @@ class Laboratory {
     this.showChoices();
     element("command").textContent = commandOf(choices);
     element("savepath").hidden = !needsPathFile(choices);
-    this.judgeWhole(++this.job);
+    this.evaluate(++this.evaluationId);
   }
 
-  /* Drive the whole paths with the third engine, a slice at a time. */
-  async judgeWhole(job) {
-    const { judge } = this;
-    for (const drive of this.shown.filter(({ whole }) => !whole)) {
+  /* Compute the complete drives in slices; a newer evaluation cancels this one. */
+  async evaluate(id) {
+    const { evaluator } = this;
+    for (const drive of this.activeDrives.filter(({ evaluation }) => !evaluation)) {
       for (const name of ["rms", "largest"]) element(`${name}-${drive.side}`).textContent = "…";
-      if (!judge.start(drive.choices)) return;
-      const poses = [], ticks = Math.ceil((judge.report().duration - 1e-9) / this.period) + 1;
+      if (!evaluator.start(drive.choices)) return;
+      const poses = [], ticks = Math.ceil((evaluator.report().duration - 1e-9) / this.period) + 1;
       for (let k = 0; k < ticks; ) {
-        const until = performance.now() + SLICE;
-        for (; k < ticks && performance.now() < until; k++) {
-          judge.tick();
-          poses.push(judge.report().pose);
+        const sliceEnd = performance.now() + SLICE;
+        for (; k < ticks && performance.now() < sliceEnd; k++) {
+          evaluator.tick();
+          poses.push(evaluator.report().pose);
         }
-        await new Promise((go) => setTimeout(go));
-        if (job !== this.job) return;
+        await new Promise((resolve) => setTimeout(resolve));
+        if (id !== this.evaluationId) return;
       }
-      drive.whole = { poses, ...figures(judge.report()) };
+      drive.evaluation = { poses, ...figures(evaluator.report()) };
       for (const name of ["rms", "largest"])
-        element(`${name}-${drive.side}`).textContent = millimetres(drive.whole[name]);
+        element(`${name}-${drive.side}`).textContent = millimetres(drive.evaluation[name]);
     }
   }
 
   /* Controls. */
 
-  makeExperiments() {
+  createExperimentButtons() {
     for (const experiment of this.index.experiments) {
-      element("experiments").append(made("button", {
+      element("experiments").append(createNode("button", {
         type: "button", id: `experiment-${experiment.name}`, textContent: experiment.title,
-        onclick: () => { this.compare(experiment); this.paused = this.calm; this.showDeeds(); },
+        onclick: () => { this.compare(experiment); this.paused = this.reducedMotion; this.showActions(); },
       }));
     }
   }
 
-  /* Say what the experiment shows, if its settings are the present ones. */
+  /* Show question and explanation of the experiment that has the present settings, if any. */
   showExperiment() {
     const { a, b } = this.drives, linkOfPair = (pair) => pair.map((choices) => linkOf(choices, this.index)).join("&a&");
-    const present = this.isCompared && linkOfPair([a.choices, b.choices]), standard = defaultChoices(this.index);
-    let shown = null;
+    const present = this.isCompared && linkOfPair([a.choices, b.choices]), defaults = defaultChoices(this.index);
+    let current = null;
     for (const experiment of this.index.experiments) {
-      const isShown = linkOfPair(["a", "b"].map((side) => ({ ...standard, ...experiment[side] }))) === present;
-      element(`experiment-${experiment.name}`).ariaPressed = String(isShown);
-      if (isShown) shown = experiment;
+      const isCurrent = linkOfPair(["a", "b"].map((side) => ({ ...defaults, ...experiment[side] }))) === present;
+      element(`experiment-${experiment.name}`).ariaPressed = String(isCurrent);
+      if (isCurrent) current = experiment;
     }
-    element("question").textContent = shown ? shown.question : this.isCompared ? "Your comparison." : "One drive.";
-    element("seen").textContent = shown ? shown.see : HINT;
+    element("question").textContent = current ? current.question : this.isCompared ? "Your comparison." : "One drive.";
+    element("explanation").textContent = current ? current.see : HINT;
   }
 
-  makeTools() {
+  createToolButtons() {
     for (const [tool, label] of Object.entries(TOOLS))
-      element("tools").append(made("button", {
-        type: "button", id: `tool-${tool}`, role: "radio", textContent: label, onclick: () => this.takeTool(tool),
+      element("tools").append(createNode("button", {
+        type: "button", id: `tool-${tool}`, role: "radio", textContent: label, onclick: () => this.setTool(tool),
       }));
-    const deeds = {
-      pause: ["Pause", () => this.pause()], again: ["Begin again", () => this.restart()],
-      push: ["Push", () => this.push()], cover: ["Cover the pose sensor", () => this.cover()],
+    const actions = {
+      pause: ["Pause", () => this.togglePause()], again: ["Restart", () => this.restart()],
+      push: ["Push", () => this.push()], cover: ["Cover the pose sensor", () => this.toggleCover()],
       thaw: ["Remove the ice", () => this.choose({ ice: [] })],
       shipped: ["Remove the drawn path", () => this.choose({ drawn: [] })],
-      peer: ["Pure pursuit", () => { this.peer = !this.peer; this.showDeeds(); }],
+      peer: ["Pure pursuit", () => { this.isPeerVisible = !this.isPeerVisible; this.showActions(); }],
       compare: ["", () => this.compare({ a: this.isCompared ? null : this.choices, b: this.choices })],
     };
-    for (const [name, [label, deed]] of Object.entries(deeds))
-      element("deeds").append(made("button", { type: "button", id: name, textContent: label, onclick: deed }));
-    for (const side of ["a", "b"]) element(`side-${side}`).onclick = () => this.mark(side);
-    this.takeTool("carry");
+    for (const [name, [label, action]] of Object.entries(actions))
+      element("actions").append(createNode("button", { type: "button", id: name, textContent: label, onclick: action }));
+    for (const side of ["a", "b"]) element(`side-${side}`).onclick = () => this.select(side);
+    this.setTool("carry");
   }
 
-  takeTool(tool) {
+  setTool(tool) {
     this.tool = tool;
     for (const name of Object.keys(TOOLS)) element(`tool-${name}`).ariaChecked = String(name === tool);
     element("floor").style.cursor = tool === "carry" ? "grab" : "crosshair";
   }
 
-  showDeeds() {
+  showActions() {
     element("pause").textContent = this.paused ? "Drive" : "Pause";
     element("compare").textContent = this.isCompared ? "End the comparison" : "Compare";
     for (const side of ["a", "b"]) element(`side-${side}`).ariaPressed = String(side === this.side);
-    element("cover").ariaPressed = String(this.covered);
-    element("peer").ariaPressed = String(this.peer);
-    element("thaw").hidden = !this.shown.some(({ choices }) => choices.ice.length);
+    element("cover").ariaPressed = String(this.isCovered);
+    element("peer").ariaPressed = String(this.isPeerVisible);
+    element("thaw").hidden = !this.activeDrives.some(({ choices }) => choices.ice.length);
     element("shipped").hidden = !this.choices.drawn.length;
   }
 
-  makeChoices() {
+  createChoiceControls() {
     const groups = new Map();
     for (const [name, choice] of Object.entries(this.index.choices)) {
       if (!groups.has(choice.group)) {
-        groups.set(choice.group, made("fieldset", {}, made("legend", { textContent: choice.group })));
+        groups.set(choice.group, createNode("fieldset", {}, createNode("legend", { textContent: choice.group })));
         element("choices").append(groups.get(choice.group));
       }
       const isNumber = choice.values.every((value) => typeof value === "number") && choice.values.length > 2;
-      groups.get(choice.group).append(made("label", { htmlFor: `choice-${name}`, title: choice.help ?? "" }, choice.label),
-        ...(isNumber ? this.slider(name, choice) : this.list(name, choice)));
+      const label = createNode("label", { htmlFor: `choice-${name}`, title: choice.help ?? "" }, choice.label);
+      groups.get(choice.group).append(label, ...(isNumber ? this.slider(name, choice) : this.list(name, choice)));
     }
     element("choices").onsubmit = (event) => event.preventDefault();
   }
 
   list(name, choice) {
-    const options = choice.values.map((value) => made("option", { value, textContent: value }));
-    if (name === "path") options.push(made("option", { value: "", textContent: "drawn", hidden: true }));
-    const select = made("select", { id: `choice-${name}` }, ...options);
+    const options = choice.values.map((value) => createNode("option", { value, textContent: value }));
+    if (name === "path") options.push(createNode("option", { value: "", textContent: "drawn", hidden: true }));
+    const select = createNode("select", { id: `choice-${name}` }, ...options);
     select.onchange = () => {
       const value = choice.values.find((candidate) => String(candidate) === select.value);
       this.choose(name === "path" ? { path: value, drawn: [] } : { [name]: value });
@@ -254,21 +255,21 @@ class Laboratory {
   }
 
   slider(name, choice) {
-    const last = choice.values.length - 1;
-    const input = made("input", { type: "range", id: `choice-${name}`, min: 0, max: last, step: 1 });
+    const maxIndex = choice.values.length - 1;
+    const input = createNode("input", { type: "range", id: `choice-${name}`, min: 0, max: maxIndex, step: 1 });
     input.oninput = () => this.choose({ [name]: choice.values[Number(input.value)] });
-    const number = made("input", { type: "number", id: `number-${name}`, step: "any", ariaLabel: choice.label });
-    number.onchange = () => this.type(name, choice, number.valueAsNumber);
+    const number = createNode("input", { type: "number", id: `number-${name}`, step: "any", ariaLabel: choice.label });
+    number.onchange = () => this.chooseNumber(name, choice, number.valueAsNumber);
     return [input, number];
   }
 
-  /* Take a typed number, or the nearest one that the page has constants for. */
-  type(name, choice, wanted) {
-    const value = Number.isNaN(wanted) ? this.choices[name] : nearest(choice, wanted);
+  /* Choose a typed number, or the nearest possible value with a notice. */
+  chooseNumber(name, choice, number) {
+    const value = Number.isNaN(number) ? this.choices[name] : nearest(choice, number);
     this.choose({ [name]: value });
-    if (value === wanted || this.choices[name] !== value) return;
+    if (value === number || this.choices[name] !== value) return;
     const range = choice.power ? `${choice.values[0]} to ${choice.values.at(-1)}` : choice.values.join(", ");
-    this.notice(`${choice.label}: ${value} is used; possible are ${range}.`);
+    this.showNotice(`${choice.label}: ${value} is used; possible values: ${range}.`);
   }
 
   showChoices() {
@@ -279,48 +280,48 @@ class Laboratory {
         input.ariaValueText = element(`number-${name}`).value = String(value);
       } else input.value = name === "path" && this.choices.drawn.length ? "" : String(value);
     }
-    this.showDeeds();
+    this.showActions();
   }
 
-  /* Disturbances: they act on both drives of a comparison. */
+  /* Disturbances; they act on both drives of a comparison. */
 
-  pause() {
+  togglePause() {
     this.paused = !this.paused;
-    this.showDeeds();
+    this.showActions();
   }
 
   push() {
     const { left, turn, ticks } = this.index.push;
-    for (const { engine } of this.shown) engine.c.lab_push(left, turn, ticks);
+    for (const { engine } of this.activeDrives) engine.c.lab_push(left, turn, ticks);
   }
 
-  cover() {
-    this.covered = !this.covered;
-    for (const { engine } of this.shown) engine.c.lab_set_cover(this.covered ? 1 : 0);
-    this.showDeeds();
+  toggleCover() {
+    this.isCovered = !this.isCovered;
+    for (const { engine } of this.activeDrives) engine.c.lab_set_cover(this.isCovered ? 1 : 0);
+    this.showActions();
   }
 
-  listen() {
+  addListeners() {
     const canvas = element("floor");
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       this.floor.stroke = [];
-      this.held = true;
-      this.point(event);
+      this.isDragging = true;
+      this.drag(event);
     });
-    canvas.addEventListener("pointermove", (event) => this.held && this.point(event));
-    for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => this.release());
-    /* Keys act everywhere: a control that a pointer has used gives the focus back to the picture. */
-    document.addEventListener("keydown", (event) => { this.byKey = true; this.key(event); }, true);
-    document.addEventListener("pointerdown", () => { this.byKey = false; }, true);
-    for (const kind of ["click", "change"])
-      document.addEventListener(kind, ({ target }) => {
-        if (!this.byKey && target.closest(kind === "click" ? "button" : "select, [type=range]"))
+    canvas.addEventListener("pointermove", (event) => this.isDragging && this.drag(event));
+    for (const type of ["pointerup", "pointercancel"]) canvas.addEventListener(type, () => this.endDrag());
+    /* Keys act everywhere: after a pointer used a control, the floor view gets the focus back. */
+    document.addEventListener("keydown", (event) => { this.isByKey = true; this.handleKey(event); }, true);
+    document.addEventListener("pointerdown", () => { this.isByKey = false; }, true);
+    for (const type of ["click", "change"])
+      document.addEventListener(type, ({ target }) => {
+        if (!this.isByKey && target.closest(type === "click" ? "button" : "select, [type=range]"))
           canvas.focus({ preventScroll: true });
       });
     window.addEventListener("hashchange", () => this.openLink());
-    element("save").onclick = () => download(FILES.config, configFile(this.choices, this.index, this.whole));
-    element("savepath").onclick = () => download(FILES.path, pathFile(this.marked.engine.referencePoints(0.02)));
+    element("save").onclick = () => download(FILES.config, configFile(this.choices, this.index, this.evaluation));
+    element("savepath").onclick = () => download(FILES.path, pathFile(this.selectedDrive.engine.referencePoints(0.02)));
     element("copy").onclick = () => this.copyLink();
   }
 
@@ -329,73 +330,77 @@ class Laboratory {
       await navigator.clipboard.writeText(location.href);
       element("copy").textContent = "Copied";
     } catch {
-      this.notice("This browser does not let the page copy: the link is in the address line.");
+      this.showNotice("This browser does not allow the page to copy: copy the link from the address bar.");
     }
   }
 
-  point(event) {
+  /* Apply the selected tool at the pointer. */
+  drag(event) {
     const [x, y] = this.floor.toFloor(event).map((metres) => Math.round(100 * metres) / 100);
     const { reach } = this.index.drawn;
     if (Math.max(Math.abs(x), Math.abs(y)) > reach) return;
-    if (this.tool === "carry") for (const drive of this.shown) drive.carry(x, y);
+    if (this.tool === "carry") for (const drive of this.activeDrives) drive.carry(x, y);
     else if (this.tool === "draw") this.floor.stroke.push([x, y]);
-    else this.paint(x, y);
+    else this.paintIce(x, y);
   }
 
-  paint(x, y) {
+  paintIce(x, y) {
     const { ice } = this.choices, { radius, most } = this.index.ice;
     const isNear = ice.some((patch) => Math.hypot(patch[0] - x, patch[1] - y) < radius);
     if (!isNear && ice.length < most) this.choose({ ice: [...ice, [x, y]] });
   }
 
-  release() {
+  endDrag() {
     const { stroke } = this.floor;
-    this.held = false;
+    this.isDragging = false;
     this.floor.stroke = [];
     if (this.tool !== "draw" || stroke.length < 2) return;
     const step = Math.max(1, (stroke.length - 1) / (this.index.drawn.most_points - 1));
     const drawn = [];
     for (let k = 0; k <= stroke.length - 1 + 1e-9; k += step) drawn.push(stroke[Math.round(k)]);
-    this.takeTool("carry");
+    this.setTool("carry");
     this.choose({ drawn });
   }
 
-  key(event) {
+  handleKey(event) {
     const moves = { ArrowLeft: [-0.05, 0], ArrowRight: [0.05, 0], ArrowUp: [0, 0.05], ArrowDown: [0, -0.05] };
-    const deeds = { " ": () => this.pause(), p: () => this.push(), c: () => this.cover(), r: () => this.restart() };
-    const { target, key } = event, move = moves[key], deed = deeds[key.toLowerCase()];
-    const isTaken = target.closest(move ? "select, input" : key === " " ? "select, button" : "select");
-    if (isTaken || event.ctrlKey || event.altKey || event.metaKey || !(move || deed)) return;
+    const actions = {
+      " ": () => this.togglePause(), p: () => this.push(), c: () => this.toggleCover(), r: () => this.restart(),
+    };
+    const { target, key } = event, move = moves[key], action = actions[key.toLowerCase()];
+    const isForControl = target.closest(move ? "select, input" : key === " " ? "select, button" : "select");
+    if (isForControl || event.ctrlKey || event.altKey || event.metaKey || !(move || action)) return;
     event.preventDefault();
-    if (move) for (const drive of this.shown) drive.carry(drive.report.pose[0] + move[0], drive.report.pose[1] + move[1]);
-    else deed();
+    if (!move) action();
+    else for (const drive of this.activeDrives) drive.carry(drive.report.pose[0] + move[0], drive.report.pose[1] + move[1]);
   }
 
-  /* The clock: as many ticks as time has passed, then a picture. */
+  /* Animation: advance the drives by the elapsed time, then render. */
 
-  picture(now) {
-    const passed = Math.min((now - (this.before ?? now)) / 1000, 0.25);
-    this.before = now;
-    if (!this.paused) this.drive(passed);
-    this.show(now);
-    requestAnimationFrame((next) => this.picture(next));
+  animate(now) {
+    const elapsed = Math.min((now - (this.previousFrame ?? now)) / 1000, 0.25);
+    this.previousFrame = now;
+    if (!this.paused) this.advance(elapsed);
+    this.render(now);
+    requestAnimationFrame((next) => this.animate(next));
   }
 
-  drive(passed) {
-    const isHeld = this.held && this.tool === "carry", { shown } = this;
-    this.owed = Math.min(this.owed + passed, MOST_TICKS * this.period);
-    for (; this.owed >= this.period; this.owed -= this.period) for (const drive of shown) drive.tick(isHeld);
-    for (const drive of shown) if (drive.report.has_plan) drive.plan = drive.engine.plan();
-    if (shown.every(({ report }) => report.time > report.duration + REST && report.mode >= 2)) this.restart();
+  advance(elapsed) {
+    const isHeld = this.isDragging && this.tool === "carry", { activeDrives } = this;
+    this.pendingTime = Math.min(this.pendingTime + elapsed, MAX_TICKS * this.period);
+    for (; this.pendingTime >= this.period; this.pendingTime -= this.period)
+      for (const drive of activeDrives) drive.tick(isHeld);
+    for (const drive of activeDrives) if (drive.report.has_plan) drive.plan = drive.engine.plan();
+    if (activeDrives.every(({ report }) => report.time > report.duration + END_PAUSE && report.mode >= 2)) this.restart();
   }
 
-  show(now) {
-    const { peer, paused, shown } = this, held = this.held && this.tool === "carry";
-    this.floor.draw(shown, this.marked, { isPaused: paused, peer, held });
-    this.charts.draw(shown, this.marked, peer);
-    if (now - (this.refreshed ?? 0) < 200) return;
-    this.refreshed = now;
-    for (const { side, report } of shown) {
+  render(now) {
+    const { isPeerVisible, paused, activeDrives, selectedDrive } = this, isHeld = this.isDragging && this.tool === "carry";
+    this.floor.draw(activeDrives, selectedDrive, { isPaused: paused, isPeerVisible, isHeld });
+    this.charts.draw(activeDrives, selectedDrive, isPeerVisible);
+    if (now - (this.previousUpdate ?? 0) < 200) return;
+    this.previousUpdate = now;
+    for (const { side, report } of activeDrives) {
       element(`error-${side}`).textContent = millimetres(report.error);
       element(`step-${side}`).textContent = `${(1000 * figures(report).step).toFixed(2)} ms`;
       element(`mode-${side}`).textContent = MODES[report.mode];
@@ -403,7 +408,7 @@ class Laboratory {
   }
 }
 
-function safeDecoded(text) {
+function safeDecode(text) {
   try {
     return decodeURIComponent(text);
   } catch {
@@ -412,7 +417,7 @@ function safeDecoded(text) {
 }
 
 function download(name, text) {
-  const link = made("a", { href: URL.createObjectURL(new Blob([text], { type: "text/plain" })), download: name });
+  const link = createNode("a", { href: URL.createObjectURL(new Blob([text], { type: "text/plain" })), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
@@ -423,7 +428,7 @@ function download(name, text) {
     document.documentElement.dataset.ready = "true";
   } catch (error) {
     element("notice").hidden = false;
-    element("notice").textContent = `This browser cannot open the laboratory (${error.message}); a newer one can.`;
+    element("notice").textContent = `This browser cannot open the laboratory (${error.message}); use a newer browser.`;
     throw error;
   }
 })();

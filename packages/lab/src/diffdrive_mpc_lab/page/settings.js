@@ -1,86 +1,89 @@
-/* What is chosen, as words of a link and as files for `simulate`. */
+/* Settings of a drive ("choices") as text of a link, and as files for `simulate`. */
 
 const LISTS = { ice: "most", drawn: "most_points" };
 
 function defaultChoices(index) {
-  const chosen = Object.entries(index.choices).map(([name, choice]) => [name, choice.default]);
-  return { ...Object.fromEntries(chosen), ice: [], drawn: [] };
+  const defaults = Object.entries(index.choices).map(([name, choice]) => [name, choice.default]);
+  return { ...Object.fromEntries(defaults), ice: [], drawn: [] };
 }
 
-/* Points as whole centimetres, and back; null where they are none, too many or too far away. */
+/* Format points in whole centimetres. */
 function pointsText(points) {
   return points.map((point) => point.map((metres) => Math.round(100 * metres)).join(",")).join(";");
 }
 
-function pointsOf(text, most, reach) {
+/* Read the format of `pointsText`; null if the text is invalid, or if points are too many or too far away. */
+function pointsOf(text, maxCount, reach) {
   if (!/^-?\d{1,4},-?\d{1,4}(;-?\d{1,4},-?\d{1,4})*$/.test(text)) return null;
   const points = text.split(";").map((pair) => pair.split(",").map((number) => Number(number) / 100));
-  const fits = points.length <= most && points.flat().every((metres) => Math.abs(metres) <= reach);
-  return fits ? points : null;
+  const isValid = points.length <= maxCount && points.flat().every((metres) => Math.abs(metres) <= reach);
+  return isValid ? points : null;
 }
 
-/* The part of a link after its # for one drive: its path, and the settings that are not the default. */
+/* Format the settings of one drive for the part of a link after its #: the path, and values that are not the default. */
 function linkOf(choices, index, prefix = "") {
-  const standard = defaultChoices(index);
-  const words = Object.keys(index.choices)
-    .filter((name) => (name === "path" ? !choices.drawn.length : choices[name] !== standard[name]))
+  const defaults = defaultChoices(index);
+  const pairs = Object.keys(index.choices)
+    .filter((name) => (name === "path" ? !choices.drawn.length : choices[name] !== defaults[name]))
     .map((name) => `${prefix}${name}=${choices[name]}`);
   for (const name of Object.keys(LISTS))
-    if (choices[name].length) words.push(`${prefix}${name}=${pointsText(choices[name])}`);
-  return words.join("&");
+    if (choices[name].length) pairs.push(`${prefix}${name}=${pointsText(choices[name])}`);
+  return pairs.join("&");
 }
 
-/* Read a link: the settings by side (those with a prefix are of the side that is not marked), or its fault. */
+/* Read the settings of both sides from a link, or its fault; names with a prefix belong to the side not selected. */
 function readLink(text, index) {
   const sides = { "": defaultChoices(index) }, names = new Set();
   if (text.length > index.longest_link) return { fault: `it is longer than ${index.longest_link} characters` };
-  for (const word of text.split("&").filter(Boolean)) {
-    const [full, value = ""] = word.split("=", 2), [, prefix, name] = /^([ab]\.)?(.*)$/s.exec(full);
-    if (names.has(full)) return { fault: `'${full.slice(0, 20)}' is in it twice` };
-    names.add(full);
-    const read = readWord(name, value, index);
-    if (read === null) return { fault: `'${word.slice(0, 40)}' is no choice` };
-    (sides[prefix ?? ""] ??= defaultChoices(index))[name] = read;
+  for (const pair of text.split("&").filter(Boolean)) {
+    const [key, valueText = ""] = pair.split("=", 2), [, prefix, name] = /^([ab]\.)?(.*)$/s.exec(key);
+    if (names.has(key)) return { fault: `it contains '${key.slice(0, 20)}' twice` };
+    names.add(key);
+    const value = readValue(name, valueText, index);
+    if (value === null) return { fault: `'${pair.slice(0, 40)}' is not a valid choice` };
+    (sides[prefix ?? ""] ??= defaultChoices(index))[name] = value;
   }
-  const { "": marked, "a.": a, "b.": b } = sides;
-  if (a && b) return { fault: "it names more than two drives" };
-  return b ? { a: marked, b, side: "a", fault: "" } : { a: a ?? null, b: marked, side: "b", fault: "" };
+  const { "": selected, "a.": a, "b.": b } = sides;
+  if (a && b) return { fault: "it contains more than two drives" };
+  return b ? { a: selected, b, side: "a", fault: "" } : { a: a ?? null, b: selected, side: "b", fault: "" };
 }
 
-function readWord(name, value, index) {
-  if (Object.hasOwn(LISTS, name)) return pointsOf(value, index[name][LISTS[name]], index.drawn.reach);
+/* Read the value of a choice; null if it is invalid. */
+function readValue(name, text, index) {
+  if (Object.hasOwn(LISTS, name)) return pointsOf(text, index[name][LISTS[name]], index.drawn.reach);
   if (!Object.hasOwn(index.choices, name)) return null;
-  const choice = index.choices[name], number = Number(value);
-  if (choice.power && nearest(choice, number) === number && String(number) === value) return number;
-  return choice.values.find((candidate) => String(candidate) === value) ?? null;
+  const choice = index.choices[name], number = Number(text);
+  if (choice.power && nearest(choice, number) === number && String(number) === text) return number;
+  return choice.values.find((candidate) => String(candidate) === text) ?? null;
 }
 
-/* The value of a choice nearest to a number: any in its range, or one of a list. */
+/* Return the value of a choice nearest to a number: from its range if it has a power, else from its list. */
 function nearest({ power, values }, number) {
   if (power) return Math.min(Math.max(number, values[0]), values.at(-1));
   return values.reduce((best, value) => (Math.abs(value - number) < Math.abs(best - number) ? value : best));
 }
 
-/* The settings of a drive that are not those of the other. */
-function differences(choices, rival, index) {
-  const words = Object.entries(index.choices)
-    .filter(([name]) => choices[name] !== rival[name])
+/* Describe the settings of a drive that differ from those of the drive that it is compared with. */
+function differences(choices, comparedChoices, index) {
+  const parts = Object.entries(index.choices)
+    .filter(([name]) => choices[name] !== comparedChoices[name])
     .map(([name, choice]) => `${choice.label}: ${choices[name]}`);
-  if (pointsText(choices.ice) !== pointsText(rival.ice)) words.push(choices.ice.length ? "with ice" : "without ice");
-  return words.join("; ");
+  if (pointsText(choices.ice) !== pointsText(comparedChoices.ice))
+    parts.push(choices.ice.length ? "with ice" : "without ice");
+  return parts.join("; ");
 }
 
-/* The configuration's values by key, in groups. */
+/* Return the configuration of the controller as nested groups. */
 function configurationOf(choices, index) {
   const config = { model: choices.model, ...structuredClone(index.files[choices.model]) };
   for (const [name, choice] of Object.entries(index.choices)) {
     if (!choice.key) continue;
     const keys = name === "told" ? [`${choice.key}.v`, `${choice.key}.omega`] : [choice.key];
     for (const key of keys) {
-      const [last, ...groups] = key.split(".").reverse();
-      let place = config;
-      for (const group of groups.reverse()) place = place[group] ??= {};
-      place[last] = choices[name];
+      const [field, ...groups] = key.split(".").reverse();
+      let target = config;
+      for (const group of groups.reverse()) target = target[group] ??= {};
+      target[field] = choices[name];
     }
   }
   config.extra_dead_time.provenance = "chosen in the laboratory";
@@ -94,12 +97,12 @@ function yamlLines(values, indent = "") {
   });
 }
 
-/* Whole numbers stay whole only where the schema has whole ones: the horizon. JSON's scalars are YAML's. */
+/* JSON scalars are valid YAML. The schema requires an integer for the horizon only, and accepts integers elsewhere. */
 function scalar(value) {
   return JSON.stringify(value);
 }
 
-/* The shipped path drives by its name; at another speed, or drawn, it needs a file of its own. */
+/* Return true if `simulate` needs a file of the path: a drawn path, or a shipped path at another speed. */
 function needsPathFile(choices) {
   return choices.drawn.length > 0 || choices.speed !== 0;
 }
@@ -115,12 +118,15 @@ function commandOf(choices) {
   ].join(" ");
 }
 
-/* The file to take away; `whole` are the figures of the whole drive, where they are known. */
-function configFile(choices, index, whole) {
-  const lines = ["# From the laboratory of diffdrive-mpc. It is driven by", `# ${commandOf(choices)}`];
-  if (needsPathFile(choices)) lines.push(`# with the path that the page gives as ${FILES.path}.`);
-  if (choices.ice.length) lines.push("# Painted ice is not part of it: simulate has one surface everywhere.");
-  if (whole) lines.push(`# In the page: position RMSE ${millimetres(whole.rms)}, max ${millimetres(whole.largest)}.`);
+/* Format the configuration file; `evaluation` has the errors of the complete drive, or is null. */
+function configFile(choices, index, evaluation) {
+  const lines = ["# From the laboratory of diffdrive-mpc. Simulate this drive with", `# ${commandOf(choices)}`];
+  if (needsPathFile(choices)) lines.push(`# and with the file ${FILES.path} from the page.`);
+  if (choices.ice.length) lines.push("# Painted ice is not included: simulate has the same surface everywhere.");
+  if (evaluation) {
+    const { rms, largest } = evaluation;
+    lines.push(`# Result in the page: position RMSE ${millimetres(rms)}, max ${millimetres(largest)}.`);
+  }
   return `${[...lines, ...yamlLines(configurationOf(choices, index))].join("\n")}\n`;
 }
 

@@ -1,9 +1,9 @@
-/* Pictures: the floor from above, and what happened over time. */
+/* Drawings: top view of the floor, and charts over time. */
 
-const SHOWN_SECONDS = 12; /* of the charts */
+const CHART_SECONDS = 12; /* duration of the charts [s] */
 
-/* A canvas as sharp as the screen, and the colours of the page. */
-function prepared(canvas) {
+/* Set a canvas to the resolution of the screen and clear it. */
+function prepareCanvas(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -34,16 +34,16 @@ class FloorView {
     Object.assign(this, { canvas, index, colours, stroke: [] });
   }
 
-  /* The frame is that of the paths, with room for what happens next to them. */
+  /* Set the visible area: points of the paths with a margin. */
   frame(points) {
     const xs = points.map(([x]) => x), ys = points.map(([, y]) => y);
-    const room = 0.55;
-    this.low = [Math.min(...xs) - room, Math.min(...ys) - room];
-    this.high = [Math.max(...xs) + room, Math.max(...ys) + room];
+    const margin = 0.55;
+    this.low = [Math.min(...xs) - margin, Math.min(...ys) - margin];
+    this.high = [Math.max(...xs) + margin, Math.max(...ys) + margin];
   }
 
-  /* Pixels per metre, and where the origin is. */
-  place(width, height) {
+  /* Return pixels per metre, and the position of the origin [pixels]. */
+  transform(width, height) {
     const size = [this.high[0] - this.low[0], this.high[1] - this.low[1]];
     const scale = Math.min(width / size[0], height / size[1]);
     const x = 0.5 * (width - scale * (this.low[0] + this.high[0]));
@@ -53,25 +53,25 @@ class FloorView {
 
   toFloor(event) {
     const box = this.canvas.getBoundingClientRect();
-    const { scale, x, y } = this.place(box.width, box.height);
+    const { scale, x, y } = this.transform(box.width, box.height);
     return [(event.clientX - box.left - x) / scale, (y - (event.clientY - box.top)) / scale];
   }
 
-  /* All drives; pure pursuit, plan and estimate are those of the marked one. */
+  /* Draw all drives; pure pursuit, plan and estimate belong to the selected drive. */
   draw(drives, { report, rows, plan }, options) {
-    const { pen, width, height } = prepared(this.canvas), { colours } = this;
-    const { scale, x, y } = this.place(width, height);
+    const { pen, width, height } = prepareCanvas(this.canvas), { colours } = this;
+    const { scale, x, y } = this.transform(width, height);
     this.pen = pen;
-    this.at = ([px, py]) => [x + scale * px, y - scale * py];
+    this.toPixels = ([px, py]) => [x + scale * px, y - scale * py];
     this.scale = scale;
     this.drawFloor(width, height, drives.flatMap((drive) => drive.choices.ice));
     for (const drive of drives) this.line(drive.path, colours.path, 2, [6, 5]);
-    if (options.isPaused) for (const drive of drives) this.line(drive.whole?.poses ?? [], colours[drive.colour], 1, []);
-    if (options.peer) this.line(rows.map((row) => row.peer), colours.ghost, 1.5, []);
+    if (options.isPaused) for (const drive of drives) this.line(drive.evaluation?.poses ?? [], colours[drive.colour], 1, []);
+    if (options.isPeerVisible) this.line(rows.map((row) => row.peer), colours.ghost, 1.5, []);
     for (const drive of drives) this.line(drive.rows.map((row) => row.pose), colours[drive.colour], 2, []);
     if (this.stroke.length) this.line(this.stroke, colours.plan, 3, []);
-    if (options.held) this.ring(report.reference, this.index.too_far);
-    if (options.peer) this.robot(report.peer, colours.ghost, false);
+    if (options.isHeld) this.ring(report.reference, this.index.too_far);
+    if (options.isPeerVisible) this.robot(report.peer, colours.ghost, false);
     if (report.has_plan) this.dots(plan);
     this.cross(report.reference);
     for (const drive of drives) this.robot(drive.report.pose, colours[drive.colour], true);
@@ -79,9 +79,9 @@ class FloorView {
     if (drives.length > 1) for (const drive of drives) this.letter(drive);
   }
 
-  /* The letter of a drive, next to its robot. */
+  /* Draw the letter of a drive next to its robot. */
   letter({ report, colour, side }) {
-    const [x, y] = this.at(report.pose);
+    const [x, y] = this.toPixels(report.pose);
     this.pen.fillStyle = this.colours[colour];
     this.pen.font = "bold 15px sans-serif";
     this.pen.fillText(side.toUpperCase(), x + (side === "a" ? -1 : 1) * 0.4 * this.scale - 5, y - 0.3 * this.scale);
@@ -92,24 +92,24 @@ class FloorView {
     pen.strokeStyle = colours.line;
     pen.lineWidth = 1;
     pen.beginPath();
-    const [left, top] = this.at([Math.floor(this.low[0]) - 9, Math.ceil(this.high[1]) + 9]);
+    const [left, top] = this.toPixels([Math.floor(this.low[0]) - 9, Math.ceil(this.high[1]) + 9]);
     for (let k = 0; k < 40; k++) {
-      const across = left + k * this.scale, down = top + k * this.scale;
-      pen.moveTo(across, 0);
-      pen.lineTo(across, height);
-      pen.moveTo(0, down);
-      pen.lineTo(width, down);
+      const x = left + k * this.scale, y = top + k * this.scale;
+      pen.moveTo(x, 0);
+      pen.lineTo(x, height);
+      pen.moveTo(0, y);
+      pen.lineTo(width, y);
     }
     pen.stroke();
     pen.fillStyle = colours.ice;
     for (const patch of ice) {
       pen.beginPath();
-      pen.arc(...this.at(patch), this.index.ice.radius * this.scale, 0, 7);
+      pen.arc(...this.toPixels(patch), this.index.ice.radius * this.scale, 0, 7);
       pen.fill();
     }
     pen.fillStyle = colours.muted;
     pen.font = "12px sans-serif";
-    pen.fillText("squares of 1 m", 8, height - 8);
+    pen.fillText("grid: 1 m", 8, height - 8);
   }
 
   line(points, colour, thickness, dashes) {
@@ -118,7 +118,7 @@ class FloorView {
     pen.lineWidth = thickness;
     pen.setLineDash(dashes);
     pen.beginPath();
-    points.forEach((point, i) => (i ? pen.lineTo(...this.at(point)) : pen.moveTo(...this.at(point))));
+    points.forEach((point, i) => (i ? pen.lineTo(...this.toPixels(point)) : pen.moveTo(...this.toPixels(point))));
     pen.stroke();
     pen.setLineDash([]);
   }
@@ -128,13 +128,13 @@ class FloorView {
     pen.fillStyle = this.colours.plan;
     for (let k = 3; k < plan.length; k += 3) {
       pen.beginPath();
-      pen.arc(...this.at([plan[k], plan[k + 1]]), 2.2, 0, 7);
+      pen.arc(...this.toPixels([plan[k], plan[k + 1]]), 2.2, 0, 7);
       pen.fill();
     }
   }
 
   cross(pose) {
-    const [x, y] = this.at(pose);
+    const [x, y] = this.toPixels(pose);
     const { pen } = this;
     pen.strokeStyle = this.colours.text;
     pen.lineWidth = 1.5;
@@ -151,23 +151,23 @@ class FloorView {
     pen.strokeStyle = this.colours.limit;
     pen.lineWidth = 1;
     pen.beginPath();
-    pen.arc(...this.at(pose), radius * this.scale, 0, 7);
+    pen.arc(...this.toPixels(pose), radius * this.scale, 0, 7);
     pen.stroke();
   }
 
-  /* The outline of the robot with its front, filled or not. */
-  robot(pose, colour, filled, dashes = []) {
+  /* Draw the outline of the robot with a mark at its front. */
+  robot(pose, colour, isFilled, dashes = []) {
     const { pen } = this;
     const [length, width] = this.index.outline.map((metres) => metres * this.scale);
     pen.save();
-    pen.translate(...this.at(pose));
+    pen.translate(...this.toPixels(pose));
     pen.rotate(-pose[2]);
     pen.lineWidth = 1.5;
     pen.setLineDash(dashes);
     pen.strokeStyle = pen.fillStyle = colour;
     pen.beginPath();
     pen.roundRect(-0.5 * length, -0.5 * width, length, width, 3);
-    if (filled) {
+    if (isFilled) {
       pen.globalAlpha = 0.35;
       pen.fill();
       pen.globalAlpha = 1;
@@ -182,41 +182,41 @@ class FloorView {
   }
 }
 
-/* Three charts over the last seconds: errors, and commands with their limits. */
+/* Three charts over the last seconds: error, v and omega with their limits. */
 class TimeView {
   constructor(canvas, index, colours) {
     Object.assign(this, { canvas, index, colours });
   }
 
-  /* Errors and commands of all drives; pure pursuit and motion are those of the marked one. */
-  draw(drives, marked, showPeer) {
-    const { pen, width, height } = prepared(this.canvas);
+  /* Draw errors and commands of all drives; pure pursuit and motion belong to the selected drive. */
+  draw(drives, selected, isPeerVisible) {
+    const { pen, width, height } = prepareCanvas(this.canvas);
     const { limits } = this.index, third = height / 3;
     this.end = Math.max(...drives.map((drive) => drive.report.time));
-    const recent = (drive) => drive.rows.filter((row) => row.time >= this.end - SHOWN_SECONDS);
+    const recent = (drive) => drive.rows.filter((row) => row.time >= this.end - CHART_SECONDS);
     const lines = (value) => drives.map((drive) => [recent(drive), value, drive.colour]);
     const errors = lines((row) => 1000 * row.error);
-    if (showPeer) errors.unshift([recent(marked), (row) => 1000 * row.peer_error, "ghost"]);
-    const largest = Math.max(20, ...errors.flatMap(([rows, value]) => rows.map(value)));
+    if (isPeerVisible) errors.unshift([recent(selected), (row) => 1000 * row.peer_error, "ghost"]);
+    const maxError = Math.max(20, ...errors.flatMap(([rows, value]) => rows.map(value)));
     this.chart(pen, width, 0, third, {
-      title: showPeer ? "error, mm; pure pursuit: distance from its path" : "error, mm",
-      low: 0, high: 1.1 * largest, marks: [0, round(largest)], lines: errors,
+      title: isPeerVisible ? "error, mm; pure pursuit: distance from its path" : "error, mm",
+      low: 0, high: 1.1 * maxError, marks: [0, round(maxError)], lines: errors,
     });
     [["v", "m/s"], ["omega", "rad/s"]].forEach(([name, unit], channel) => {
       const limit = limits[name], motion = (row) => row.twist[2 * channel];
       this.chart(pen, width, (channel + 1) * third, third, {
         title: `${name}, ${unit}: command, motion`,
         low: -1.15 * limit, high: 1.15 * limit, marks: [-limit, 0, limit],
-        lines: [[recent(marked), motion, "estimate"], ...lines((row) => row.command[channel])],
+        lines: [[recent(selected), motion, "estimate"], ...lines((row) => row.command[channel])],
       });
     });
   }
 
   chart(pen, width, top, height, { title, low, high, marks, lines }) {
-    const left = 46, right = width - 8, bottom = top + height - 8, roof = top + 18;
-    const begin = Math.max(0, this.end - SHOWN_SECONDS);
-    const x = (time) => left + ((right - left) * (time - begin)) / SHOWN_SECONDS;
-    const y = (value) => bottom - ((bottom - roof) * (value - low)) / (high - low);
+    const left = 46, right = width - 8, bottom = top + height - 8, plotTop = top + 18;
+    const start = Math.max(0, this.end - CHART_SECONDS);
+    const x = (time) => left + ((right - left) * (time - start)) / CHART_SECONDS;
+    const y = (value) => bottom - ((bottom - plotTop) * (value - low)) / (high - low);
     pen.font = "12px sans-serif";
     pen.fillStyle = this.colours.muted;
     pen.textAlign = "left";
