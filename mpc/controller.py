@@ -114,12 +114,15 @@ class Controller:
         terms: Sequence[Term] = (),
         **overrides: object,
     ) -> None:
+        # Features may change the configuration, so they run before anything is derived from it.
         config, terms = prepare_config(load_config(config, overrides)), checked_terms(terms)
+        # Stored as passed, for `__setstate__`: a copy adds the terms of files and of features again.
         self._arguments = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
         dt, active_model = config.sample_time, chosen_model(config, model)
         self._prediction = _PredictionModel.from_model(active_model, dt)
+        # Unset weights on increments depend on the sampled model, and the problem needs them.
         self._config = config = with_increments(config, self._prediction.sampled)
         self._features: dict[str, Feature] = {
             name: kind(config, active_model) for name, kind in features_of(config).items()
@@ -148,6 +151,7 @@ class Controller:
             self._tick,
             self._pursuit,
             self._terms,
+            # A function, because `_c_result` is only assigned below.
             is_new_tick=lambda: not self._c_result.reasons & self._messages.not_a_new_tick,
         )
         for feature in self._features.values():
@@ -242,6 +246,7 @@ class Controller:
         ValueError
             If the plan is not N pairs of finite numbers.
         """
+        # The core's memory starts with zeros; once set up, H has the positive weights on its diagonal.
         if not self._program.H.any():
             raise RuntimeError("no tick has set up a quadratic program yet: call start and step first")
         if plan is not None:
@@ -265,6 +270,7 @@ class Controller:
         """
         estimate, belief, p = self._fresh_estimate(), self.belief, self._program
         bounds = np.stack([p.lower, p.upper])
+        # The core subtracts the values at a plan of zeros from the soft bounds; `CasadiProblem` limits whole values.
         bounds[:, HARD_KINDS:] += p.soft_values
         return {
             "state": estimate.state,
@@ -357,6 +363,7 @@ class Controller:
             If a command is not finite or exceeds 1e6, or the shape is wrong.
         """
         pairs = _pairs(commands)
+        # The prediction of the first sample also needs the pending commands.
         commands = np.vstack([belief.sent, pairs])
         mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, commands)
         return replace(belief, mean=mean, covariance=covariance, sent=commands[len(pairs) :])
@@ -566,8 +573,10 @@ class Controller:
             for group, values in zip(_CHANGEABLE, (weights, limits), strict=True)
             for key, value in (values or {}).items()
         }
+        # Several changes between two steps add up.
         config = replace_values(self._pending.config if self._pending else self._config, changes)
         config = with_increments(config, self._prediction.sampled)
+        # These limits have rows of their own, and the sizes of the core are fixed at construction.
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
@@ -672,20 +681,24 @@ class Controller:
             ) from error
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
+        # Values of `ddmpc_request`.
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
+        # Only the replay of a late tick gives a number of iterations.
         tick_input.is_late = most_iterations is not None
         try:
             since_start = t - self._t0
         except TypeError as error:
             raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
+        # The reference's clock advances once per tick, not at a repeated call or at a faulty time.
         is_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
         tick_input.reference_time = pursuit.advance(since_start) if is_advanced else since_start
         tick_input.on_time = on_time
         pending = self._step(self._c, t, tick_input)
         message = ""
         if pending == _NEEDS_TARGET:
+            # The robot was on time until now, so its clock has not been advanced yet.
             if not is_advanced:
                 tick_input.reference_time = pursuit.advance(since_start)
             pending, message = self._choose_target(since_start, tick_input.reference_time)
@@ -696,16 +709,20 @@ class Controller:
                 pursuit.record_on_time(
                     since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
                 )
+        # The core has braked or finished without a target: without a motion command the robot is not blocked.
         elif is_advanced:
             self._blocked_for = 0.0
         is_refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
             backend_start = time.perf_counter()
+            # In a replay, 0 iterations stand for a backend that was stopped without a solution: its deadline has
+            # passed.
             is_refused = self._solve_with_backend(0.0 if most_iterations == 0 else deadline)
             solve_time += time.perf_counter() - backend_start
         result = self._build(hold, message, (start, solve_time), is_refused=is_refused)
         for feature in self._features.values():
             result = feature.after_step(t, measurement, result)
+        # The time of the features is part of the step.
         return replace(result, step_time=time.perf_counter() - start) if self._features else result
 
     def _apply_pending(self, update: _PendingUpdate) -> None:
@@ -744,6 +761,7 @@ class Controller:
             ffi.from_buffer("real[]", np.ascontiguousarray(values)) for values in (solution.plan, solution.multipliers)
         )
         is_refused = report.status is SolverStatus.REFUSED
+        # `ddmpc_solver_status` has no value for a rejected program.
         status = SolverStatus.NOT_RUN if is_refused else report.status
         core_report = {
             "status": getattr(tick.lib, f"DDMPC_QP_{status.name}"),

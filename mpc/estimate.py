@@ -81,6 +81,7 @@ class Estimate:
     @property
     def gyro_bias(self) -> float:
         """Bias of the gyro [rad/s]."""
+        # The end of the state is the same with flat and with curved slip: bias, two delays, and the pose.
         return float(self.mean[-6])
 
     @property

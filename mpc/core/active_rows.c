@@ -204,11 +204,13 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
 void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan)
 {
     const int n = rows->n;
+    /* Slots of inactive rows get a multiplier of zero, so the products run over whole lanes without an index. */
     memset(rows->spread, 0, (size_t)rows->used * sizeof(real));
     for (int i = 0; i < rows->active; i++)
         rows->spread[rows->order[i]] = multipliers[i];
     for (int k = 0; k < n; k++)
         rows->z[k] = dot(rows->columns + k * rows->slots, rows->spread, rows->used);
+    /* `z` is now sum lambda_i v_i, the negative of z in active_rows.h; hence the minus below. */
     substitute_back(rows->problem->factor, n, rows->inverse, n, rows->z);
     for (int k = 0; k < n; k++)
         plan[k] = start[k] - rows->z[k];
@@ -223,11 +225,13 @@ static int take_slot(ddmpc_rows *rows, int row)
     if (slot < rows->slots) {
         rows->taken++;
     } else {
+        /* The caller has checked that there is room, so at least one slot holds an inactive row. */
         for (slot = 0; slot < rows->slots - 1 && rows->state[rows->row_in[slot]] != DDMPC_FREE; slot++)
             ;
         rows->work += rows->slots;
         rows->slot_of[rows->row_in[slot]] = 0;
     }
+    /* Products run over whole lanes, also over slots that no row has taken yet: these must be zero. */
     if (slot == rows->used) {
         for (int k = 0; k < rows->n; k++)
             memset(rows->columns + k * rows->slots + slot, 0, LANES * sizeof(real));
@@ -366,6 +370,7 @@ static int factorise_block(real S[LANES][LANES], const real *before, int count, 
 
 int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
 {
+    /* Blocks are factorised as a whole: the first invalid block may begin with valid rows. */
     const int k = rows->active, from = rows->factored / LANES * LANES, slots = rows->slots;
     rows->work += k * (k + 16);
     real *U = rows->factor, *before = rows->step;
@@ -373,6 +378,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
     for (int i = k; i < ddmpc_whole_lanes(k); i++)
         rows->order[i] = rows->order[0];
     for (int i = from; i < k; i++) {
+        /* `step` is free until the next step is computed. The diagonal is that of G + E. */
         before[i] = rows->gram[rows->order[i] * (slots + 1)];
         if (ddmpc_is_exceeded(rows, i))
             before[i] += R(1.0) / rows->problem->slope;
@@ -385,6 +391,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
         real corner[LANES][LANES];
         for (int a = 0; a < height; a++)
             memcpy(corner[a], U + (i + a) * slots + i, sizeof corner[a]);
+        /* Valid rows need only the columns of the invalid ones. */
         for (int j = i > from ? i : from; j < k; j += LANES) {
             real sum[LANES][LANES];
             int through = height;
@@ -398,6 +405,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
             }
             if (i == j) {
                 for (int a = 0; a < height; a++)
+                    /* Add E. */
                     sum[a][a] += before[i + a] - rows->gram[rows->order[i + a] * (slots + 1)];
                 through = factorise_block(sum, before + i, height, skip, rows->pivot + i);
                 memcpy(corner, sum, sizeof corner);
@@ -412,6 +420,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
                 memcpy(U + (i + a) * slots + j, sum[a], sizeof sum[a]);
             if (through < height) {
                 substitute(U, slots, rows->pivot, i, 0, from, rows->partial);
+                /* The block is incomplete, so the next factorisation starts with it again. */
                 rows->factored = i;
                 return through < 0 ? -1 : i + through;
             }

@@ -114,6 +114,7 @@ static int enter_violated(ddmpc_rows *rows, int all, int *entered)
 {
     const real *now = rows->now;
     int violated = 0, count = 0, worst = -1;
+    /* One step beyond the last row, to close its run. */
     for (int row = 0; row <= rows->m; row++) {
         const real beyond = row < rows->m && rows->state[row] == DDMPC_FREE ? now[row] : R(0.0);
         if (worst >= 0 && (all || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
@@ -151,6 +152,8 @@ static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
         const range piece = piece_of(rows, i);
         real wanted = rows->state[row] > 0 ? problem->upper[row] : problem->lower[row];
         if (ddmpc_is_exceeded(rows, i))
+            /* The row lies beyond its bound by the excess at which the derivative of the penalty equals the
+             * multiplier. */
             wanted += (rows->multiplier[i] - (rows->state[row] > 0 ? piece.low : piece.high)) / problem->slope;
         rows->step[i] = rows->now[row] - wanted;
         const real rounding = ROUNDINGS * EPSILON * (largest + ddmpc_fabs(rows->now[row]));
@@ -178,6 +181,7 @@ static int refine(ddmpc_rows *rows, real *plan, int exactly)
         ddmpc_move_plan(rows, rows->step, plan, plan);
         met = is_met(rows, plan, exactly);
     }
+    /* The exact test only requests one more refinement; the tolerance of the rows decides. */
     return met || (exactly && is_met(rows, plan, 0));
 }
 
@@ -210,7 +214,9 @@ static int run_primal_dual(ddmpc_rows *rows, int *iterations, real *plan)
         ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
         for (int i = 0; i < rows->active; i++)
             wrong += rows->multiplier[i] != clamp_to(piece_of(rows, i), rows->multiplier[i]);
+        /* Refine before find_violations, which replaces the values at the plan by their excess. */
         const int met = wrong == 0 && refine(rows, plan, 1);
+        /* A violated soft row is left to the dual method. */
         if (!find_violations(rows, violated) || violated[1])
             return 0;
         for (int i = rows->active - 1; i >= 0; i--)
@@ -242,6 +248,7 @@ static int find_weak_row(const ddmpc_rows *rows)
         sum += size * ddmpc_fabs(rows->wanted[i]);
         room = ddmpc_max(room, ddmpc_fabs(ddmpc_room(rows, i)));
     }
+    /* The left side bounds the rounding error of a value at the plan. */
     if (EPSILON * largest * sum <= rows->problem->slack + R(0.01) * room)
         return rows->active;
     for (int i = 0; i < rows->active; i++) {
@@ -262,6 +269,7 @@ static real find_rise(ddmpc_rows *rows)
         largest = ddmpc_max(largest, ddmpc_fabs(step[i]));
     for (int i = 0; i < rows->active; i++) {
         const real *gram = rows->gram + rows->order[i] * rows->slots;
+        /* Gradient of the dual by this multiplier: -room - (G + E) lambda, see active_rows.h. */
         real slope = -ddmpc_room(rows, i);
         if (ddmpc_fabs(step[i]) <= NEGLIGIBLE * largest) {
             step[i] = R(0.0);
@@ -311,8 +319,10 @@ static step_kind find_step(ddmpc_rows *rows, real *length, real *rise)
             rows->step[i] = -rows->step[i];
     *rise = ddmpc_fabs(*rise);
     *length = DDMPC_LARGEST;
+    /* A dependent row has no curvature: the dual is linear along the step. */
     if (factored < rows->active)
         return UNBOUNDED_STEP;
+    /* The curvature along the step is the remainder of the row `along` after elimination, 1 / pivot^2. */
     *length = *rise * rows->pivot[along] * rows->pivot[along];
     return WEAK_ROW;
 }
@@ -527,6 +537,7 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     }
     result->dual = dual;
     allowed += STATIONARY * largest;
+    /* The bound of the rounding errors takes as long as the gradient, so it is computed only if it decides. */
     return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
 }
 
@@ -550,6 +561,7 @@ static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
     int sound = 1, crossed = 0;
     for (int row = 0; row < problem->rows; row++) {
         const int ordered = problem->lower[row] <= problem->upper[row];
+        /* Each of the two limits may be exceeded by slack. */
         crossed |= row < problem->hard && problem->lower[row] > problem->upper[row] + R(2.0) * problem->slack;
         sound &= ordered && problem->lower[row] < DDMPC_LARGEST && problem->upper[row] > -DDMPC_LARGEST;
     }

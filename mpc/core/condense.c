@@ -102,6 +102,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
     real *row = p->stack + (k * STACKED(c) + 2) * width;
     for (int t = 0; t < TERMS(c); t++) {
         const ddmpc_term *term = c->functions.terms + t;
+        /* Limited functions are not part of the cost; they enter through limits.c. */
         if (term->soft)
             continue;
         ddmpc_call_term(c, term->function, k, term->rows, p->guess + 2 * k, ddmpc_parameters_at(c, k + 1, term),
@@ -128,6 +129,7 @@ static void fill_rows(ddmpc_controller *c)
     const real omega_gain = p->gains[1];
     real moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
     ddmpc_linear_moves(c, p->by_plan, moves, headings);
+    /* The current position does not depend on the plan, so the accumulated rows start at zero. */
     memset(p->moves, 0, (size_t)(2 * width) * sizeof(real));
     memset(p->gradient, 0, (size_t)width * sizeof(real));
     for (int k = 0; k < N; k++) {
@@ -135,6 +137,7 @@ static void fill_rows(ddmpc_controller *c)
         const real *arguments[5] = {p->poses + 3 * (k + 1), 0, 0, p->aim + 4 * (k + 1), 0};
         real *results[2] = {error, J};
         ddmpc_f_errors(arguments, results, 0, 0, 0);
+        /* J is column-major: its first column is the derivative by x, the second by y. */
         const real cosine = p->cosine[k] = J[0], sine = p->sine[k] = J[3];
         /* Error at a plan of zeros, linearised along the guess: the error minus the contribution of the guess. */
         const real along = error[0] - (cosine * moves[k] + sine * moves[N + k]);
@@ -150,6 +153,8 @@ static void fill_rows(ddmpc_controller *c)
             constants->across[k],
             constants->along[k] * along,
             constants->across[k] * across,
+            /* Weights along and across are roots, once in the row and once in the residual. The heading row `after`
+             * is not weighted, so its residual has the whole weight. */
             omega_gain * constants->heading[k] * turned,
         };
         /* Whole lanes: surplus entries are zeros of the padding. */
@@ -200,6 +205,7 @@ static void fill_hessian(ddmpc_controller *c)
     square_stack(p->stack, STEPS(c), STACKED(c), WIDTH(c), inputs, p->H);
     for (int i = 0; i < inputs; i++) {
         real *row = p->H + i * inputs;
+        /* The constant Hessian is for a gain of 1 from the heading of the model to that of the body. */
         for (int j = 0; !ROWS(c) && j <= i; j++)
             row[j] += scale * heading_hessian[i * inputs + j];
         /* |u_k - u_(k-1)|^2 couples neighbours: 2 on the diagonal, 1 at the last command, which has no successor, and
@@ -208,6 +214,7 @@ static void fill_hessian(ddmpc_controller *c)
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
             row[i - 2] -= increment;
+        /* The other triangle, too: the residual of `minimise` and the backends read whole rows. */
         for (int j = 0; j < i; j++)
             p->H[j * inputs + i] = row[j];
     }
@@ -249,6 +256,8 @@ static void square_headings(ddmpc_controller *c)
 
 void ddmpc_problem_condense(ddmpc_controller *c)
 {
+    /* Before fill_rows, since it uses the stack as scratch memory. Without an extra delay the configured Hessian
+     * applies, and a stale one may remain. */
     if (c->problem.is_stale && !ROWS(c) && ddmpc_rows(c).heading_hessian == c->problem.late_hessian)
         square_headings(c);
     fill_rows(c);

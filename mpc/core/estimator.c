@@ -99,6 +99,7 @@ void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t)
     const double elapsed = rint((t - newest(c)->time) / dt);
     const int steps = elapsed > 1.0 ? (int)elapsed : 1;
     for (int missing = steps - 1; missing >= 0; missing--) {
+        /* No command was computed for a missed sample: the base went on with the last one. */
         if (missing < steps - 1)
             ddmpc_estimator_append(c, sent(c, 0));
         const ddmpc_belief *before = &newest(c)->posterior;
@@ -240,6 +241,8 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         return ddmpc_estimator_state(c);
     }
     int first = estimator->nodes;
+    /* `first` is the earliest node that changes in this tick; the filter is repeated from there. The delay is stored
+     * before the sensor test may change it. */
     const ddmpc_time delay = ddmpc_monitor_delay(c);
     ddmpc_monitor_move(c, t, twist, wheels, twists);
     const int newly_accused = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
@@ -250,6 +253,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         /* The pose is older than its stamp by the delay that the monitor has estimated from the motion. */
         pose.stamp -= ddmpc_monitor_delay(c);
     }
+    /* Readings of a sensor that is accused now have already affected the whole history. */
     if (newly_accused) {
         remove_measurements(c, newly_accused);
         first = 0;
@@ -262,6 +266,8 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;
         const ddmpc_time half = 0.5 * c->constants->sample_time;
+        /* A twist enters at the nearest tick, to which it is extrapolated by the rate; a pose enters at the last
+         * tick before it, from which the filter moves forward. */
         const int index = node_before(c, twist[i].stamp + half);
         ddmpc_node *node = node_at(c, index);
         /* Skip measurements from before the history. */

@@ -101,6 +101,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
         for (int j = 0; by_delay && j < 2; j++)
             moved->by[i][n + DELAYS(c) + j] = J[i] * by_delay[j] + J[i + 3] * by_delay[2 + j];
+        /* The displacement depends on the heading at the start, the new pose also on the pose itself. */
         moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
         moved->by[i][pose + i] += R(1.0);
         moved->pose[i] = start[i] + displacement[i];
@@ -256,6 +257,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     memcpy(after->mean, state, (size_t)n * sizeof(real));
     memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
+        /* Counted in samples, not in readings: `patience` is a duration, whatever the rate of the sensor. */
         after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
 }
 
@@ -345,6 +347,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     real y[2], rows[2 * DDMPC_MAX_STATES], reading[3], J[3 * (3 + DDMPC_MAX_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
     for (int i = 0; i < 2; i++)
+        /* Extrapolate to the time of the reading. The rate counts as known, so the gradient does not include it. */
         y[i] += ahead * belief->rate[i];
     const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS(c), &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};
@@ -352,6 +355,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     memset(h, 0, (size_t)BELIEF(c) * sizeof(real));
     for (int j = 0; j < n; j++)
         h[j] = J[sensor] * rows[j] + J[sensor + 3] * rows[n + j];
+    /* Up to S: the gyro bias follows the slips. */
     for (int j = 0; j <= S; j++)
         h[n + j] = J[sensor + 3 * (2 + j)];
     return reading[sensor];
@@ -451,6 +455,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     innovation[2] = ddmpc_wrap(innovation[2]);
     expect(c, belief, &moved, pose, &f);
     divide(&f, innovation, solved);
+    /* Mean over the three values, so that the limit for single readings applies. */
     const real normalised = dot(innovation, solved, 3) / R(3.0);
     /* A pose that is inconsistent with the belief means that the robot was moved by an external force: the estimate then
      * follows the pose and slip stays constant, unless the inconsistency persists. */

@@ -27,6 +27,8 @@ static void forget(ddmpc_controller *c)
     c->short_wheel = c->on_spot = 0;
     c->tried = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
+    /* A tick that waits for its caller belongs to the previous drive: ddmpc_track and ddmpc_answer must not complete
+     * it. */
     c->pending = DDMPC_DONE;
 }
 
@@ -55,6 +57,7 @@ int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
     c->reference = *reference;
     c->t0 = t0;
     c->has_reference = 1;
+    /* The fence may be relative to the start of the reference, which is therefore stored first. */
     ddmpc_fence_place(c);
     return 1;
 }
@@ -159,6 +162,7 @@ static int is_finished(ddmpc_controller *c, ddmpc_time time)
     const real *moving = c->result.estimate.twist;
     const ddmpc_time duration = c->reference.duration;
     real pose[3], twist[2], arc_length;
+    /* Negated so that a NaN time does not finish the drive. */
     if (c->finished || !(time >= duration))
         return c->finished;
     c->reference.sample(c->reference.context, duration, pose, twist, &arc_length);
@@ -177,6 +181,8 @@ static int is_finished(ddmpc_controller *c, ddmpc_time time)
 ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const real *twist)
 {
     const ddmpc_constants *k = c->constants;
+    /* Both headings are that of the path: the deviation is measured from the path, not from the aim with side-slip.
+     * */
     const real followed[4] = {pose[0], pose[1], pose[2], pose[2]};
     real error[3];
     const real *arguments[5] = {pose_of(c), 0, 0, followed, 0};
@@ -375,6 +381,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         result->has_estimate = 0;
         return ddmpc_brake(c, DDMPC_LOST, DDMPC_FAILURE);
     }
+    /* Without poses nothing corrects the position. Accused wheels or an accused gyro are only left out of the
+     * estimate. */
     if (result->reasons & DDMPC_POSE_ACCUSED)
         return ddmpc_brake(c, 0, DDMPC_FAILURE);
     if (has_old_pose(c))
@@ -454,6 +462,8 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     ddmpc_give_up(c);
     const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
+        /* The call may carry new measurements: they enter the existing nodes of the history, without a prediction
+         * step. */
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
@@ -472,6 +482,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     c->is_late = input->is_late;
     if (kind == TICK_NEW) {
         const int pending = new_tick(c, t, input);
+        /* The early returns of new_tick precede its estimate; the result has one also while the robot brakes. */
         if (!c->result.has_estimate)
             update_result_estimate(c);
         return finish_tick(c, pending, 1);

@@ -53,6 +53,7 @@ class Tick:
         self._functions = ffi.new("ddmpc_functions *", {"step": step, "output": output, "terms": self._terms})
         reals, ints = self.lib.ddmpc_reals(self._c_sizes), self.lib.ddmpc_ints(self._c_sizes)
         self._reals, self._ints = np.zeros(max(reals, 1)), np.zeros(max(ints, 1), dtype=np.intc)
+        # The core allocates no memory. These objects hold it and must live as long as the controller.
         self._nodes = ffi.new("char[]", max(1, sizes["history"] * self.lib.ddmpc_node_bytes()))
         # Memory from cffi is aligned for any type.
         self._memory = ffi.new("char[]", self.lib.ddmpc_controller_bytes())
@@ -154,6 +155,7 @@ class Tick:
         for first in range(len(commands) - window):
             arrays = (commands[first : first + window + 1], *now, *after)
             self.lib.ddmpc_predict_belief(self.c, *(self._address("real *", array) for array in arrays))
+            # The arrays of the core must not overlap, so two pairs alternate.
             now, after = after, now
         return now[0], now[1]
 
@@ -189,6 +191,7 @@ class ResultLayout:
             for struct, owner in (("ddmpc_estimate", result.estimate), ("ddmpc_result", result))
             for name, shape in pointer_shapes(struct, tick._sizes).items()
         }
+        # The arrays of a result lie in one block (memory.c), so one copy per tick is sufficient.
         addresses = {name: int(ffi.cast("uintptr_t", address)) for name, (address, _) in shapes.items()}
         first = min(addresses.values())
         self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}

@@ -30,6 +30,7 @@ static void linear_step(const ddmpc_controller *c, const real *x, const real *ne
         const real *acting = newest - 2 * DELAY(c, channel) + channel;
         const real samples = late ? late[channel] / (real)k->sample_time : R(0.0);
         recent[channel] = ddmpc_delayed(acting, samples);
+        /* The command before it still acts during the fractional part of the dead time (B1). */
         older[channel] = ddmpc_delayed(acting - 2, samples);
     }
     for (int i = 0; i < n; i++) {
@@ -48,6 +49,8 @@ void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, cons
     const real dt = (real)k->sample_time;
     for (int channel = 0; channel < 2; channel++) {
         const real *acting = newest - 2 * (DELAY(c, channel) + whole_samples(late[channel] / dt)) + channel;
+        /* Slope of the interpolation in ddmpc_delayed: a longer delay moves each command towards the one before it.
+         * */
         const real recent = (acting[-2] - acting[0]) / dt, older = (acting[-4] - acting[-2]) / dt;
         for (int i = 0; i < STATES(c); i++)
             by_delay[2 * i + channel] = k->B0[2 * i + channel] * recent + k->B1[2 * i + channel] * older;
@@ -92,6 +95,7 @@ static void settling_equations(const ddmpc_controller *c, const real wanted[2], 
         real *row = rows + i * columns;
         for (int j = 0; j < n; j++)
             row[j] = by_state[i * n + j] - (i == j ? R(1.0) : R(0.0));
+        /* All commands of the window are equal, so the derivatives of each channel add up. */
         for (int j = 0; j < 2 * (WINDOW(c) + 1); j++)
             row[n + j % 2] += by_window[i + n * j];
         row[n + 2] = state[i] - after[i];

@@ -80,6 +80,7 @@ class Problem:
     @property
     def history(self) -> int:
         """Number of past ticks that the estimator stores."""
+        # One node more, for the current tick.
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
@@ -129,6 +130,8 @@ class Problem:
             "states": model.order,
             "delay_v": v,
             "delay_omega": omega,
+            # An additional delay is interpolated between two commands, so one command more than whole samples is
+            # needed.
             "window": model.memory + (self._spare + 1 if self._spare else 0),
             "history": self.history,
             "lag_v": lag_v,
@@ -190,6 +193,8 @@ class Problem:
         model, s, wheels, sensors = self.model, self.config.estimator, self.config.wheels, self.config.sensors
         enabled = self.config.compensation
         delays = [self._spare > 0] * 2
+        # In the order of the filter's parameters: v_offset, omega_gain, longitudinal_gain, yaw_gain; the six of
+        # side-slip; curved slip and gyro bias, which only their uncertainties switch off; delays.
         estimated = np.array(
             [*[enabled.v_offset, enabled.yaw_gain] * 2, *[enabled.side_slip] * 6, *[True] * 6, *delays]
         )
@@ -204,17 +209,20 @@ class Problem:
         margin = np.full(len(SLIPS), np.inf)
         margin[-len(CURVED_SLIPS) :] = _MAX_DEVIATIONS * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
         min_slip, max_slip = np.array(astuple(prior)) - margin, np.array(astuple(prior)) + margin
+        # omega_gain, longitudinal_gain and yaw_gain.
         min_slip[1:4], max_slip[1:4] = s.min_gain, s.max_gain
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
         return {
+            # Noise enters at the input and reaches the states through B0 + B1: Q_x of docs/how-it-works.md.
             "noise": (drive * inputs**2) @ drive.T,
             "pose_noise": pose_drift * model.dt,
             "prior": [*astuple(prior), 0.0, 0.0, 0.0],
             "evidence": np.square([s.slide_evidence, s.gain_evidence, s.delay_evidence, s.delay_evidence]),
             "doubt": np.square([s.gain_doubt, s.delay_doubt]),
             "uncertainty": uncertainty,
+            # The variance of a random walk grows in proportion to time.
             "drift": model.dt * np.square(drift),
             # Ratio of yaw rates per omega_ref: ratio of tracks (wheels) over DC gain (model).
             "wheel_yaw_ratio": wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1]),
@@ -242,6 +250,7 @@ class Problem:
         base_rate, scale = test.pop("alarms")
         return {
             "monitor": monitor.enabled,
+            # Evidence at which the false alarms rate * exp(-evidence / scale) are as rare as configured.
             "enough": scale * float(np.log(base_rate / monitor.false_alarm_rate)),
             **test,
             "monitor_turn_ratio": monitor.turn_ratio,
@@ -274,6 +283,7 @@ class Problem:
             "twist_row": [_longest_row(prediction.from_plan[channel::2]) for channel in (0, 1)],
             "mean_row": [_longest_row(prediction.mean_from_plan[channel::2]) for channel in (0, 1)],
             "heading_row": _longest_row(prediction.heading_from_plan),
+            # For a gain of 1; the core multiplies it by the square of the gain at each tick.
             "heading_hessian": prediction.heading_from_plan[1:].T @ weighted_heading,
         }
 
@@ -287,6 +297,7 @@ class Problem:
     def _cost(self) -> Constants:
         w, pose_weights = self.config.weights, self._pose_weights()
         return {
+            # Roots, since they scale rows of the stack that is squared; the heading has a Hessian of its own.
             "along": np.sqrt(pose_weights[:, 0]),
             "across": np.sqrt(pose_weights[:, 1]),
             "heading": pose_weights[:, 2],
@@ -429,6 +440,7 @@ def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
         for channel in (0, 1):
             newer = n + 2 * (memory + k - int(model.delay[channel])) + channel
             state[:, newer] += model.B0[:, channel]
+            # The command before it still acts during the fractional part of the dead time.
             state[:, newer - 2] += model.B1[:, channel]
         twists.append(model.C @ state)
     stacked_twists = np.vstack(twists)

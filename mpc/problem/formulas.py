@@ -148,6 +148,7 @@ def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple
     Skidding wheels resist a lateral force only with the remaining friction. A force down a slope therefore moves the
     robot in proportion to the skidding speed.
     """
+    # |omega| has no gradient at zero.
     rate = ca.sqrt(omega**2 + _SMOOTHING_RATE**2) - _SMOOTHING_RATE
     along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
     across = ca.cos(theta) * slide_y - ca.sin(theta) * slide_x

@@ -130,6 +130,7 @@ def _stopping_pose(robot: RobotState, limits: TrajectoryLimits) -> tuple[float, 
     if abs(robot.v) <= STANDING and abs(robot.omega) <= TURNING:
         return 0.0, robot.pose
     brake = braking_time(robot.v, robot.omega, limits)
+    # At constant deceleration the mean twist is half the initial one.
     return brake, integrate_pose(robot.pose, robot.v, robot.omega, 0.5 * brake)
 
 
@@ -141,6 +142,7 @@ def _direct(window: PathWindow, sample: NDArray[np.intp], robot: RobotState, lim
     travel = window.travel[sample]
     end, leave, end_curvature = _ends(window, sample)
     brake, stopping_pose = _stopping_pose(robot, limits)
+    # A robot that moves against the direction of travel must brake before the path.
     is_onward = travel * robot.v >= -STANDING
     start = np.where(is_onward[:, None], robot.pose, stopping_pose)
     start[:, 2] += _travel_angle(travel)

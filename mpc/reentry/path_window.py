@@ -108,6 +108,7 @@ class MotionLine:
         """Append braking from v [m/s], omega [rad/s] to rest at constant deceleration over `duration` [s]."""
         start = self._poses[-1]
         for share in np.linspace(0.0, 1.0, 5):
+            # Distance so far over the initial speed, for a speed that falls linearly.
             effective_time = duration * (share - 0.5 * share * share)
             pose = integrate_pose(start, v, omega, effective_time)
             speed, heading = v * (1.0 - share), pose[2]
@@ -216,6 +217,7 @@ def path_speeds(
     max_curvature = np.maximum(k[:, 1:], k[:, :-1])
     curvature_rate = np.abs(np.diff(paths.curvature, axis=1)) / lengths
     with np.errstate(divide="ignore", over="ignore"):
+        # Bounds of the squared speed: |k| v <= omega_max, and |dk/ds| v^2 <= alpha_max at constant speed.
         cap = np.minimum((limits.omega / max_curvature) ** 2, limits.omega_acceleration / curvature_rate)
     # The first axis is that of the nodes, so that each step of a pass uses contiguous memory.
     square = np.empty((k.shape[1], shares.size, len(k)))
@@ -236,6 +238,7 @@ def path_speeds(
     lever = (max_curvature / (2.0 * lengths)).T
     total = np.maximum(curvature_rate.T + lever, 1e-12)
     offset, slope = limits.omega_acceleration / total, lever / total
+    # The pass forwards limits acceleration, the pass backwards limits braking.
     for i in range(len(rise)):
         bound = np.minimum(square[i] + rise[i], offset[i] + slope[i] * square[i])
         np.minimum(square[i + 1], bound, out=square[i + 1])

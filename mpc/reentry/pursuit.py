@@ -228,10 +228,12 @@ class Pursuit:
                 sample = tracked.sample(time + ahead)
                 stray, v = self._stray(sample)
         elif self._resumes and abs(v) > STANDING:
+            # The reference resumes at the speed of the robot, instead of a jump to full speed before a robot at rest.
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
         lag = float(stray.late)
         wheel_rate = self._wheel_rate(reach, sample.twist[ahead <= _CHECKED_TIME], estimate.slip.yaw_gain)
+        # The rate falls linearly: full up to a lag of 1, zero from a lag of 2 on.
         max_rate = min(self._max_rate * min(1.0, max(0.0, 2.0 - lag)), wheel_rate)
         planned_rate = self.pace
         if math.isfinite(self._speed_limit):

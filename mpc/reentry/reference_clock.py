@@ -69,7 +69,10 @@ def settling_profile(rate: float, delay: float, min_rate: float, max_rate: float
         Rate of change of the progress rate [1/s].
     """
     excess = rate - 1.0
+    # A ramp of the excess to zero changes the delay by e|e| / (2 ramp); the sign of the rest is the direction of the
+    # peak.
     side = math.copysign(1.0, delay - excess * abs(excess) / (2.0 * ramp))
+    # Without a bound the profile is a triangle whose area is the delay.
     peak = side * math.sqrt(max(0.0, side * ramp * delay + 0.5 * excess * excess))
     bound = max_rate - 1.0 if side > 0 else 1.0 - min_rate
     peak = max(-bound, min(bound, peak))

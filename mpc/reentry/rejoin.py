@@ -144,6 +144,7 @@ def rejoin(
     times = travel_times(paths, speed)
     before = options.brake + turning_times(options.first_turn, limits)
     duration = before + times[..., -1] + turning_times(options.last_turn, limits)
+    # A positive delay means that the reference waits, a negative one that a part of it is skipped.
     delay = since_start + duration - window.times[options.sample]
     cost = duration + np.maximum(delay, -_SKIPPED_TIME * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])

@@ -404,6 +404,7 @@ class ControlLoop:
             self._published = drive, PublishedReference(drive.reference, drive.t0)
             return self._published[1]
         published, reference = self._published[1], self._moved_reference or drive.reference
+        # Only decided delays, such as a hold or a speed limit, move the published reference; lag stays an error.
         t0 = drive.t0 + self._controller.planned_delay
         drives = last.mode in (Mode.TRACKING, Mode.REUSED_PLAN)
         if not drives or (abs(t0 - published.t0) < _MIN_SHIFT and not self._is_moved(published.reference, reference)):
@@ -451,6 +452,7 @@ class ControlLoop:
         (reference, t0), self._followed = self._followed, None
         if self.state is LoopState.FAULT:
             self._reset_controller()
+        # Of several goals in a row, only the first replaces the reference to be restored.
         if self._saved is None:
             self._saved = (self._reference, self._placement, self._moves_to_robot)
         self._reference, self._placement, self._moves_to_robot = reference, None, False
@@ -464,6 +466,8 @@ class ControlLoop:
             return Hold(self._reason)
         silence = self.inbox.odometry.fault(t, self._settings.odom_timeout)
         within = self._controller.config.failure.resume_within
+        # A long silence takes precedence over a hold, which is no failure: the robot must not continue by itself when
+        # the hold is released.
         if silence and not -within <= self.inbox.odometry.age(t) <= within:
             return Hold(silence, failure=True, waits=True)
         if self.held:

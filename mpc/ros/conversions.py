@@ -202,6 +202,7 @@ def subscribe_bounded(
 
 def take_pending(subscription: Subscription) -> None:
     """Pass pending messages to the callback of a bounded subscription while the executor is blocked."""
+    # Bounded by the depth, since messages may arrive as fast as they are taken.
     for _ in range(subscription.qos_profile.depth):
         with subscription.handle:
             message = subscription.handle.take_message(subscription.msg_type, subscription.raw)

@@ -76,6 +76,7 @@ class ClientWatch:
         clients = frozenset(client for client in known_clients if self._goals_sent.get(client) == number - 1)
         clients = clients or known_clients - self._goals_sent.keys() or known_clients
         clients = clients & self._link.clients() or clients
+        # Counts are only certain for a single candidate.
         if len(clients) == 1:
             self._goals_sent[min(clients)] = number
         return clients

@@ -174,11 +174,13 @@ def lay_for_robot(
         )
 
     lay: Callable[[TrajectoryLimits], PlannedPath] = lay_path
+    # Each check plans with the planner of the checks before it, so the path satisfies all of them.
     for check in checks:
         lay = partial(check.lay, lay, config, abs(twist[0]))
     try:
         return lay(limits)
     except ConfigError:
+        # A rest that is too short to be planned is not an error if the robot has arrived.
         remaining = remaining_poses(poses, robot)
         length = float(np.hypot(*np.diff(remaining[:, :2], axis=0).T).sum())
         if length > settings.follow_goal_position or not _has_arrived(_gap(robot, poses[-1]), settings):
@@ -218,6 +220,7 @@ def _blind_speed(config: ControllerConfig, distance: float) -> float:
     """
     if not distance:
         return math.inf
+    # The robot travels v delay + v^2 / (2 braking); solved for v.
     braking, delay = config.limits.v_braking, _SILENCE + _REACTION
     return braking * (math.sqrt(delay**2 + 2.0 * distance / braking) - delay)
 
@@ -300,6 +303,7 @@ class Following:
         if goal is None:
             return
         if goal.ending is None:
+            # A robot that waits continues only after a successful check, not because it has slowed down.
             goal.waits = goal.missed_checks > 0 and (goal.waits or self._has_to_brake(goal, _speed(tick)))
             self._loop.wait_reason = _SILENT if goal.waits else ""
             goal.ending = self._find_end(goal, tick)
@@ -415,10 +419,12 @@ class Following:
         if loop.blocked:
             return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
         result = tick.result
+        # Requested stops do not count against `follow_patience`.
         if result is None or tick.state is LoopState.PAUSED or loop.held or goal.waits:
             goal.since = now
             return None
         if result.mode is Mode.FINISHED:
+            # The robot ramps to zero first; its distance from the goal counts at rest.
             return None if tick.command.any() else self._arrival(goal, tick)
         if result.mode is Mode.TRACKING:
             goal.since = now
@@ -428,6 +434,7 @@ class Following:
 
     def _has_to_brake(self, goal: FollowGoal, speed: float) -> bool:
         """Return True if a robot at `speed` [m/s] must brake to stop within `follow_blind_distance`."""
+        # A successful check restarts the distance that the robot has driven without its client.
         if goal.blind_since != goal.alive_at:
             goal.blind_since, goal.blind_distance = goal.alive_at, 0.0
         config = self._config()
@@ -486,6 +493,7 @@ class Following:
         reference = goal.path.reference
         if result.estimate is None or drive is None or drive.reference is not reference:
             return goal.progress
+        # Time on the clock of the reference, which may wait for the robot.
         time = self._loop.inbox.now - drive.t0 - result.reference_delay
         travelled, length = reference.sample([time, reference.duration]).arc_length.tolist()
         error = tracking_error(result)

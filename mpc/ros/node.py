@@ -89,6 +89,7 @@ class TrackingNode(PartHost):
         super().__init__("diffdrive_mpc", **options)
         reject_forbidden_transitions(self)
         defaults = defaults or NodeSettings()
+        # Declared first and alone: the file named by `config` determines the defaults of all other parameters.
         declare(self, defaults, read_only=True, skip=tuple(key for key, _ in fields(defaults) if key != "config"))
         self._declared_config = name_features(self, load_config(self.get_parameter("config").value, overrides))
         self._declared_settings = name_parts(self, defaults, self._declared_config.features)
@@ -125,6 +126,7 @@ class TrackingNode(PartHost):
             "speed_limit": SpeedLimitPart,
             "follow_path": FollowPathPart,
             "bond": BondPart,
+            # The order is that of the hooks: `recording` is last, because other parts add columns to its row.
             **plug_in_kinds,
             "rivals": RivalWatch,
             "recording": RecordingPart,
@@ -255,6 +257,7 @@ class TrackingNode(PartHost):
             if trajectory.remark:
                 self.get_logger().info(trajectory.remark)
         controller = Controller(config)
+        # If a step raises, the stack destroys what exists so far; otherwise `pop_all` keeps it until cleanup.
         with ExitStack() as built:
             uses_tf = settings.use_tf or settings.poses_from == "tf"
             frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
@@ -275,6 +278,7 @@ class TrackingNode(PartHost):
                 watched.append((watch, subscription))
             wake = self.create_guard_condition(lambda: None)
             built.callback(self.destroy_guard_condition, wake)
+            # Results are delivered in the executor's thread, which the guard condition wakes.
             self._worker = SideProcess(wake.trigger, _MAX_READING_TIME)
             built.callback(self._worker.close)
             wake.callback = self._worker.deliver
@@ -316,6 +320,7 @@ class TrackingNode(PartHost):
         time = self._now()
         tick = loop.tick()
         self._each_part(lambda part: part.tick(tick))
+        # The command goes first; everything after it may take part of the period.
         outgoing.command(tick.command, time)
         published = loop.reference_to_publish()
         if published is not None:

@@ -119,6 +119,7 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
         if key not in skip
     ]
     overrides = _overrides(node)
+    # YAML and the command line write 1 instead of 1.0, which ROS would reject as a wrong type.
     for key, value, _ in parameters:
         if key in overrides and isinstance(value, float):
             overrides[key] = _as_real(overrides[key])
@@ -314,6 +315,7 @@ def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object
         level = data
         for group in groups:
             if isinstance(level.get(group), float):
+                # A limit with sides: its common value was set first, and a side replaces it.
                 level[group] = dict.fromkeys(SIDES[name], level[group])
             level = level.setdefault(group, {})
         level[name] = value
@@ -409,6 +411,7 @@ class ParameterChanges:
         try:
             read(self._node, self._settings, changes)
             config = read(self._node, self._config, changes)
+            # Some errors only appear while the controller is built, such as a horizon within the dead time.
             if any(not plain_key(name).startswith(_WHILE_DRIVING) for name in changes):
                 Controller(config)
             controller = self._running()

@@ -26,6 +26,7 @@ from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
+# Subscribers that start later also receive the last message.
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Time limit for the acknowledgement of the last command when the node stops [s].
 _STOP_TIMEOUT = 0.3

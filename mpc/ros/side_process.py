@@ -139,6 +139,8 @@ class SideProcess:
             link = self._link or self._start_process()
             link.send((job.function, job.arguments))
             reason = f"the process that converts it does not start within {_START_TIMEOUT:g} s"
+            # The process replies twice, after the import of the module and with the result; only the second has the
+            # time limit of the function.
             if link.poll(_START_TIMEOUT):
                 link.recv()
                 reason = f"its conversion takes longer than {self._time_limit:g} s"

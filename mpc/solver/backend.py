@@ -195,6 +195,7 @@ def solve_all(
         violated = program.violated_kinds(solution.plan, slack) if solution.status.usable else ()
         if set(violated) <= set(kinds):
             break
+        # At least one kind is new, so the loop ends.
         kinds = tuple(sorted({*kinds, *violated}))
         guess, multipliers = solution.plan, solution.multipliers
     soft = any(kind >= HARD for kind in kinds)

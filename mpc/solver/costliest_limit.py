@@ -21,7 +21,9 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
     `soft_names` (kinds - 4,) are the names of the soft limits. For soft limits of terms, the result is such a name.
     """
     multipliers, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
+    # A relative relaxation needs the limits themselves; soft bounds are relative to a plan of zeros.
     bounds[HARD:] = program.soft_limits[:, None]
+    # A multiplier is the change of the cost per unit of its bound.
     costs = np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0)
     kind, step = divmod(int(np.argmax(costs)), costs.shape[1])
     if costs[kind, step] == 0.0:
@@ -30,6 +32,7 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
         name = soft_names[kind - HARD]
         return f"limits.{_KEYS[name.split()[0]]}" if name.split()[0] in _KEYS else name
     name, sense = ("v", "omega", "v_slew", "omega_slew")[kind], multipliers[kind, step]
+    # After a negative command, a positive increment reduces the absolute value: the side of a slew limit depends on it.
     if kind > 1:
         before = program.guess[2 * (step - 1) + kind % 2] if step else program.last_command[kind % 2]
         sense *= -1.0 if before < 0.0 else 1.0

@@ -82,6 +82,7 @@ class DaqpBackend:
         plan, active, iterations = solution
         duals = np.zeros((self._count, self._steps))
         duals[indices] = active.reshape(-1, self._steps)
+        # Residuals are computed here, since DAQP does not report them. Soft rows may exceed their limits.
         stationarity = program.H @ plan + program.g + rows.T @ active
         values = rows @ plan
         excess = np.maximum(values - program.upper[indices].reshape(-1), program.lower[indices].reshape(-1) - values)
@@ -123,6 +124,7 @@ class DaqpBackend:
         limit = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), MIN_TIME_LIMIT)}
         model.settings = {**self._settings, **limit}
         if soft.any():
+            # DAQP expects the inverse of the quadratic penalty.
             compliance, prices = np.full(len(initial), 1 / self._weights.soft_quadratic), np.full(len(initial), price)
             model.soft_weights(compliance, compliance, prices, prices)
         plan, _, flag, info = model.solve()

@@ -199,6 +199,7 @@ class _Workspace:
         self._A.data[self._soft_place] = scaled
         self._upper[self._limits] /= size
         self._lower[self._limits] /= size
+        # The slacks belong to the divided rows, so their prices grow by the divisor, and quadratically.
         self._P.data[entries:] = np.tile(self._weights.soft_quadratic * size**2, 2)
         self._gradient[n:] = np.tile(self._weights.soft * size, 2)
         values: FloatArray = scaled @ guess
@@ -225,6 +226,7 @@ class _Workspace:
         multipliers = np.zeros((self._count, self._steps))
         active = dual[: self._rows]
         if self._soft:
+            # A row divided by its size has a multiplier that is larger by the size.
             active[self._limits] /= self._size
         active[np.abs(active) < _MIN_MULTIPLIER] = 0.0
         multipliers[self._kinds] = active.reshape(-1, self._steps)

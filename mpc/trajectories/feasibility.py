@@ -136,6 +136,7 @@ class _Ticks:
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
         self.before = before = np.vstack([is_moving * command[:1], command[:-1]])
+        # The sign selects the side of the slew limit: negative while the command decreases in size.
         change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
         self.needed = np.column_stack([command, change, wheels, self.body])

@@ -57,6 +57,7 @@ class Rigid(NamedTuple):
         """Interpolate from this transform (`share` 0) to `target` (1): linear in position, shortest arc in attitude."""
         start, end = np.array(self[3:]), np.array(target[3:])
         cosine = float(start @ end)
+        # q and -q are the same rotation; the shorter arc has a positive cosine.
         if cosine < 0.0:
             end, cosine = -end, -cosine
         if cosine > _CHORD_COSINE:

@@ -80,6 +80,7 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     points = poses[firsts, :2]
     # The path ends exactly at the position of the last pose.
     points[-1] = poses[-1, :2]
+    # Of several poses at one position, the first has the heading of arrival, the last that of departure.
     arrival_heading, departure_heading = poses[firsts, 2], poses[lasts, 2]
     step = np.diff(points, axis=0)
     lengths, travel = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])
@@ -257,6 +258,7 @@ def lay_poses(
         max_distance = max(max_distance, float(drawn.max()))
         path = _heading_path(line, ends, run.sense)
         gap = float(wrap_angle(path.heading[0] - pose[2]))
+        # Only the component of the robot's speed along the path continues.
         begins = max(0.0, run.sense * speed * math.cos(gap)) if index == 0 else 0.0
         if may_turn and (index or (is_standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
             nodes += _turn(np.array([*path.points[0], pose[2]]), gap, limits)

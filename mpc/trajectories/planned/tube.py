@@ -49,10 +49,12 @@ def smooth_in_tube(points: FloatArray, spacing: float, tube: float, length: floa
         (n, 2) smoothed points x, y [m].
     """
     count = len(points)
+    # Upper bands of D'D, for `solveh_banded`.
     bending = np.zeros((4, count))
     for first in range(4):
         for second in range(first, 4):
             bending[3 - (second - first), second : second + count - 3] += _DIFFERENCE[first] * _DIFFERENCE[second]
+    # Squared third differences of a wave decrease with the sixth power of its wavelength in points.
     bending *= (length / spacing) ** 6
     weights, best, min_distance = np.ones(count), points, np.inf
     for iteration in range(_MAX_ITERATIONS):
