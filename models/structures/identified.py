@@ -138,7 +138,7 @@ class IdentifiedModel:
 
     @property
     def structure(self) -> str:
-        """Name of the structure: "mbm", "sm", "ssm" or "two_delays"."""
+        """Name of the structure: "mbm", "sm", "ssm", "two_delays" or "mbm_modes"."""
         return structure_name(self.schema)
 
     @property

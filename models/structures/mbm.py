@@ -29,7 +29,9 @@ METHOD = (
     "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
     "outliers held back"
 )
-_SIDES = (-1, 1, -1, 1)
+SIDES = (-1, 1, -1, 1)
+"""-1 (left) or 1 (right) for each motor."""
+MOTORS = tuple(Motors.model_fields)
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,6 @@ class MotorsParametrisation:
         return self, parameters
 
 
-_MOTORS = tuple(Motors.model_fields)
-
-
 def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool = True) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
@@ -111,13 +110,13 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
         offset=True,
         limit=limits,
     )
-    sides = _SIDES[: experiments[0].outputs.shape[1]]
+    sides = SIDES[: experiments[0].outputs.shape[1]]
     fit = fit_output_error([_start(experiments, sides, wheel_radius, yaw, limits)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
     parameters = _with_effective_track(join_estimates([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
-        name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
-        for i, name in enumerate(_MOTORS)
+        name: {key: parameters.value(f"{MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
+        for i, name in enumerate(MOTORS)
     }
     dead_time = parameters.value("dead_time")
     return IdentifiedModel(
@@ -140,7 +139,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 
 
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
-    delays = doubts.response_delays(fit, _MOTORS[:motors], [0] * motors)
+    delays = doubts.response_delays(fit, MOTORS[:motors], [0] * motors)
     # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
     nonzero = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
     unknown = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
@@ -188,7 +187,7 @@ def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) ->
 
 
 def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
-    names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
+    names = [f"{motor}.{key}" for motor in MOTORS[:motors] for key in TwoPoles.model_fields]
 
     def physical(row: FloatArray) -> FloatArray:
         motor_parameters, dead_time, _, levels = fit.layout.split(row)
@@ -200,7 +199,7 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
     """Convert the yaw gain of the gyro to a track: firmware track times the motors' mean gain over the yaw gain."""
-    gains = [estimate.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
+    gains = [estimate.names.index(f"{motor}.gain") for motor in MOTORS[:motors]]
     track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
     def replace_gain(row: FloatArray) -> FloatArray:
@@ -214,6 +213,11 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify MBM; implements `Structure.identify`."""
+    return StructureFit(identify_mbm(records, required_radius(conditions)))
+
+
+def required_radius(conditions: IdentificationConditions) -> float:
+    """Return the wheel radius [m]; raise ConfigError if the log lacks wheel speeds or a gyro."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
-    return StructureFit(identify_mbm(records, conditions.wheel_radius))
+    return conditions.wheel_radius
