@@ -199,10 +199,10 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
 
 
 def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_drives():
-    drive, gains, track, radius = noisy_drive(SM, 21), {"front_left": 0.97, "front_right": 1.03}, 0.5, 0.07
+    drive, gains, track, radius = noisy_drive(SM, 21, count=2000), {"front_left": 0.97, "front_right": 1.03}, 0.5, 0.07
     rims = drive.twist @ np.array([[1.0, 1.0], [-track / 2, track / 2]]) * list(gains.values())
     drive = replace(drive, twist=np.column_stack([rims.mean(axis=1), drive.twist[:, 1]]), wheels=rims / radius)
-    train, held_out = [drive.part(0, 2000)], [drive.part(2000, 3000)]
+    train, held_out = [drive.part(0, 1300)], [drive.part(1300, 2000)]
     modes, motors = (
         STRUCTURES[name].identify(train, IdentificationConditions(wheel_radius=radius)).identified
         for name in ("mbm_modes", "mbm")
@@ -210,7 +210,7 @@ def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_
     truth = {f"{motor}.gain": gain for motor, gain in gains.items()}
     check_agreement(modes.parameters, SM_TRUTH | truth | {"effective_track": track})
     fits = [validate(model.system, held_out).fit_percent for model in (modes, motors, identify_sm(train))]
-    assert (fits[0] > fits[1] + 1.0).all()
+    assert (fits[0] > fits[1] + [0.5, 5.0]).all()
     assert (fits[0] > fits[2] - [0.0, 1e-3]).all()  # v follows from both commands
 
 
