@@ -25,8 +25,8 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
-    "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
+    "output error (simulation from commands alone), two poles and no zeros for each motor, a dead time for each command, "
+    "firmware track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
     "outliers held back"
 )
 SIDES = (-1, 1, -1, 1)
@@ -118,11 +118,10 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
         name: {key: parameters.value(f"{MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(MOTORS)
     }
-    dead_time = parameters.value("dead_time")
     return IdentifiedModel(
         schema=MbmFile,
         content={
-            "dead_time": rounded(dict.fromkeys(CHANNELS, dead_time)),
+            "dead_time": rounded({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
             "motors": rounded(motors),
             "wheel_radius": wheel_radius,
             "firmware_track": rounded(parameters.value("firmware_track")),
@@ -141,7 +140,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
     delays = doubts.response_delays(fit, MOTORS[:motors], [0] * motors)
     # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
-    nonzero = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+    nonzero = [name for name in parameters.names if not name.endswith(("offset", "dead_time"))]
     unknown = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     return (
         *doubts.parameters_at_bounds(fit, "motors"),
@@ -170,8 +169,9 @@ def _start(
     track = np.log(omega.content["gain"] / v.content["gain"])
     limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
     levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
-    layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), shared_dead_time=True, limited=limited)
-    return layout, np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")], levels])
+    layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), limited=limited)
+    dead_time = [channel.parameters.value("dead_time") for channel in (v, omega)]
+    return layout, np.concatenate([np.tile(motor, len(sides)), [track], dead_time, levels])
 
 
 def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -188,13 +188,14 @@ def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) ->
 
 def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in MOTORS[:motors] for key in TwoPoles.model_fields]
+    names += ["firmware_track", *(f"{channel}.dead_time" for channel in CHANNELS), *limit_names(fit.layout.limited)]
 
     def physical(row: FloatArray) -> FloatArray:
         motor_parameters, dead_time, _, levels = fit.layout.split(row)
         each = [TWO_POLES.values(motor) for motor in motor_parameters[:-1].reshape(motors, -1)]
         return np.concatenate([*each, np.exp(motor_parameters[-1:]), dead_time, levels])
 
-    return fit.estimate.derived((*names, "firmware_track", "dead_time", *limit_names(fit.layout.limited)), physical)
+    return fit.estimate.derived(names, physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:

@@ -187,7 +187,7 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
     identified = identify_mbm([drive], radius)
     limits = {} if np.isinf(limit) else {"v": limit}
     assert identified.limits.keys() == limits.keys()
-    truth = {"firmware_track": firmware, "dead_time": 0.047} | {
+    truth = {"firmware_track": firmware, "v.dead_time": 0.047, "omega.dead_time": 0.047} | {
         f"v.{side}": limits["v"] for side in ("forward", "reverse") if limits
     }
     for side, motor in zip(("left", "right"), motors, strict=True):
