@@ -20,7 +20,7 @@ def identify(
     structure: Annotated[
         str,
         typer.Option(
-            help="mbm, sm, ssm; p2_experimental or p2_physical (drives); lstm (network); hybrid (sm and network)."
+            help="mbm, mbm_modes, sm, ssm; p2_experimental, p2_physical (drives); lstm, hybrid (networks)."
         ),
     ] = "sm",
     mapping: Mapping = None,

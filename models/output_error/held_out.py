@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, split_rows
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
@@ -78,9 +78,16 @@ class HeldOut(NamedTuple):
 
 
 def hold_out(
-    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True, *, brief: bool = False
+    fit: OutputErrorFit,
+    experiments: Sequence[SampledExperiment],
+    robust: bool = True,
+    *,
+    brief: bool = False,
+    fixed_weights: bool = False,
 ) -> HeldOut:
     """Fit again without each block, starting from `fit`; `robust` and `brief` are options of `fit_output_error`.
+
+    With `fixed_weights` readings keep their weights in `fit`.
 
     Raises
     ------
@@ -88,9 +95,10 @@ def hold_out(
         If the experiments are too short, or an output never changes without some block.
     """
     powers, parameters = [], []
+    start, weights = [(fit.layout, fit.parameters)], split_rows(fit.trust, experiments)
     for rest, block in blocks(experiments):
-        start = [(fit.layout, fit.parameters)]
-        refit = fit_output_error(start, extract(experiments, rest), robust, scale=fit.scale, brief=brief)
+        trust = [weights[i][first:stop] for i, first, stop in rest] if fixed_weights else None
+        refit = fit_output_error(start, extract(experiments, rest), robust, brief, fit.scale, trust)
         errors = [part.readings - simulate_experiment(refit.system, part) for part in extract(experiments, block)]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         parameters.append(refit.parameters)

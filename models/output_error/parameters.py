@@ -129,8 +129,6 @@ class Layout:
         Parametrisation of A, B and C.
     inputs, outputs
         Numbers m and p of inputs and outputs.
-    shared_dead_time
-        True for one dead time of all inputs; False for one of each input.
     known_dead_time
         Fixed dead time of all inputs [s]; None to estimate it.
     offset
@@ -142,7 +140,6 @@ class Layout:
     parametrisation: Parametrisation
     inputs: int
     outputs: int
-    shared_dead_time: bool = False
     known_dead_time: float | None = None
     offset: tuple[bool, ...] = ()
     limited: tuple[tuple[bool, ...], ...] = ()
@@ -166,9 +163,7 @@ class Layout:
 
     @property
     def _dead_times(self) -> tuple[str, ...]:
-        if self.known_dead_time is not None:
-            return ()
-        return ("dead_time",) if self.shared_dead_time else tuple(f"dead_time_{j}" for j in range(self.inputs))
+        return () if self.known_dead_time is not None else tuple(f"dead_time_{j}" for j in range(self.inputs))
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

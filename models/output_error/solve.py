@@ -111,7 +111,8 @@ def fit_output_error(
     robust
         Whether to reduce the weights of single outliers.
     brief
-        Whether to stop after one round of few evaluations, for initial guesses close to the optimum.
+        Whether to stop after one round of few evaluations, for initial guesses close to the optimum; after none if the
+        weights are fixed.
     scale
         (p,) initial scale of the residuals; by default the standard deviation of the outputs.
     trust
@@ -138,7 +139,8 @@ def fit_output_error(
         data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
-        for _ in range(1 if brief or evaluations == 1 else _MAX_ROUNDS):
+        rounds = _MAX_ROUNDS if not brief and evaluations > 1 else int(trust is None or not brief)
+        for _ in range(rounds):
             residuals = data.residuals(layout, parameters)
             if trust is None:
                 weights = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]

@@ -93,7 +93,7 @@ class IdentifiedModel:
 
         def group_delays(row: FloatArray) -> FloatArray:
             value = dict(zip(self.parameters.names, row, strict=True))
-            dead_time = [value.get(f"{group}.dead_time", value.get("dead_time", 0.0)) for group in groups]
+            dead_time = [value.get(f"{group}.dead_time", value.get("v.dead_time", 0.0)) for group in groups]
             lag = [file.lag([value[name] for name in _fields(group, file)]) for group, file in groups.items()]
             return np.column_stack([np.add(dead_time, lag), dead_time, lag]).ravel()
 
@@ -138,7 +138,7 @@ class IdentifiedModel:
 
     @property
     def structure(self) -> str:
-        """Name of the structure: "mbm", "sm", "ssm" or "two_delays"."""
+        """Name of the structure: "mbm", "sm", "ssm", "two_delays" or "mbm_modes"."""
         return structure_name(self.schema)
 
     @property

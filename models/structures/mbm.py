@@ -25,11 +25,13 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
-    "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
+    "output error (simulation from commands alone), two poles and no zeros for each motor, a dead time for each command, "
+    "firmware track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
     "outliers held back"
 )
-_SIDES = (-1, 1, -1, 1)
+SIDES = (-1, 1, -1, 1)
+"""-1 (left) or 1 (right) for each motor."""
+MOTORS = tuple(Motors.model_fields)
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,6 @@ class MotorsParametrisation:
         return self, parameters
 
 
-_MOTORS = tuple(Motors.model_fields)
-
-
 def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool = True) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
@@ -111,19 +110,18 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
         offset=True,
         limit=limits,
     )
-    sides = _SIDES[: experiments[0].outputs.shape[1]]
+    sides = SIDES[: experiments[0].outputs.shape[1]]
     fit = fit_output_error([_start(experiments, sides, wheel_radius, yaw, limits)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
     parameters = _with_effective_track(join_estimates([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
-        name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
-        for i, name in enumerate(_MOTORS)
+        name: {key: parameters.value(f"{MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
+        for i, name in enumerate(MOTORS)
     }
-    dead_time = parameters.value("dead_time")
     return IdentifiedModel(
         schema=MbmFile,
         content={
-            "dead_time": rounded(dict.fromkeys(CHANNELS, dead_time)),
+            "dead_time": rounded({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
             "motors": rounded(motors),
             "wheel_radius": wheel_radius,
             "firmware_track": rounded(parameters.value("firmware_track")),
@@ -140,9 +138,9 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 
 
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
-    delays = doubts.response_delays(fit, _MOTORS[:motors], [0] * motors)
+    delays = doubts.response_delays(fit, MOTORS[:motors], [0] * motors)
     # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
-    nonzero = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+    nonzero = [name for name in parameters.names if not name.endswith(("offset", "dead_time"))]
     unknown = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     return (
         *doubts.parameters_at_bounds(fit, "motors"),
@@ -171,8 +169,9 @@ def _start(
     track = np.log(omega.content["gain"] / v.content["gain"])
     limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
     levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
-    layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), shared_dead_time=True, limited=limited)
-    return layout, np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")], levels])
+    layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), limited=limited)
+    dead_time = [channel.parameters.value("dead_time") for channel in (v, omega)]
+    return layout, np.concatenate([np.tile(motor, len(sides)), [track], dead_time, levels])
 
 
 def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -188,19 +187,20 @@ def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) ->
 
 
 def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
-    names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
+    names = [f"{motor}.{key}" for motor in MOTORS[:motors] for key in TwoPoles.model_fields]
+    names += ["firmware_track", *(f"{channel}.dead_time" for channel in CHANNELS), *limit_names(fit.layout.limited)]
 
     def physical(row: FloatArray) -> FloatArray:
         motor_parameters, dead_time, _, levels = fit.layout.split(row)
         each = [TWO_POLES.values(motor) for motor in motor_parameters[:-1].reshape(motors, -1)]
         return np.concatenate([*each, np.exp(motor_parameters[-1:]), dead_time, levels])
 
-    return fit.estimate.derived((*names, "firmware_track", "dead_time", *limit_names(fit.layout.limited)), physical)
+    return fit.estimate.derived(names, physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
     """Convert the yaw gain of the gyro to a track: firmware track times the motors' mean gain over the yaw gain."""
-    gains = [estimate.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
+    gains = [estimate.names.index(f"{motor}.gain") for motor in MOTORS[:motors]]
     track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
     def replace_gain(row: FloatArray) -> FloatArray:
@@ -214,6 +214,11 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify MBM; implements `Structure.identify`."""
+    return StructureFit(identify_mbm(records, required_radius(conditions)))
+
+
+def required_radius(conditions: IdentificationConditions) -> float:
+    """Return the wheel radius [m]; raise ConfigError if the log lacks wheel speeds or a gyro."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
-    return StructureFit(identify_mbm(records, conditions.wheel_radius))
+    return conditions.wheel_radius

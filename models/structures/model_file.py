@@ -282,6 +282,34 @@ class SmFile(ChannelsFile):
     channels: SmChannels
 
 
+class MotorGains(StrictModel):
+    """Gain of each motor, relative to their mean [-]."""
+
+    front_left: Positive
+    front_right: Positive
+    rear_left: Positive
+    rear_right: Positive
+
+
+class MbmModesFile(ChannelsFile):
+    """MBM by modes: motors share a response to v_ref (`v`) and one to omega_ref (`omega`), and each has a gain.
+
+    The rim speed of a motor is its gain times (v -+ omega effective_track / 2); v of the model is the mean rim speed.
+    """
+
+    structure: Literal["mbm_modes"]
+    channels: SmChannels
+    motors: MotorGains
+    effective_track: Positive = Field(description="difference of the rim speeds of both sides over omega [m]")
+
+    def matrices(self) -> Matrices:
+        """Return continuous A (4, 4), B (4, 2), C (2, 4)."""
+        A, B, C = super().matrices()
+        motors = self.motors
+        left, right = motors.front_left + motors.rear_left, motors.front_right + motors.rear_right
+        return A, B, np.array([[(left + right) / 4, (right - left) / 8 * self.effective_track], [0.0, 1.0]]) @ C
+
+
 class DelayChannels(StrictModel):
     """One gain for each channel."""
 

@@ -43,7 +43,8 @@ class OrderRow:
         Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
         (2,) FIT of v and omega [%]: on the training records; on held-out blocks of these, by models fitted without the
-        block (None if not requested or if the records are too short); on validation records (None if there are none).
+        block (None if not requested, for order 1 and if the records are too short); on validation records (None if
+        there are none).
     aic, bic
         Akaike's and Schwarz's information criteria relative to their minimum over all orders, by effective samples.
     """
@@ -106,9 +107,9 @@ def compare_orders(
         If no order gives a usable model.
     """
     criteria = _criteria(models)
-    held_out = (
-        [None] * len(models) if requested else _block_fits(models, join_experiments(twist_experiments(train, yaw)))
-    )
+    held_out: list[FloatArray | None] = [None] * len(models)
+    if not requested:
+        held_out[_FLOOR:] = _block_fits(models[_FLOOR:], join_experiments(twist_experiments(train, yaw)))
     rows = tuple(
         OrderRow(
             identified,
@@ -154,7 +155,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
     fits: list[FloatArray | None] = []
     for model in models:
         try:
-            powers = hold_out(model.fits[0], experiments, brief=True).powers
+            powers = hold_out(model.fits[0], experiments, brief=True, fixed_weights=True).powers
         except ValueError:
             fits.append(None)
         else:

@@ -7,7 +7,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from diffdrive_mpc.models.structures.model_file import MbmFile, SmFile, SsmFile, TwoDelaysFile
+from diffdrive_mpc.models.structures.model_file import MbmFile, MbmModesFile, SmFile, SsmFile, TwoDelaysFile
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _ALL = (
     Structure("sm", SmFile, partial(_identify_by, "sm"), takes_effects=True),
     Structure("ssm", SsmFile, partial(_identify_by, "ssm"), largest_order=LARGEST_ORDER),
     Structure("two_delays", TwoDelaysFile, partial(_identify_by, "two_delays")),
+    Structure("mbm_modes", MbmModesFile, partial(_identify_by, "mbm_modes"), needs_wheels=True),
 )
 STRUCTURES: Mapping[str, Structure] = {structure.name: structure for structure in _ALL}
 """Structures by name, in the order of tables."""

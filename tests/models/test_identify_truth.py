@@ -18,8 +18,10 @@ from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.mbm import identify_mbm
 from diffdrive_mpc.models.structures.orders import compare_orders
+from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm, identify_ssm_orders
+from diffdrive_mpc.models.structures.structure import IdentificationConditions
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {
@@ -185,7 +187,7 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
     identified = identify_mbm([drive], radius)
     limits = {} if np.isinf(limit) else {"v": limit}
     assert identified.limits.keys() == limits.keys()
-    truth = {"firmware_track": firmware, "dead_time": 0.047} | {
+    truth = {"firmware_track": firmware, "v.dead_time": 0.047, "omega.dead_time": 0.047} | {
         f"v.{side}": limits["v"] for side in ("forward", "reverse") if limits
     }
     for side, motor in zip(("left", "right"), motors, strict=True):
@@ -194,6 +196,22 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
     check_agreement(identified.parameters, truth)
     assert identified.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
     assert identified.model.order == 8
+
+
+def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_drives():
+    drive, gains, track, radius = noisy_drive(SM, 21, count=2000), {"front_left": 0.97, "front_right": 1.03}, 0.5, 0.07
+    rims = drive.twist @ np.array([[1.0, 1.0], [-track / 2, track / 2]]) * list(gains.values())
+    drive = replace(drive, twist=np.column_stack([rims.mean(axis=1), drive.twist[:, 1]]), wheels=rims / radius)
+    train, held_out = [drive.part(0, 1300)], [drive.part(1300, 2000)]
+    modes, motors = (
+        STRUCTURES[name].identify(train, IdentificationConditions(wheel_radius=radius)).identified
+        for name in ("mbm_modes", "mbm")
+    )
+    truth = {f"{motor}.gain": gain for motor, gain in gains.items()}
+    check_agreement(modes.parameters, SM_TRUTH | truth | {"effective_track": track})
+    fits = [validate(model.system, held_out).fit_percent for model in (modes, motors, identify_sm(train))]
+    assert (fits[0] > fits[1] + [0.5, 5.0]).all()
+    assert (fits[0] > fits[2] - [0.0, 1e-3]).all()  # v follows from both commands
 
 
 def test_invalid_input_raises_one_clear_line():

@@ -74,8 +74,8 @@ STRUCTURES = {
         [*(0.1 * np.cos(np.arange(8.0))), 0.043, 0.09, 0.1],
     ),
     "motors": (
-        Layout(MotorsParametrisation((-1, 1), 0.07), 2, 2, shared_dead_time=True),
-        [*np.log([0.9, 0.2, 0.05, 1.1, 0.15, 0.06, 0.4]), 0.055],
+        Layout(MotorsParametrisation((-1, 1), 0.07), 2, 2),
+        [*np.log([0.9, 0.2, 0.05, 1.1, 0.15, 0.06, 0.4]), 0.055, 0.072],
     ),
 }
 
