@@ -21,8 +21,10 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
     `soft_names` (kinds - 4,) are the names of the soft limits. For soft limits of terms, the result is such a name.
     """
     multipliers, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
-    bounds[HARD:] = program.soft_limits[:, None]
-    costs = np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0)
+    # Terms of the user may have infinite values, so that the sum is undefined.
+    with np.errstate(invalid="ignore"):
+        bounds[HARD:] = program.soft_limits[:, None]
+        costs = np.nan_to_num(np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0))
     kind, step = divmod(int(np.argmax(costs)), costs.shape[1])
     if costs[kind, step] == 0.0:
         return ""
