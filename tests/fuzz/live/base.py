@@ -42,8 +42,6 @@ class Base:
         self.commands: list[Heard] = []
         self.changes: dict[str, Change] = {}
         self.blocked = self.silent = False
-        self.twins: dict[str, Any] = {}
-        """Publishers of a second robot of the same name, which stands 1.4 m away, by topic."""
         self.clock_offset, self.clock_stands = 0.0, False
         self.standing: list[tuple[float, float]] = []
         """Intervals of the monotonic clock in which the simulated clock stands [s]."""
@@ -99,9 +97,6 @@ class Base:
         for name, message in messages.items():
             for sent in self.changes[name](message) if name in self.changes else [message]:
                 self._publishers[name].publish(sent)
-            if name in self.twins:
-                _set_value(message, self.pose[0] + 1.4)
-                self.twins[name].publish(message)
         if self.sim_time:
             self._clock.publish(Clock(clock=time_message(max(self.now, 0))))
 
