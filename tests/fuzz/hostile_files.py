@@ -16,7 +16,6 @@ from pathlib import Path
 from random import Random
 from typing import NoReturn
 
-from fuzz.hostile_bags import BAGS
 from fuzz.hostile_texts import TEXTS, Maker
 
 SECONDS, MEMORY, TEMPORARY = 5.0, 1000.0, 64.0
@@ -24,7 +23,7 @@ SECONDS, MEMORY, TEMPORARY = 5.0, 1000.0, 64.0
 _HANGS = 60.0
 """Time after which a reader is killed [s]."""
 
-MAKERS: dict[str, Maker] = {**BAGS, **TEXTS}
+MAKERS: dict[str, Maker] = TEXTS
 """By name `door: kind of attack`; each writes a file and returns its path."""
 
 
@@ -33,17 +32,11 @@ def doors() -> dict[str, Callable[[Path], object]]:
     from diffdrive_mpc.bench.report_folder import staged
     from diffdrive_mpc.models.logs.reading import read_log
     from diffdrive_mpc.models.logs.tick_record import DriveRecord
-    from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
-    from diffdrive_mpc_extras.replay.own_log import read_recording
     from fuzz.yaml_files import DOORS
 
     def log(path: Path) -> object:
         mapping = path.with_name("mapping.yaml")
         return read_log(path, mapping if mapping.is_file() else None)
-
-    def replay(path: Path) -> object:
-        with tempfile.TemporaryDirectory() as scratch:
-            return read_recording(path, LoggedConfigs(path, Path(scratch)))
 
     def report(path: Path) -> None:
         with staged(path.parent, ["report.html"], owner="bench") as folder:
@@ -52,7 +45,6 @@ def doors() -> dict[str, Callable[[Path], object]]:
     return {
         **DOORS,
         "log": log,
-        "replay": replay,
         "report": report,
         "ticks": lambda path: DriveRecord.read(path.read_text()),
     }

@@ -128,6 +128,7 @@ def _changed(door: str, random: Random) -> str:
 
 
 _DOORS = ("controller", "model", "trajectory", "mapping", "stated-robot", "scenario", "experiment")
+_BEGINNINGS = {"bag.db3": b"SQLite format 3\0", "bag.mcap": b"\x89MCAP0\r\n", "bag.bag": b"#ROSBAG V2.0\n"}
 TEXTS: dict[str, Maker] = {
     **{
         f"{_DOORS[(i + k) % len(_DOORS)]}: YAML {name}": partial(written, "file.yaml", make)
@@ -141,5 +142,6 @@ TEXTS: dict[str, Maker] = {
     **{f"log: CSV {name}": partial(written, "log.csv", make, mapping=_MAPPING) for name, make in _CSV.items()},
     **{f"trajectory: CSV {name}": partial(written, "path.csv", make) for name, make in _POSES.items()},
     "log: CSV hole": partial(hole, "log.csv", _HEAD.encode()),
-    **{f"{door}: no file": partial(no_file, "log.csv") for door in ("log", "replay")},
+    **{f"log: no file {name}": partial(no_file, name) for name in ("log.csv", *_BEGINNINGS)},
+    **{f"log: hole {name}": partial(hole, name, head) for name, head in _BEGINNINGS.items()},
 }

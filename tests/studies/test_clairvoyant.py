@@ -12,6 +12,8 @@ from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant
 from studies.tracking.floor import linear_loop, stationary_covariances
 from studies.tracking.known_plant import identify_plant
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from studies.cli import app
@@ -16,6 +18,7 @@ def test_tables_of_the_page_are_in_the_report() -> None:
     assert {"reproduce-runs", "reproduce-findings"} <= set(shown) <= set(parts)
 
 
+@pytest.mark.system
 def test_command_writes_its_report(tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = invoke(app, "reproduce", "--out", out, "--quick", "--only", "virtual_track")

@@ -9,6 +9,8 @@ from diffdrive_mpc.bench.controllers import controller_config, run_case
 from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
 from studies.robustness.results import condition_columns, market_cases
 
+pytestmark = pytest.mark.system
+
 CONDITIONS = load_conditions()
 
 

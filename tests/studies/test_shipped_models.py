@@ -14,6 +14,8 @@ from studies.shipped_models.calibration import (
 )
 from studies.shipped_models.known_truths import recover_all
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def fits() -> list[PredictionFit]:

@@ -93,6 +93,7 @@ def test_every_key_and_topic_is_in_the_reference():
         section(DOCUMENTS["docs/robot.md"], "Nothing")
 
 
+@pytest.mark.system
 def test_dead_link_dead_anchor_and_unlisted_page_fail_the_build(tmp_path):
     for name in ("mkdocs.yml", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         shutil.copy(ROOT / name, tmp_path)

@@ -15,6 +15,8 @@ from studies.speed.results import time_statistics
 from studies.speed.settings import SubjectSettings, load_speed_settings, select_subjects
 from studies.speed.study import SpeedStudy
 
+pytestmark = pytest.mark.system
+
 
 def test_single_disturbance_counts_among_all_steps_but_not_among_ticks():
     whole = np.full((3, 200), 1e-3)

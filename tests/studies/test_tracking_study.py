@@ -67,6 +67,7 @@ parts:
 """
 
 
+@pytest.mark.system
 def test_command_runs_a_small_study_and_writes_its_report(tmp_path: Path):
     (tmp_path / "tiny.yaml").write_text(TINY, encoding="utf-8")
     out = tmp_path / "out"
