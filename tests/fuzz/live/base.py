@@ -41,7 +41,7 @@ class Base:
         self.pose, self.twist, self.command = [0.0, 0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
         self.commands: list[Heard] = []
         self.changes: dict[str, Change] = {}
-        self.blocked = self.silent = False
+        self.blocked = False
         self.clock_offset, self.clock_stands = 0.0, False
         self.standing: list[tuple[float, float]] = []
         """Intervals of the monotonic clock in which the simulated clock stands [s]."""
@@ -85,8 +85,6 @@ class Base:
         self._publish()
 
     def _publish(self) -> None:
-        if self.silent:
-            return
         messages = {"odom": Odometry(child_frame_id="base_link"), "imu": Imu(), "pose": PoseWithCovarianceStamped()}
         for (name, message), frame in zip(messages.items(), ("odom", "base_link", "map"), strict=True):
             message.header.stamp, message.header.frame_id = time_message(max(self.now, 0)), frame

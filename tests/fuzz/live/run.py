@@ -162,7 +162,7 @@ class Attacker:
     def recover(self) -> None:
         """End all attacks, restore parameters and activate the node."""
         self.base.changes.clear()
-        self.base.blocked = self.base.silent = self.base.clock_stands = False
+        self.base.blocked = self.base.clock_stands = False
         self.spin(0.1)
         steps = {
             State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE,
