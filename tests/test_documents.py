@@ -154,18 +154,6 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
     assert not opening.startswith(("```", "* ", "<!--"))
 
 
-def test_ci_runs_the_make_targets_of_the_documents():
-    assert 'pre-commit" run --all-files' in CI_SCRIPT
-    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
-    make_lines = " ".join(
-        line for line in (CI_SCRIPT + hooks).splitlines() if re.match(r" *(on_bare_machine |entry: )?make ", line)
-    )
-    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel", "fuzz"):
-        assert re.search(rf"\b{target}\b", make_lines), target
-    (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
-    assert all(f'"$root/{name_of(page)}"' in tour for page in TOUR_PAGES)
-
-
 def test_files_named_by_documents_and_ci_exist():
     texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
     named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
@@ -173,13 +161,6 @@ def test_files_named_by_documents_and_ci_exist():
     named_files |= {f"tests/mpc/test_{name}.py" for name in robot_tests}
     assert len(named_files) > 10
     assert [name for name in sorted(named_files) if not (ROOT / name).is_file()] == []
-
-
-@pytest.mark.parametrize(("line", "part"), PART_OF_CI.items())
-def test_commands_with_additional_options_in_ci_exist(line, part):
-    scripts = CI_SCRIPT + (ROOT / ".ci" / "long").read_text(encoding="utf-8")
-    assert part in scripts
-    assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
@@ -190,15 +171,6 @@ def test_commands_run_in_tests_match_the_documents(line, file):
     test = (ROOT / file).read_text(encoding="utf-8")
     assert all(word in test for word in expected_words), expected_words
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
-
-
-@pytest.mark.parametrize("document", sorted(TOUR_PAGES), ids=name_of)
-def test_page_of_the_tour_contains_only_commands_of_the_tour(document):
-    for language, body in blocks(document):
-        assert language in ("sh", "python", "yaml")
-        lines = body.splitlines() if language == "sh" else []
-        assert all(RUN_BY_CI.match(line) for line in lines if line.startswith("make "))
-        assert all(line in RUN_IN_CI for line in lines if "--from ." in line)
 
 
 @pytest.mark.parametrize("document", LINKING, ids=name_of)

@@ -6,15 +6,12 @@ as fast as its wheels indicate. It is simulated in this file in a few lines, ind
 
 import re
 import shlex
-import time
 
 import numpy as np
 import pytest
-from recorded_drive import read_drive
-from two_processes import own_domain, running
 from typer.testing import CliRunner
 
-from diffdrive_mpc import load_config, load_trajectory
+from diffdrive_mpc import load_config
 from diffdrive_mpc.app.cli import app
 
 pytestmark = pytest.mark.system
@@ -22,7 +19,6 @@ pytestmark = pytest.mark.system
 PERIOD, TRUTH_STEP = 0.05, 0.005
 DEAD_TIME, LAG_V, LAG_OMEGA, YAW_GAIN = 0.12, 0.22, 0.18, 0.7
 TOP_SPEED = 3.0
-BOUND = 120.0
 HEADER = "stamp_ms,speed_cmd,turn_cmd,wheel_speed,wheel_turn,gyro_z,east,north,yaw_deg"
 
 
@@ -99,28 +95,3 @@ def test_path_at_the_speed_of_the_robot_is_driven(session):
     (session[0] / "fast.yaml").write_text("segments:\n- {v: 2.8, omega: 0.3, duration: 6.0}\n", encoding="utf-8")
     options = "--config mine/config.yaml --plant model:mine/model.yaml --surface mine/surface.yaml"
     assert position_rmse(run_line(f"diffdrive-mpc simulate {options} --trajectory fast.yaml")) < 0.05
-
-
-def test_node_and_simulated_robot_drive_like_one_process(session, tmp_path):
-    options = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
-    plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]
-    environment = own_domain(tmp_path)
-    config = load_config("mine/config.yaml")
-    reference = load_trajectory("mine/first_circle.yaml", config)
-    duration = ["--duration", str(reference.duration + 2.0), "--record", str(tmp_path / "bag")]
-    node = ["node", *options, "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
-    # Keep the path fixed in the map; by default it begins at the first measured pose.
-    node += ["-p", "start_at_robot:=false"]
-    with (
-        running("node", node, environment, tmp_path) as controller,
-        running("robot", ["sim-robot", *options, *plant, "--lock-step", *duration], environment, tmp_path) as robot,
-    ):
-        end = time.monotonic() + BOUND
-        while robot.popen.poll() is None:
-            assert controller.popen.poll() is None and time.monotonic() < end, controller.output + robot.output
-            time.sleep(0.05)
-        assert robot.popen.returncode == 0, robot.output
-    over_dds = read_drive(tmp_path / "bag", reference, config.sample_time).metrics
-    alone = position_rmse(run_line(" ".join(["diffdrive-mpc", "simulate", *options, *plant])))
-    assert over_dds.completed
-    assert over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)

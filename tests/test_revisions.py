@@ -27,11 +27,6 @@ def quoted_revisions(text: str) -> set[str]:
     return {revision for revision in quoted if re.search("[a-f]", revision) or len(revision) > 8}
 
 
-def test_quoted_revisions_are_recognised():
-    text = 'revisions 1098a12b to fc7c49da; "revision": "b455aaf4fdab"; revision `5c027c3c`, revision 20261129'
-    assert quoted_revisions(text) == {"1098a12b", "fc7c49da", "b455aaf4fdab", "5c027c3c"}
-
-
 def test_every_quoted_revision_is_a_commit_of_this_repository():
     if not (ROOT / ".git").exists() or git("rev-parse", "--is-shallow-repository").strip() != "false":
         pytest.skip("needs a clone with its whole history")

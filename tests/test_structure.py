@@ -31,15 +31,6 @@ FOLDERS = {
 }
 ROS_FOLDERS = {ROOT / "mpc/ros", ROOT / "sim/ros"} | {FOLDERS[name] / "ros" for name in PACKAGES}
 MUJOCO_FOLDERS = {ROOT / "sim", FOLDERS["diffdrive_mpc_extras"] / "worlds"}
-SIMULATION = {
-    "sensing": set(),
-    "disturbances": set(),
-    "metrics": set(),
-    "core": set(),
-    "plants": {"core", "sensing", "disturbances"},
-    "ros": {"sensing", "plants"},
-}
-"""Folders of `sim`, and those that each may import."""
 DEFERRED_CIRCLES = {
     "diffdrive_mpc.models.velocity_model",
     "diffdrive_mpc.mpc.core.library",
@@ -163,19 +154,6 @@ def test_folders_inside_a_folder_form_no_circle(folder):
     assert {entry for entry in circular(dict(graph)) if (directory / entry).is_dir()} == set()
 
 
-def test_folders_of_the_simulation_import_only_listed_folders():
-    prefix, imports = "diffdrive_mpc.sim.", import_graph(inside_functions=True).items()
-    pairs = {(name, target) for name, targets in imports for target in targets}
-    arrows = {
-        tuple(entry.split(".")[2] for entry in pair)
-        for pair in pairs
-        if all(entry.startswith(prefix) for entry in pair)
-    }
-    assert ("plants", "sensing") in arrows
-    assert {arrow for arrow in arrows if arrow[1] not in {arrow[0], *SIMULATION.get(arrow[0], [arrow[1]])}} == set()
-    assert {path.parent.name for path in (ROOT / "sim").glob("*/__init__.py")} == set(SIMULATION)
-
-
 def test_files_form_no_circle():
     assert circular(import_graph(inside_functions=False)) == set()
 
@@ -201,11 +179,6 @@ def test_controller_folders_import_only_lower_layers_of_the_page():
                 assert source == sink or height[source] > height[sink], f"{name} imports {target}"
 
 
-@pytest.mark.parametrize("prefix", FOLDERS)
-def test_type_marker_ships(prefix):
-    assert (FOLDERS[prefix] / "py.typed").exists()
-
-
 @pytest.mark.parametrize("package", sorted(path.name for path in (ROOT / "packages").iterdir()))
 def test_wheel_holds_every_file_of_its_package(package):
     folder = ROOT / "packages" / package
@@ -215,15 +188,6 @@ def test_wheel_holds_every_file_of_its_package(package):
     others = [path for path in others if not any(part.endswith(".egg-info") for part in path.parts)]
     assert others
     assert [path for path in others if not any(fnmatch(path.name, pattern) for pattern in patterns)] == []
-
-
-def test_public_class_names_are_unique():
-    places = defaultdict(list)
-    for name, path in MODULES.items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places[node.name].append(name)
-    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
 
 
 def test_only_echo_and_progress_console_print_because_they_escape_text():

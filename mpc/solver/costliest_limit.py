@@ -21,10 +21,12 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
     `soft_names` (kinds - 4,) are the names of the soft limits. For soft limits of terms, the result is such a name.
     """
     multipliers, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
-    # A relative relaxation needs the limits themselves; soft bounds are relative to a plan of zeros.
-    bounds[HARD:] = program.soft_limits[:, None]
-    # A multiplier is the change of the cost per unit of its bound.
-    costs = np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0)
+    # Terms of the user may have infinite values, so that the sum is undefined.
+    with np.errstate(invalid="ignore"):
+        # A relative relaxation needs the limits themselves; soft bounds are relative to a plan of zeros.
+        bounds[HARD:] = program.soft_limits[:, None]
+        # A multiplier is the change of the cost per unit of its bound.
+        costs = np.nan_to_num(np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0))
     kind, step = divmod(int(np.argmax(costs)), costs.shape[1])
     if costs[kind, step] == 0.0:
         return ""

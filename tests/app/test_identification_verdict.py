@@ -78,6 +78,7 @@ def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
     assert np.std(noisy[:, 1]) < 0.015
 
 
+@pytest.mark.system
 def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
     """The sideways speed changes its sign every two seconds."""
 

@@ -99,6 +99,7 @@ def test_contradictory_log_gives_a_configuration_only_by_force(folder, tmp_path)
     assert "May I drive? No: " in (tmp_path / "o" / "report.md").read_text()
 
 
+@pytest.mark.system
 def test_negative_fit_writes_only_the_report(folder, tmp_path):
     """The held-out log is of a robot that turns a quarter as far, which no model of the first log predicts."""
     log = write_csv(tmp_path / "one.csv", COLUMNS)

@@ -15,15 +15,6 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped, Tra
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Run, make_plant, simulate
 
-META: dict[str, object] = {
-    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
-    "revision": "abc",
-    "version": "1",
-    "date": "2026-01-01",
-    "wall_time_s": 1.0,
-}
-"""Metadata of a report: machine, revision and time."""
-
 
 @dataclass(frozen=True)
 class Arc(ConstantTwist):

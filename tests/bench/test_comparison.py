@@ -1,17 +1,13 @@
 """Cases of the comparison, and its results other than the error tables."""
 
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from bench_parts import quick_case, quick_outcome
 from pandas import DataFrame
 
-from diffdrive_mpc import ConfigError, load_config, make_plant
-from diffdrive_mpc.bench.case import BY_OSQP, COMPARED, DIMENSIONS, Case
-from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
+from diffdrive_mpc import make_plant
+from diffdrive_mpc.bench.case import BY_OSQP, COMPARED, Case
+from diffdrive_mpc.bench.comparison.order import interval, order
 from diffdrive_mpc.bench.comparison.plan import (
     LATE_TICKS,
     OTHER_SEEDS,
@@ -19,13 +15,11 @@ from diffdrive_mpc.bench.comparison.plan import (
     ComparisonSettings,
     default_settings,
     plan_cases,
-    read_options,
 )
 from diffdrive_mpc.bench.comparison.properties import measure_properties, property_rows
-from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
+from diffdrive_mpc.bench.controllers import LatePlant, build
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
-from file_kinds import KINDS
 
 QUICK = {
     "controllers": ("mpc",),
@@ -42,24 +36,6 @@ def experiment(**changes: object) -> ComparisonSettings:
     return default_settings().model_copy(update={**QUICK, **changes})
 
 
-def settings_for(**options: Any) -> ComparisonSettings:
-    """Return the settings that these options select; dimensions have their plural names."""
-    values = {
-        dimension.several: options.pop(dimension.several) for dimension in DIMENSIONS if dimension.several in options
-    }
-    return read_options(values, **options)
-
-
-def test_horizon_case_equal_to_a_main_case_runs_once() -> None:
-    plan = plan_cases(experiment(seeds=(0, 1), horizons=(5, 30)))
-    assert load_config("ssm").horizon == 30
-    assert len(plan.main) == 8
-    assert len(plan.horizon) == 8
-    assert len(plan.all) == 12
-    assert {case.horizon for case in plan.horizon} == {5, 30}
-    assert {case.seed for case in plan.horizon} == {0}
-
-
 def test_peer_has_no_model_and_no_settings() -> None:
     settings = ((("horizon", 5),), (("horizon", 10),))
     plan = plan_cases(
@@ -70,35 +46,6 @@ def test_peer_has_no_model_and_no_settings() -> None:
         ("mpc", "ssm", 10),
         ("kanayama", "none", None),
     ]
-
-
-def test_file_with_the_label_of_a_shipped_model_or_peer_is_refused(tmp_path: Path) -> None:
-    for name in ("SSM", "kanayama"):
-        path = tmp_path / f"{name}.yaml"
-        path.write_text(KINDS["model"].texts["ssm"])
-        changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
-        with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
-            plan_cases(experiment(horizons=(), seeds=(0,), **changes))
-
-
-def test_configuration_file_selects_its_model(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text("model: ssm\nhorizon: 12\n")
-    chosen = settings_for(config=path)
-    assert chosen.models == ("ssm",)
-    plan = plan_cases(experiment(config=str(path), horizons=(), trajectories=("s",), seeds=(0,)))
-    assert plan.all[0].horizon == 12
-
-
-def test_model_file_of_the_user_is_labelled_by_its_stem(tmp_path: Path) -> None:
-    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
-    path = tmp_path / "my_robot.yaml"
-    path.write_text(source.read_text())
-    case = quick_case(model=str(path), plant=f"model:{path}")
-    assert case.labels["model"] == "my_robot"
-    assert case.labels["plant"] == "model:my_robot"
-    assert case.horizon == load_config("ssm").horizon
-    assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
 
 
 def test_bench_compares_the_declared_pairs() -> None:
@@ -146,15 +93,6 @@ def test_late_plant_repeats_the_motion_after_its_delay() -> None:
     assert behind.time == plain.time
 
 
-def test_plant_that_responds_early_gets_a_model_with_more_dead_time() -> None:
-    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
-    (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
-    adjusted, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
-    assert adjusted.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
-    assert not isinstance(build(case)[1], LatePlant)
-    assert isinstance(build(replace(case, overrides=(), late=2))[1], LatePlant)
-
-
 @pytest.fixture(scope="module")
 def outcome() -> RunOutcome:
     return quick_outcome(trajectory="cane")
@@ -184,18 +122,6 @@ def test_order_states_which_controllers_differ_significantly(outcome: RunOutcome
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
     assert [place.name for place in order(unknown)] == ["SM", "SSM"]
     assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
-
-
-def test_reversed_order_is_named_with_its_significance(outcome: RunOutcome) -> None:
-    path = np.array([0.0, 4e-3] * 2)  # the second path is harder
-    these = scores(outcome, mbm=list(5e-3 + path), sm=list(6e-3 + path), ssm=list(path + [6.1e-3, 5.95e-3] * 2))
-    others = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
-    certain, uncertain = reversed_pairs(these, others)
-    assert certain == ["MBM and SM", "MBM and SSM"]
-    assert uncertain == ["SM and SSM"]
-    assert "The order of MBM and SM, MBM and SSM is reversed" in order_table(these, others).note
-    assert "The order is the same over the other seeds" in order_table(these, these).note
-    assert [row[0] for row in order_table(these, others).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
 
 
 def test_bootstrap_interval_covers_the_mean_and_is_reproducible() -> None:

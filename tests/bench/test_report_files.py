@@ -18,18 +18,18 @@ from bench_parts import quick_outcome
 from bench_parts import rows as rows_of
 from pandas import DataFrame
 
-from diffdrive_mpc import ConfigError, load_config
-from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
+from diffdrive_mpc import ConfigError
+from diffdrive_mpc.bench.comparison.figures import drawings
 from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import default_settings
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, solver_table, summary_table, time_table
+from diffdrive_mpc.bench.comparison.tables import report_tables, summary_table, time_table
 from diffdrive_mpc.bench.experiment import mean
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.bench.run_row import RunOutcome
-from diffdrive_mpc.bench.study import markdown, write_report
+from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
 from processes import is_running
@@ -84,11 +84,6 @@ def write_out(results: ComparisonResults, folder: Path, done: Callable[[], None]
     return meta
 
 
-def text_of(results: ComparisonResults) -> str:
-    report = ComparisonStudy(results.settings).report(results, 12.3)
-    return markdown("Bench", replace(report, figures={}), describe_run(12.3) | report.meta)
-
-
 def test_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
     values = json_row(outcome.row, SILENT)
     assert list(values) == list(FIELDS)
@@ -96,33 +91,6 @@ def test_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
         assert type(values[name]) is kind, name
     assert values["completed"] is True
     assert values["horizon"] == 30
-
-
-def test_solver_methods_are_shares_of_the_solved_ticks(outcome: RunOutcome) -> None:
-    ticks = len(outcome.run.time)
-    methods = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
-    run = replace(outcome.run, solver_methods=methods)
-    solved = np.count_nonzero(run.counted) - 5
-    values = json_row(RunOutcome(outcome.case, run).row, ["scenario"])
-    assert values["method_backend_percent"] == pytest.approx(100 * 20 / solved)
-    assert values["method_active_set_percent"] == pytest.approx(100 * 20 / solved)
-    assert values["method_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
-    assert values["not_solved"] == 5
-    (cells,) = solver_table(rows_of(RunOutcome(outcome.case, run))).rows
-    assert cells[1:5] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
-    peer = json_row(RunOutcome(outcome.case, replace(outcome.run, solver_methods=("none",) * ticks)).row, ["scenario"])
-    assert (peer["method_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
-
-
-def test_lasting_disturbance_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
-    lasting = replace(outcome.run, disturbance=(0.0, math.inf))
-    values = json_row(RunOutcome(outcome.case, lasting).row, silent=())
-    assert values["disturbance_s"] == [0.0, None]
-    assert (values["recovery_time_s"], values["ended"]) == (None, None)
-    assert values["overshoot_m"] == 0.0
-    (cells,) = scenario_table(rows_of(RunOutcome(outcome.case, lasting))).rows
-    assert cells[2:4] == ("-", "-")
-    assert cells[-2:] == ("-", "1/1")
 
 
 def test_undefined_value_is_null(outcome: RunOutcome) -> None:
@@ -150,12 +118,6 @@ def test_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Path
     assert all(f"## {table.title}" in text for table in report_tables(results))
     assert str(tmp_path) not in text + json.dumps(data)
     assert str(Path.home()) not in text + json.dumps(data)
-
-
-def test_figure_is_reproduced_byte_for_byte(outcome: RunOutcome, tmp_path: Path) -> None:
-    for name in ("first.png", "second.png"):
-        draw_case(outcome.run, "title", tmp_path / name)
-    assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
 def test_tables_show_means_over_all_runs_of_any_length_and_outcome(outcome: RunOutcome) -> None:
@@ -208,38 +170,6 @@ def test_times_exclude_disturbed_ticks_and_mark_their_rows(outcome: RunOutcome) 
     assert time_table(rows_of(whole)).rows[0][3:11] == ("1.000",) * 4 + ("2.000",) * 4, "the largest included"
 
 
-def test_report_states_its_configuration(results: ComparisonResults, tmp_path: Path) -> None:
-    path = tmp_path / "tuned.yaml"
-    path.write_text("model: ssm\nhorizon: 12\n")
-    swept = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
-    changes = {"config": str(path), "models": ("ssm",), "settings": swept}
-    settings = results.settings.model_copy(update=changes)
-    meta = describe(settings, TimingPass())
-    used = json.loads(json.dumps(meta["configuration"]))
-    assert used["file"] == "tuned"
-    assert used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
-    for combination, across in zip(used["controllers"], (60, 120), strict=True):
-        expected = load_config(path, {"weights.across": across, "estimator.history": 0.4})
-        assert combination["model"] == "ssm"
-        assert combination["set"] == {"weights.across": across, "estimator.history": 0.4}
-        assert combination["values"] == expected.model_dump(mode="json")
-    head = text_of(replace(results, settings=settings)).split("## ")[0]
-    assert "* Configuration: file tuned; weights.across=60,120; estimator.history=0.4.\n" in head
-    assert str(tmp_path) not in head + json.dumps(meta)
-    assert "Configuration:" not in text_of(results)
-    assert [c["model"] for c in describe(results.settings, TimingPass())["configuration"]["controllers"]] == [
-        *default_settings().values("models")
-    ]
-
-
-def test_report_omits_the_path_of_a_model_file(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text((Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text())
-    meta = describe(default_settings().model_copy(update={"models": (str(path),)}), TimingPass())
-    assert meta["configuration"]["controllers"][0]["values"]["model"] == "mine"
-    assert str(tmp_path) not in json.dumps(meta)
-
-
 def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> None:
     assert incomplete(results) is None
     ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
@@ -248,17 +178,6 @@ def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> 
     complaint = incomplete(replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame()))
     assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
     assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
-
-
-def test_named_files_are_moved_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    moved: list[str] = []
-    move = Path.replace
-    monkeypatch.setattr(Path, "replace", lambda self, to: moved.append(self.name) or move(self, to))
-    with staged(tmp_path, files=("bench.json", "bench.md"), folders=("figures",)) as folder:
-        (folder / "figures").mkdir()
-        for name in ("bench.json", "bench.md", "figures/overview.png", "zebra.txt"):
-            (folder / name).write_text("new")
-    assert moved == ["overview.png", "zebra.txt", "bench.json", "bench.md"]
 
 
 @pytest.mark.parametrize("kind", ["folder", "link"])

@@ -1,7 +1,5 @@
 """The timing pass replays a run exactly or raises an error; every outcome gets its own times."""
 
-import gc
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,10 +10,10 @@ from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 from loop_parts import FeedForward, FixedStep
 
 from diffdrive_mpc.bench import turns
-from diffdrive_mpc.bench.counters import SLOWER, Effort
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.runner import NotReproducibleError
-from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
-from diffdrive_mpc.bench.turns import AGAIN, BLOCK, COLD, TurnTimes, take_turns
+from diffdrive_mpc.bench.timing import replay, time_outcomes
+from diffdrive_mpc.bench.turns import AGAIN, TurnTimes, take_turns
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim import Run, simulate
 
@@ -55,25 +53,6 @@ def test_replay_measures_the_whole_step() -> None:
     assert np.isnan(times[:, 1]).all()
 
 
-def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Step times are the trajectory's duration plus the tick's own time, whatever the order of the blocks."""
-    outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
-
-    def timed_by_tick(controller: object, run: Run, first: int, last: int) -> FloatArray:
-        steps = run.reference.duration + run.time[first:last]
-        return np.column_stack([steps, steps / 2])
-
-    monkeypatch.setattr("diffdrive_mpc.bench.timing.replay", timed_by_tick)
-    monkeypatch.setattr(Effort, "undisturbed", lambda self, best: True)
-    timed, _ = time_outcomes(outcomes, lambda: None)
-    for outcome, before in zip(timed, outcomes, strict=True):
-        timed_ticks = np.arange(len(before.run.time)) % BLOCK >= COLD
-        expected = np.where(timed_ticks, before.run.reference.duration + before.run.time, np.nan)
-        assert np.array_equal(outcome.run.step_time, expected, equal_nan=True)
-        assert np.array_equal(outcome.run.solve_time, expected / 2, equal_nan=True)
-        assert outcome.clean_share == 1.0
-
-
 @pytest.mark.parametrize("clean", [1, 0])
 def test_disturbed_ticks_are_excluded_for_all_controllers_or_for_none(
     clean: int, monkeypatch: pytest.MonkeyPatch
@@ -111,18 +90,6 @@ def test_mpc_is_replayed_bit_for_bit() -> None:
     assert 0 < timed.run.metrics.solve_time_max_s < timed.run.metrics.step_time_max_s
     assert timing.yardstick > 0
     assert 0 <= timing.clean_share == timed.clean_share <= 1
-
-
-def test_quiet_core_is_released() -> None:
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
-    with pytest.raises(KeyError), quiet_core():
-        assert not gc.isenabled()
-        if cores is not None:
-            assert len(os.sched_getaffinity(0)) == 1
-        raise KeyError
-    assert gc.isenabled()
-    if cores is not None:
-        assert os.sched_getaffinity(0) == cores
 
 
 QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
@@ -180,33 +147,6 @@ def test_permanently_disturbed_block_is_marked_and_excluded() -> None:
     assert times.share == 0.5
     assert np.isnan(times.selected[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
     assert replay.passes == AGAIN + 1
-
-
-def test_slow_controller_is_measured_in_parts_of_which_only_the_disturbed_one_is_repeated() -> None:
-    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, processor=1.2 * turns.STRETCH)
-    efforts = {0: [slow], 2: [slow, slow], 3: [PREEMPTED, slow]}
-    replay = Scripted("a", 4, log := [], efforts)
-    ((times,),), _ = take_turns([[replay]], block=2)
-    assert log == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
-    assert times.clean.all()
-    # The third tick is the first of a turn, so it is cold; the fourth is from the second pass.
-    assert times.times[0, :, 0].tolist() == pytest.approx([np.nan, 1, np.nan, 2], nan_ok=True)
-
-
-def test_requested_number_of_undisturbed_repetitions_is_measured() -> None:
-    replay = Scripted("a", 4, [], {0: [QUIET, PREEMPTED]})
-    ((times,),), _ = take_turns([[replay]], block=2, repetitions=3)
-    assert times.times[:, 1, 0].tolist() == [1, 3, 4]
-    assert times.times[:, 3, 0].tolist() == [1, 2, 3]
-    assert times.clean.all()
-
-
-def test_slow_start_of_the_machine_is_detected_when_it_becomes_fast() -> None:
-    """The first block counts as undisturbed until a shorter reference time is measured."""
-    slow = QUIET._replace(pace=1.01 * SLOWER * QUIET.pace)
-    ((times,),), best = take_turns([[Scripted("a", 4, [], {0: [slow]})]], block=2)
-    assert best == QUIET.pace
-    assert times.times[0, 1::2, 0].tolist() == [2, 1]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """All fuzzers by name."""
 
 from fuzz.case import Fuzzer
-from fuzz.command_line import CommandLineFuzzer
 from fuzz.controller import ControllerFuzzer
 from fuzz.core import CoreFuzzer
 from fuzz.logs import LogFuzzer, ReplayFuzzer
@@ -17,6 +16,5 @@ FUZZERS: dict[str, Fuzzer] = {
         YamlFuzzer(),
         LogFuzzer(),
         ReplayFuzzer(),
-        CommandLineFuzzer(),
     )
 }

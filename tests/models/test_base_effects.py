@@ -229,10 +229,12 @@ def fit_result():
     return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
 
 
+@pytest.mark.system
 def test_every_effect_is_identified(fit_result):
     assert set(fit_result.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
 
 
+@pytest.mark.system
 def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
     estimate = fit_result.identified.parameters
     truth = {
@@ -254,6 +256,7 @@ def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
     assert fit_result.point["wheels.resolution"] == pytest.approx(0.02)
 
 
+@pytest.mark.system
 def test_model_file_contains_the_estimates(fit_result):
     content = fit_result.identified.file("found", {"origin": "identified", "source": "a test"})
     assert content.base_effects.twist_slew.omega == pytest.approx(fit_result.point["slew.omega"], rel=1e-6)
@@ -261,6 +264,7 @@ def test_model_file_contains_the_estimates(fit_result):
     assert (fit_result.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
 
 
+@pytest.mark.system
 def test_base_without_effects_gets_none():
     assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
 
@@ -275,6 +279,7 @@ def test_limit_of_the_plain_model_is_kept():
     assert fit_result.parameters.deviation("omega.limit") < 0.05
 
 
+@pytest.mark.system
 def test_effects_are_kept_only_if_they_predict_better_than_the_plain_model(fit_result):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)

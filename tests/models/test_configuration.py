@@ -121,7 +121,7 @@ def test_reentry_band_grows_with_the_robot_and_is_never_below_the_default():
     )
 
 
-@pytest.mark.parametrize("seed", [2026, 2030])
+@pytest.mark.parametrize("seed", [pytest.param(2026, marks=pytest.mark.system), 2030])
 def test_seldom_reached_limit_is_identified(seed):
     case = drawn_case(seed)
     result, close, false = judge_limits(case, identify_sm(case.records).limits)
@@ -139,7 +139,12 @@ def test_most_limits_of_random_robots_are_identified():
 
 
 @pytest.mark.parametrize(
-    ("seed", "defect"), [(2017, "compressed gain"), (2013, "gain of the other channel"), (2040, "slew")]
+    ("seed", "defect"),
+    [
+        pytest.param(2017, "compressed gain", marks=pytest.mark.system),
+        (2013, "gain of the other channel"),
+        pytest.param(2040, "slew", marks=pytest.mark.system),
+    ],
 )
 def test_other_defects_are_not_identified_as_limits(seed, defect):
     case = drawn_case(seed)
@@ -199,7 +204,7 @@ def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
 def test_each_side_of_range_and_ramp_is_identified():
     """The base is slower in reverse and brakes harder than it accelerates; omega is not limited."""
     rng = np.random.default_rng(3)
-    command = np.repeat(rng.uniform(-1.0, 1.0, (60, 2)), 50, axis=0)
+    command = np.repeat(rng.uniform(-1.0, 1.0, (40, 2)), 40, axis=0)
     base = BaseEffects(twist_range={"v": {"reverse": 0.3}}, twist_slew={"v": {"accelerate": 0.8, "brake": 2.0}})
     twist = respond(lag_of(0.15), base, command, 0.02).body + rng.normal(0.0, 0.01, command.shape)
     identified_base = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])

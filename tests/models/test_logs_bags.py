@@ -27,7 +27,6 @@ from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
-from fuzz.hostile_bags import MAGIC, mcap_chunk, mcap_message, mcap_record, mcap_text, mcap_topic, zeros
 from refusals import one_line_error
 
 COLUMNS = drive(seconds=6.0)
@@ -307,6 +306,41 @@ def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
     text += "  definitions: {mine/msg/Speeds: Speeds.msg}\n"
     (record,) = read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", text)).records
     assert np.array_equal(record.twist[:, 1], COLUMNS["omega_wheels"][: len(record.twist)])
+
+
+# Hostile files of MCAP.
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def mcap_text(words: str) -> bytes:
+    return struct.pack("<I", len(words)) + words.encode()
+
+
+def mcap_record(kind: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", kind, len(content)) + content
+
+
+def mcap_message(content: bytes) -> bytes:
+    return mcap_record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + content)
+
+
+def mcap_topic(name: str) -> bytes:
+    texts = [mcap_text(word) for word in ("geometry_msgs/msg/Twist", "ros2msg", "", name, "cdr", "")]
+    schema = mcap_record(3, struct.pack("<H", 1) + b"".join(texts[:3]))
+    return schema + mcap_record(4, struct.pack("<HH", 1, 1) + b"".join(texts[3:]))
+
+
+def mcap_chunk(packed: bytes, how: str, size: int) -> bytes:
+    head = struct.pack("<QQQI", 0, 10, size, 0) + mcap_text(how)
+    return mcap_record(6, head + struct.pack("<Q", len(packed)) + packed)
+
+
+def zeros(megabytes: int, how: str) -> bytes:
+    """Return packed zeros."""
+    packer = lz4.frame.LZ4FrameCompressor() if how == "lz4" else zstandard.ZstdCompressor().compressobj()
+    first = packer.begin() if how == "lz4" else b""
+    return first + b"".join(packer.compress(bytes(10**6)) for _ in range(megabytes)) + packer.flush()
 
 
 HEAD = MAGIC + mcap_record(1, mcap_text("ros2") + mcap_text("test")) + mcap_topic("/cmd_vel")

@@ -77,7 +77,11 @@ def write_log(folder, with_gyro=False, heading=True, y_sign=1):
 
 @pytest.mark.parametrize(
     ("with_gyro", "heading", "gain_error", "late"),
-    [(False, True, 0.02, 0.01), (True, True, 0.02, 0.01), (False, False, 0.04, 0.02), (True, False, 0.04, 0.02)],
+    [
+        pytest.param(False, True, 0.02, 0.01, marks=pytest.mark.system),
+        pytest.param(True, True, 0.02, 0.01, marks=pytest.mark.system),
+        (False, False, 0.04, 0.02),
+    ],
 )
 def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading, gain_error, late):
     log, mapping = write_log(tmp_path, with_gyro, heading)

@@ -81,6 +81,7 @@ def test_mapping_corrections_are_stated_for_the_robot():
     assert stated_corrections(None) == {}
 
 
+@pytest.mark.system
 def test_log_of_a_miswired_robot_gives_a_configuration_that_corrects_it(tmp_path):
     """The log of an inverted gyro and of poses stamped on arrival determines the settings of the controller."""
     wired = {"gyro": {"scale": -1.0}, "pose": {"latency": 0.11, "stamped_on_arrival": True}}

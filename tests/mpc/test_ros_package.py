@@ -1,9 +1,7 @@
 """The files of the colcon package fit the code that they start."""
 
 import inspect
-import os
 import re
-import subprocess
 import sys
 import tomllib
 import types
@@ -211,29 +209,3 @@ def test_policy_allows_exactly_the_topics_of_monitor_and_robot(enclave):
         node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
-
-
-def test_keys_are_created_outside_of_repositories_only(tmp_path):
-    calls, tool = tmp_path / "calls", tmp_path / "bin" / "ros2"
-    tool.parent.mkdir()
-    tool.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')
-    tool.chmod(0o755)
-
-    def make(*words, path=f"{tool.parent}:{os.environ['PATH']}"):
-        command = ["sh", str(SECURITY / "make_keys.sh"), *map(str, words)]
-        return subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": path})
-
-    (tmp_path / "clone" / ".git").mkdir(parents=True)
-    (tmp_path / "link").symlink_to(tmp_path / "clone")
-    for store in ("clone", "clone/new/keys", "link/keys", "none/../clone/keys"):
-        refused = make(tmp_path / store)
-        assert refused.returncode == 1 and "inside the git work tree" in refused.stderr, store
-    assert make().returncode == 2 and not calls.exists()
-    assert make(tmp_path / "keys", "mine.xml").returncode == 0
-    made = f"security generate_artifacts -k {tmp_path / 'keys'} -p {SECURITY / 'policy.xml'} mine.xml"
-    assert calls.read_text().splitlines() == ["security --help", made]
-    without = make(tmp_path / "keys", path="/usr/bin:/bin")
-    assert (without.returncode, without.stderr.count("\n")) == (
-        1,
-        1,
-    ) and "'ros2 security' is not there" in without.stderr

@@ -1,6 +1,5 @@
 """Disturbances: scenario files, commands, sensor readings, and forces in the physics."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from loop_parts import trace
 from diffdrive_mpc import ConfigError, RobotLostError, make_plant
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload
 from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
@@ -102,20 +100,6 @@ def test_false_command_moves_the_robot_and_is_not_reported(name: str) -> None:
         np.testing.assert_array_equal(plant.true_pose, undisturbed.true_pose)
         assert plant.measure().sent == (0.4, 0.0)
     assert plant.true_pose[2] > 0.3
-
-
-def test_lasting_disturbance_has_no_end_and_hides_no_end_of_another() -> None:
-    push = {"force": 20.0, "height": 0.09, "start": 0.2, "duration": 0.1}
-    weak = {"wheel": "front_left", "factor": 0.5, "start": 0.1}
-    plant = make_plant("mujoco", sensors="perfect")
-    alone, both = (
-        DisturbedPlant(plant, _scenario(weak_motors=[weak], pushes=pushes), load_robot()) for pushes in ([], [push])
-    )
-    both.reset(np.zeros(3))
-    for _ in range(25):
-        both.advance([0.0, 0.0])
-    assert alone.disturbance == (0.1, np.inf)
-    assert both.disturbance == (0.1, pytest.approx(0.3))
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
@@ -228,14 +212,6 @@ def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
     assert dead(RIGHT).true_pose[2] < -0.03
 
 
-def test_weak_motor_gives_its_share_while_it_is_weak() -> None:
-    weak = {"wheel": "rear_left", "factor": 0.3, "start": 1.0, "duration": 2.0}
-    disturbances, _ = _disturbances(weak_motors=[weak])
-    for time, share in ((0.5, 1.0), (1.0, 0.3), (2.9, 0.3), (3.0, 1.0)):
-        torques = disturbances.motors(np.array([1.0, -2.0, 3.0, 4.0]), time)
-        np.testing.assert_allclose(torques, [1.0, -2.0, 3.0 * share, 4.0])
-
-
 def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
     scenario = check(Scenario, {"description": "test", **parts}, "test")
     chassis = Chassis(ROBOT, TWIN, FLOOR, STEP)
@@ -338,38 +314,10 @@ def test_robot_with_diverging_motion_is_lost_and_not_back_at_its_start(
     assert not list(tmp_path.iterdir())  # MuJoCo would leave a log file
 
 
-@pytest.mark.parametrize("friction", [FLOOR, SLIPPERY])
-def test_patch_factor_scales_the_friction_of_the_surface(friction: float) -> None:
-    drives = [
-        drive_open_loop(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
-        for kind in ({"factor": 0.25}, {"friction": 0.25 * friction})
-    ]
-    np.testing.assert_array_equal(*drives)
-
-
-SHIPPED = SCENARIOS.names
-
-
 def _write_scenario(folder: Path, text: str) -> Path:
     path = folder / "mine.yaml"
     path.write_text(f"description: mine\n{text}\n")
     return path
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_every_disturbance_has_begun_or_ended_well_before_the_end_of_the_shortest_trajectory(name: str) -> None:
-    shortest = min((load_trajectory(path) for path in ("circle", "square", "s", "cane")), key=lambda r: r.duration)
-    for seed in range(20):
-        scenario = load_scenario(name).draw(seed)
-        assert all((start if end == math.inf else end) <= shortest.duration - 3.0 for start, end in scenario.spans)
-        length = shortest.sample([shortest.duration]).arc_length[0]
-        assert all(patch.start + (patch.length or 0.0) <= length - 1.0 for patch in scenario.patches)
-
-
-def test_start_offset_is_exact_and_the_first_seeds_take_every_sign() -> None:
-    drawn = [load_scenario("start_offset").draw(seed).start_offset for seed in range(4)]
-    pairs = {(offset.across, round(np.degrees(offset.heading), 3)) for offset in drawn if offset}
-    assert pairs == {(across, heading) for across in (-0.2, 0.2) for heading in (-20.0, 20.0)}
 
 
 @given(seed=st.integers(0, 10_000), low=st.floats(0.1, 5.0), width=st.floats(0.0, 5.0))

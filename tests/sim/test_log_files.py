@@ -4,7 +4,7 @@ import json
 import os
 import stat
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -126,16 +126,6 @@ def test_identification_reads_the_same_from_mcap_and_csv(run, file, tmp_path):
             assert np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b or field.name == "name"
 
 
-def test_equal_runs_give_equal_files_except_for_measured_times(run, tmp_path):
-    timed = replace(run, step_time=np.full(len(run.time), 1e-4), solve_time=np.full(len(run.time), 1e-5))
-    again = simulate(
-        Controller(load_config("ssm")), make_plant("model:ssm", sensors="slam", seed=2), run.reference, keep_plans=True
-    )
-    log_mcap.write_log(timed, tmp_path / "one.mcap")
-    log_mcap.write_log(replace(again, step_time=timed.step_time, solve_time=timed.solve_time), tmp_path / "two.mcap")
-    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
-
-
 def test_truncated_file_is_read_up_to_its_end(run, file, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
@@ -169,19 +159,6 @@ def test_bag_of_another_recorder_is_not_read_as_a_drive(tmp_path):
         assert reader.connections
 
 
-def test_value_that_is_not_finite_is_omitted(run, tmp_path):
-    times = run.solve_time.copy()
-    times[3] = np.inf
-    log_mcap.write_log(replace(run, solve_time=times), tmp_path / "gaps.mcap")
-    assert np.isnan(read_drive_log(tmp_path / "gaps.mcap").columns["solve_time_s"][3])
-
-
-def test_every_field_and_topic_is_documented():
-    page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
-    fields = [name for name in tick_schema()["properties"] if "_cov_" not in name]
-    assert [name for name in (*fields, *KINDS, STATE) if f"`{name}`" not in page] == []
-
-
 class SparsePlant(KinematicPlant):
     """Plant with poses only every fifth tick, one tick late, and four wheel speeds."""
 
@@ -213,14 +190,6 @@ def test_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: Pa
     log_csv.write_log(sparse, path)
     assert read_columns(path)["t_s"].size == sparse.time.size
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
-
-
-def test_link_to_a_file_stays_a_link(sparse: Run, tmp_path: Path) -> None:
-    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
-    for _ in range(2):  # first the file is missing, then it is replaced
-        log_csv.write_log(sparse, tmp_path / "link.csv")
-        assert (tmp_path / "link.csv").is_symlink()
-        assert read_columns(tmp_path / "real.csv")["t_s"].size == sparse.time.size
 
 
 def _pipe(path: Path) -> None:

@@ -1,12 +1,6 @@
 """The simulated robot over DDS: its topics and its process."""
 
 import signal
-import subprocess
-import sys
-import threading
-import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,60 +180,6 @@ def test_lost_robot_ends_the_run_with_a_complete_bag(tmp_path):
 def test_a_bag_is_never_written_over(tmp_path):
     with pytest.raises(ConfigError, match="already exists"):
         run_robot(make_plant("model:ssm"), (0, 0, 0), settings(), load_sensor_set("default"), record=tmp_path)
-
-
-COMMAND = str(Path(sys.executable).with_name("diffdrive-mpc"))
-
-
-@contextmanager
-def start_robot(*words, output):
-    """Yield the process once it has printed `output`; it ends with the context or after `BOUND` seconds."""
-    robot = subprocess.Popen([COMMAND, "sim-robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
-    watchdog = threading.Timer(BOUND, robot.kill)
-    watchdog.start()
-    try:
-        assert any(output in line for line in robot.stderr), "the process ended before it was ready"
-        yield robot
-    finally:
-        watchdog.cancel()
-        robot.kill()
-        robot.wait()
-        robot.stderr.close()
-
-
-@pytest.mark.parametrize(
-    ("number", "mode", "output"),
-    [(signal.SIGINT, "--real-time", "ready, in real time"), (signal.SIGTERM, "--lock-step", "waiting for")],
-)
-def test_signal_ends_the_robot_cleanly(number, mode, output, tmp_path):
-    """In lock step the robot waits without a driver."""
-    with start_robot(mode, "--record", str(tmp_path / "bag"), output=output) as robot:
-        robot.send_signal(number)
-        _, errors = robot.communicate()
-    assert robot.returncode == 0, errors
-    assert "Traceback" not in errors
-    assert (tmp_path / "bag" / "metadata.yaml").exists()
-
-
-def test_real_time_stamps_are_multiples_of_the_sample_time(tmp_path):
-    """The machine may be late: the base permits 60 s of delay in this test."""
-    shipped = (Path(__file__).parents[2] / "sim" / "ros" / "base.yaml").read_text()
-    base = tmp_path / "base.yaml"
-    base.write_text(shipped.replace("most_behind: 0.2", "most_behind: 60"))
-    words = ["--duration", "0.5", "--base", str(base), "--trajectory", "square", "--record", str(tmp_path / "bag")]
-    before = time.time_ns()
-    result = subprocess.run(
-        [COMMAND, "sim-robot", "--plant", "model:ssm", *words],
-        capture_output=True,
-        text=True,
-        timeout=BOUND,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-    stamps, _ = read_messages(tmp_path / "bag", "/odom")
-    assert np.array_equal(np.diff(stamps), np.full(24, 20_200_000))
-    assert before < stamps[0] < stamps[-1] < time.time_ns()
-    assert np.array_equal(read_true_poses(tmp_path / "bag"), np.zeros((25, 3)))
 
 
 def test_robot_ticks_at_the_sample_time_of_the_configuration(tmp_path):

@@ -1,16 +1,13 @@
 """A simulated run: its recorded data, and its energy."""
 
-import copy
-import pickle
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
-from diffdrive_mpc import Measurement, make_plant
+from diffdrive_mpc import Measurement
 from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.sim import Run, simulate
 
@@ -115,21 +112,6 @@ def test_plans_are_recorded_on_request(run: Run) -> None:
     assert simulate(FeedForward(), KinematicPlant(), CIRCLE, keep_plans=True).plans.shape == (len(run.time), 0, 3)
 
 
-def arrays(run: Run) -> dict[str, FloatArray]:
-    variant = {field.name: getattr(run, field.name) for field in fields(run)}
-    variant |= {f"errors.{field.name}": getattr(run.errors, field.name) for field in fields(run.errors)}
-    return {name: value for name, value in variant.items() if isinstance(value, np.ndarray)}
-
-
-def test_arrays_of_a_run_and_of_its_copies_are_read_only(run: Run) -> None:
-    for variant in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
-        assert len(arrays(variant)) == 22
-        for name, array in arrays(variant).items():
-            with pytest.raises(ValueError, match="read-only"):
-                array[...] = 0.0
-            np.testing.assert_array_equal(array, arrays(run)[name])
-
-
 def test_run_is_converted_to_a_dataframe(run: Run) -> None:
     table = run.to_dataframe()
     assert isinstance(table, pd.DataFrame)
@@ -139,15 +121,6 @@ def test_run_is_converted_to_a_dataframe(run: Run) -> None:
     np.testing.assert_array_equal(table[["v_ref_m_s", "omega_ref_rad_s"]], run.command)
     assert table["solver_path"].value_counts().to_dict() == {"none": 26, "unlimited": 25}
     assert table["t_s"].dtype == float
-
-
-def test_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
-    figure = run.plot()
-    labels = {axes.get_ylabel() for axes in figure.axes}
-    assert labels == {"y [m]", "error [mm]", "error [rad]", "v [m/s]", "omega [rad/s]"}
-    path = next(axes for axes in figure.axes if axes.get_xlabel() == "x [m]")
-    np.testing.assert_array_equal(path.lines[1].get_xydata(), run.true_pose[:, :2])
-    plt.close(figure)
 
 
 def test_run_prints_as_a_table() -> None:
@@ -167,20 +140,3 @@ def test_run_prints_as_a_table() -> None:
     ]
     assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])
     assert repr(run) == "Run along 'line': 4 ticks of 1 s"
-
-
-def test_columns_contain_motor_torques_only_if_the_plant_has_motors() -> None:
-    reference = ConstantTwist(v=0.4, omega=1.2, duration=1.0)
-    run = simulate(FeedForward(), make_plant("mujoco", sensors="perfect"), reference)
-    names = [f"true_torque_{wheel}_n_m" for wheel in ("fl", "fr", "rl", "rr")]
-    assert np.array_equal(np.column_stack([run.columns[name] for name in names]), run.motor_torque)
-    plain = simulate(FeedForward(), KinematicPlant(), reference)
-    assert not [name for name in plain.columns if "torque" in name]
-
-
-def test_robot_named_default_equals_the_robot_without_a_name() -> None:
-    reference = ConstantTwist(v=0.4, omega=1.2, duration=1.0)
-    plain, named = (
-        simulate(FeedForward(), make_plant(name, sensors="perfect"), reference) for name in ("mujoco", "mujoco:default")
-    )
-    assert np.array_equal(plain.true_pose, named.true_pose) and np.array_equal(plain.motor_torque, named.motor_torque)

@@ -195,15 +195,6 @@ def test_unstated_noise_is_not_in_the_covariance(name: str, noise: float) -> Non
     np.testing.assert_allclose(stated, [usual.position_sd, usual.position_sd, usual.heading_sd])
 
 
-def test_sensor_set_states_only_differences_from_the_default_set(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text("gyro: {bias_sd: 0.02}\n")
-    mine, usual = load_sensor_set(path), load_sensor_set("default")
-    assert mine.gyro.bias_sd == 0.02
-    assert mine.gyro.noise_sd == usual.gyro.noise_sd
-    assert (mine.pose, mine.encoders) == (usual.pose, usual.encoders)
-
-
 def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
     """Return time, intact and faulty measurement of each tick; the states of both robots are bitwise equal."""
     for fault in (fault for kind in faults.values() for fault in kind):

@@ -9,9 +9,10 @@ from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant_settings
-from studies.tracking.floor import linear_loop, position_floor, stationary_covariances
+from studies.tracking.floor import linear_loop, stationary_covariances
 from studies.tracking.known_plant import identify_plant
-from studies.tracking.measured import steady_arc_lateral
+
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +43,6 @@ def test_bound_tracks_its_own_model_without_error_if_commands_are_free(plant, sh
     later = run.counted & (run.time > 1.0)
     assert run.errors.position[later].max() < 1e-3
     assert np.abs(run.errors.lateral).max() < 1e-3
-
-
-def test_steady_arcs_are_exact_with_the_shipped_weights(short):
-    run = drive("model:sm", "default", short)
-    assert np.abs(steady_arc_lateral(run)).max() < 2e-4
-    assert run.metrics.lateral_rmse_m < 1e-3
 
 
 @pytest.mark.long
@@ -88,12 +83,3 @@ def test_position_floor_is_the_scatter_of_simulated_linear_robots():
         squares.append([np.mean(rows[:, loop.position] ** 2, axis=0) for rows in (state - estimate, state)])
     stated = [np.diag(covariance)[loop.position] for covariance in stationary_covariances(loop)]
     assert np.mean(squares[400:], axis=0) == pytest.approx(np.array(stated), rel=0.05)
-
-
-def test_position_floor_falls_with_the_pose_noise_down_to_that_of_the_disturbance():
-    perfect, default, noisy = (
-        position_floor("sm", "circle", sensors) for sensors in ("perfect", "default", "noise_2cm")
-    )
-    assert perfect.estimate < 1e-5 < 0.1 * default.estimate < 0.1 * noisy.estimate
-    assert 0.1 * default.total < perfect.total < default.total < noisy.total
-    assert perfect.total < 0.5 * position_floor("sm", "circle", "perfect", assumed=True).total

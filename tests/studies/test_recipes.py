@@ -4,6 +4,8 @@ import re
 import textwrap
 from pathlib import Path
 
+import pytest
+
 from diffdrive_mpc.bench.spec import SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import carry_out
 
@@ -16,6 +18,7 @@ def code(start):
     return textwrap.dedent(block[0])
 
 
+@pytest.mark.system
 def test_recipe_of_a_study_runs(tmp_path, one_process):
     (tmp_path / "noise.yaml").write_text(code("title: Noise").replace("[0, 1, 2, 3, 4]", "[0]"))
     rows = carry_out(SpecStudy(load_experiment(tmp_path / "noise.yaml")), tmp_path / "noise")

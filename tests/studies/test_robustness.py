@@ -1,22 +1,15 @@
 """The robustness study: conditions that can be run, ratios and tables of artificial rows, and a small real study."""
 
-import json
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from commands import invoke
 from diffdrive_mpc import make_plant
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
-from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from diffdrive_mpc.bench.controllers import controller_config, run_case
 from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
-from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
-from studies.cli import app
 from studies.robustness.results import condition_columns, market_cases
-from studies.robustness.study import turns_on_the_spot
+
+pytestmark = pytest.mark.system
 
 CONDITIONS = load_conditions()
 
@@ -31,39 +24,6 @@ def test_every_condition_has_an_existing_plant_and_settings(name: str) -> None:
     plant.measure()
     plant.advance([0.1, 0.0])
     assert plant.time == plant.sample_time
-
-
-def test_robots_of_the_market_are_reserved_ones_that_can_drive_the_path() -> None:
-    cases = market_cases(3, "mpc", "ssm", "square", spot_turns=True)
-    seeds = [case.seed for case in cases]
-    assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
-    assert all(seed % 2 == 0 and can_drive(draw_robot(seed), spot_turns=True) for seed in seeds)
-    assert not any(case.overrides for case in cases)
-    assert dict(settings_of(cases[0])) == draw_robot(seeds[0]).stated
-    assert case_config(cases[0]).wheels.track == draw_robot(seeds[0]).stated["wheels.track"]
-    assert dict(settings_of(replace(cases[0], overrides=(("limits.omega", 0.5),))))["limits.omega"] == 0.5
-    assert not settings_of(market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0])
-    tuning = market_cases(2, "mpc", "ssm", "circle", spot_turns=False, tuning=True)
-    assert all(case.seed % 2 == 1 for case in tuning)
-    assert [turns_on_the_spot(path) for path in ("circle", "square", "s", "cane")] == [False, True, False, False]
-
-
-@pytest.fixture
-def short_path(tmp_path: Path) -> Path:
-    path = tmp_path / "short.yaml"
-    path.write_text("name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 1.0}\n")
-    return path
-
-
-def test_study_of_the_market_is_reproducible_and_drives_at_every_rate(tmp_path: Path, short_path: Path) -> None:
-    runs = []
-    for out in (tmp_path / "1", tmp_path / "2"):
-        words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--jobs", "1"]
-        invoke(app, "robustness", "--out", out, "--trajectories", short_path, *words)
-        runs.append(json.loads((out / "robustness.json").read_text())["runs"])
-    assert runs[0] == runs[1]
-    assert [run["condition"] for run in runs[0]] == ["market", "market, 10/h", "market, 100/h"]
-    assert all(run["driven_s"] > 1.0 for run in runs[0])
 
 
 @pytest.mark.long
@@ -111,18 +71,3 @@ def test_poses_ten_times_noisier_than_stated_keep_the_error_small() -> None:
         errors.append(run.metrics.position_rmse_m)
     # Twice the error once the scatter is known; 0.03 m if it is learned too late.
     assert np.mean(errors) < 0.03
-
-
-@pytest.mark.long
-def test_small_study_is_reproducible(tmp_path: Path, short_path: Path) -> None:
-    runs = []
-    for jobs in ("1", "2"):
-        out = tmp_path / jobs
-        words = ["--only", "mass_left,noise_2cm", "--trajectories", short_path, "--seeds", "7,", "--jobs", jobs]
-        invoke(app, "robustness", "--out", out, *words)
-        runs.append(json.loads((out / "robustness.json").read_text())["runs"])
-        assert (out / "figures" / "ratios.png").stat().st_size > 0
-    assert runs[0] == runs[1]
-    assert [(run["condition"], run["controller"]) for run in runs[0]] == [
-        (condition, controller) for condition in ("mass_left", "noise_2cm") for controller in ("mpc", "kanayama")
-    ]

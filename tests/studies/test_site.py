@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 import typer
 
@@ -17,7 +16,6 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.described import schema_rows
 from studies.site.command_line import command_line_page
 from studies.site.reference import api_page, reference_pages, section
-from studies.site.robot_scene import GREY, RobotScene, draw_line
 from studies.site.staging import stage, with_mathml, with_site_links
 
 ROOT = Path(__file__).parents[2]
@@ -95,6 +93,7 @@ def test_every_key_and_topic_is_in_the_reference():
         section(DOCUMENTS["docs/robot.md"], "Nothing")
 
 
+@pytest.mark.system
 def test_dead_link_dead_anchor_and_unlisted_page_fail_the_build(tmp_path):
     for name in ("mkdocs.yml", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         shutil.copy(ROOT / name, tmp_path)
@@ -113,29 +112,3 @@ def test_dead_link_dead_anchor_and_unlisted_page_fail_the_build(tmp_path):
 
 
 # The robot in pictures of MuJoCo.
-
-
-@pytest.mark.parametrize("plant", ["mujoco", "mujoco:heavy", "model:sm", "drawn:3"])
-def test_scene_has_the_robot_at_its_pose(plant: str) -> None:
-    scene = RobotScene(plant)
-    scene.place((1.0, 2.0, np.pi / 2), (0.1, 0.2, 0.3, 0.4))
-    assert scene.data.qpos[:2].tolist() == [1.0, 2.0]
-    forward = scene.data.xmat[1].reshape(3, 3)[:, 0]
-    assert forward == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
-    wheels = scene.data.xpos[2:6]
-    lowest_point = wheels[:, 2] - scene.model.geom_size[-2, 0]
-    assert lowest_point == pytest.approx(0.0, abs=1e-9)
-    # The first two wheels are in front, which is +y for this pose.
-    assert (wheels[:2, 1] > wheels[2:, 1]).all()
-
-
-def test_line_keeps_both_ends_and_fits_the_scene() -> None:
-    import mujoco
-
-    scene = mujoco.MjvScene(RobotScene("mujoco").model, maxgeom=1000)
-    points = np.column_stack([np.linspace(0.0, 1.0, 5001), np.zeros(5001)])
-    draw_line(scene, points, 0.1, GREY)
-    assert scene.ngeom == 300
-    middles = np.array([geom.pos for geom in scene.geoms[: scene.ngeom]])
-    assert middles[[0, -1], 0] == pytest.approx([0.5 / 300, 1.0 - 0.5 / 300], abs=1e-4)
-    assert middles[:, 2] == pytest.approx(0.1)

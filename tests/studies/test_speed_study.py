@@ -5,23 +5,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from studies.speed.measure import closed_loop_cost
-from studies.speed.results import growth_exponent, time_statistics
+from studies.speed.results import time_statistics
 from studies.speed.settings import SubjectSettings, load_speed_settings, select_subjects
 from studies.speed.study import SpeedStudy
 
-
-@given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
-def test_exponent_of_a_power_law_is_estimated(exponent, scale):
-    horizons = np.array([20.0, 30.0, 50.0, 100.0])
-    assert growth_exponent(horizons, scale * horizons**exponent) == pytest.approx(exponent, abs=1e-9)
+pytestmark = pytest.mark.system
 
 
 def test_single_disturbance_counts_among_all_steps_but_not_among_ticks():

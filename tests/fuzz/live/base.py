@@ -41,9 +41,7 @@ class Base:
         self.pose, self.twist, self.command = [0.0, 0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
         self.commands: list[Heard] = []
         self.changes: dict[str, Change] = {}
-        self.blocked = self.silent = False
-        self.twins: dict[str, Any] = {}
-        """Publishers of a second robot of the same name, which stands 1.4 m away, by topic."""
+        self.blocked = False
         self.clock_offset, self.clock_stands = 0.0, False
         self.standing: list[tuple[float, float]] = []
         """Intervals of the monotonic clock in which the simulated clock stands [s]."""
@@ -87,8 +85,6 @@ class Base:
         self._publish()
 
     def _publish(self) -> None:
-        if self.silent:
-            return
         messages = {"odom": Odometry(child_frame_id="base_link"), "imu": Imu(), "pose": PoseWithCovarianceStamped()}
         for (name, message), frame in zip(messages.items(), ("odom", "base_link", "map"), strict=True):
             message.header.stamp, message.header.frame_id = time_message(max(self.now, 0)), frame
@@ -99,9 +95,6 @@ class Base:
         for name, message in messages.items():
             for sent in self.changes[name](message) if name in self.changes else [message]:
                 self._publishers[name].publish(sent)
-            if name in self.twins:
-                _set_value(message, self.pose[0] + 1.4)
-                self.twins[name].publish(message)
         if self.sim_time:
             self._clock.publish(Clock(clock=time_message(max(self.now, 0))))
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -22,17 +19,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="ros-log-"))
 
 import rclpy
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import Imu
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -41,7 +34,6 @@ from fuzz import odd
 from fuzz.live.base import BLINDING, CHANGES, PERIOD, Base, damaged, make_change
 from fuzz.live.judge import SLACK, Account, Allowed, faults
 from fuzz.live.node_process import NodeProcess
-from ros_types.build import add_types
 
 NODE = "/diffdrive_mpc"
 _PATIENCE = 30.0
@@ -49,9 +41,6 @@ _START_PATIENCE = 180.0
 """Time for a node that first compiles, on a busy machine [s]."""
 _TICKS = 0.1
 """Time of ticks and messages in addition to the stated times [s]."""
-_TWIN = 0.3
-"""Time in which the node notices a second publisher [s]."""
-_CLIENT = Path(__file__).parents[2] / "mpc" / "follow_client.py"
 _MAX_GROWTH = 60.0
 """Memory growth of a node after its first campaigns [MB]."""
 _CAMPAIGNS = 10
@@ -173,8 +162,7 @@ class Attacker:
     def recover(self) -> None:
         """End all attacks, restore parameters and activate the node."""
         self.base.changes.clear()
-        self.base.twins.clear()
-        self.base.blocked = self.base.silent = self.base.clock_stands = False
+        self.base.blocked = self.base.clock_stands = False
         self.spin(0.1)
         steps = {
             State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE,
@@ -325,88 +313,7 @@ def _named_fault(attacker: Attacker, random: Random, actions: list[str]) -> None
     attacker.account.zero.append((deadline, time.monotonic() - 0.05, actions[-1]))
 
 
-def _outage(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Stop the messages of the base, and let it return elsewhere; after a long outage nothing moves before a start."""
-    lasting = random.random() < 0.7
-    actions.append("long outage" if lasting else "short outage")
-    attacker.spin(random.uniform(0.0, 1.0))
-    attacker.base.silent = True
-    attacker.spin(random.uniform(2.0, 5.0) if lasting else random.uniform(0.1, 0.5))
-    if lasting:
-        attacker.base.pose = [value + random.uniform(-5.0, 5.0) for value in attacker.base.pose]
-    attacker.base.silent = False
-    returned = time.monotonic()
-    if lasting:
-        attacker.spin(2.0)
-        attacker.account.zero.append((returned, time.monotonic() - 0.05, actions[-1]))
-    else:
-        attacker.wait(lambda: attacker.mode.startswith("TRACKING"), "tracking after a short outage", 5.0)
-
-
-def _twin(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Start a second driver of the same name on an input of a driving node, which has to stop in time."""
-    used = ["odom"] + ["imu"] * bool(attacker.settings.get("use_imu", True))
-    topic = random.choice(used + ["pose"] * bool(attacker.settings.get("use_pose_topic")))
-    actions.append(f"twin of {topic}")
-    context = Context()
-    rclpy.init(context=context, args=["--ros-args", "--log-level", "fatal"])
-    twin = rclpy.create_node(attacker.node.get_name(), context=context)
-    kind = {"odom": Odometry, "imu": Imu, "pose": PoseWithCovarianceStamped}[topic]
-    publisher = twin.create_publisher(kind, topic, qos_profile_sensor_data)
-    try:
-        attacker.wait(publisher.get_subscription_count, "subscription of the node")
-        attacker.base.twins[topic] = publisher
-        deadline = time.monotonic() + _TWIN + attacker.braking + SLACK
-        attacker.spin(deadline + 1.0 - time.monotonic())
-        attacker.account.zero.append((deadline, time.monotonic() - 0.05, actions[-1]))
-    finally:
-        attacker.base.twins.clear()
-        twin.destroy_node()
-        rclpy.shutdown(context=context)
-
-
-def _dead_client(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Kill the client of a goal while the robot follows its path, which has to stop within the blind distance."""
-    actions.append("dead client")
-    attacker.trigger("pause")
-    # From now on only a goal moves the robot.
-    attacker.wait(lambda: attacker.trigger("reset"), "accepted reset")
-    x, y, theta = attacker.base.pose
-    poses = [[x + 0.1 * i * math.cos(theta), y + 0.1 * i * math.sin(theta), theta] for i in range(100)]
-
-    def distance() -> float:
-        return math.dist(attacker.base.pose[:2], (x, y))
-
-    with subprocess.Popen([sys.executable, str(_CLIENT)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as client:
-        try:
-            assert client.stdin is not None
-            client.stdin.write(json.dumps({"send": "goal", "frame": attacker.frame, "poses": poses}).encode() + b"\n")
-            client.stdin.flush()
-            attacker.wait(lambda: distance() > random.uniform(1.5, 3.0), "motion along the path of the goal")
-        finally:
-            client.kill()
-    place = distance()
-    attacker.spin(6.0)
-    travelled, most = distance() - place, attacker.defaults["follow_blind_distance"].double_value
-    if travelled > most:
-        raise LostError(f"the robot travelled {travelled:.2f} m after the death of its client, more than {most:g} m")
-
-
-def _terminate(attacker: Attacker, number: int) -> list[str]:
-    """Send a signal during a drive: the last command is zero and the exit code 0."""
-    attacker.recover()
-    attacker.drive()
-    attacker.end_activity()
-    start = time.monotonic()
-    code = attacker.process.end(number)
-    attacker.account.requested += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 10)]
-    findings = attacker.judge()
-    if (last := attacker.base.commands[-1]) and (last.v or last.omega):
-        findings.append(f"signal {number}: the last command is {last}")
-    return findings if code == 0 else [*findings, f"signal {number}: exit code {code}"]
-
-
-ATTACKS = (_named_fault, _storm, _outage, _twin, _dead_client)
+ATTACKS = (_named_fault, _storm)
 """Kinds of campaigns, in turns."""
 
 
@@ -430,8 +337,6 @@ class Attack:
                 used.append(attacker.process.used())
             if not self.findings and len(numbers) == _CAMPAIGNS:
                 self.findings += self._growth(used[2:])
-                signals = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-                self.findings += _terminate(attacker, signals[numbers.start // _CAMPAIGNS % 3])
         except LostError as error:
             self.findings.append(f"lost: {error}; see {attacker.process.log}")
         finally:
@@ -473,7 +378,6 @@ def main(seconds: float, seed: int, folder: Path | None, number: int | None) -> 
     """Run campaigns for `seconds`, or campaign `number` alone; return the number of findings."""
     folder = folder or Path(tempfile.mkdtemp(prefix="fuzz-live-"))
     folder.mkdir(parents=True, exist_ok=True)
-    add_types()
     attack = Attack(seed, folder, time.monotonic() + seconds)
     rclpy.init(args=["--ros-args", "--log-level", "fatal"])
     try:
