@@ -118,6 +118,7 @@ def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
             if kind == 0:
                 raise ValueError("a record contains only zeros")
             if kind not in (*_KINDS, _CHUNK):
+                # In pieces, because a forged length must not allocate memory.
                 while length > 0:
                     length -= len(_read_exactly(file, min(length, MEGABYTE)))
                 continue

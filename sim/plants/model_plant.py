@@ -122,6 +122,7 @@ class ModelPlant:
             self._c.next = self._function.advance(sent)
         self._advance(self._c, sent)
         now = self.time
+        # A pose sensor has its own times, which may lie between the ticks.
         for due in self._sensors.poses_due(now):
             if due != now:
                 self._interpolate_pose(self._c, before, due, address(self._interpolated))

@@ -167,6 +167,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     stride = max(1, round(settings.compared_every / records[0].dt))
     dt = stride * records[0].dt
     counts = [-(-len(record.command) // stride) for record in records]
+    # The gap between stretches is longer than any shift, so no pair of samples crosses it.
     padding = round((settings.longest_lag + settings.longest_lead) / dt) + 1
     ends = padding + np.cumsum([count + padding for count in counts])
     total = int(ends[-1])
@@ -335,6 +336,7 @@ def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> Fl
         return None
     a = np.where(finite_u[:, None], u - u[finite_u].mean(axis=0), 0.0)
     b = np.where(finite_y[:, None], y - y[finite_y].mean(axis=0), 0.0)
+    # Zero padding prevents the cyclic correlation from wrapping around.
     size = fft.next_fast_len(len(u) + high - low, real=True)
     spectrum_a, spectrum_b = fft.rfft(a, size, axis=0), fft.rfft(b, size, axis=0)
     shifts = np.arange(low, high + 1) % size
@@ -351,6 +353,7 @@ def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> Fl
     cross, energy = cross / np.maximum(pairs, 1.0)[:, None, None], energy / np.maximum(pairs, 1.0)[:, None]
     explained = np.einsum("lcm,cd,ldm->lm", cross, np.linalg.inv(inner), cross) / np.maximum(energy, 1e-300)
     explained_variance = explained.mean(axis=1)
+    # Few pairs correlate by chance.
     explained_variance[pairs < 0.5 * pairs.max()] = 0.0
     if u.shape[1] == y.shape[1] == 1:
         positive = explained_variance * (cross[:, 0, 0] > 0)

@@ -61,6 +61,7 @@ class DriveWriter:
         self._writer.add_metadata("layout", {"frame": frame, "poses": "sensor" if pose_topic else "odometry"})
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, int] = {}
+        # The first tick writes a status.
         self._last_mode, self._diagnostic_time = "", -_NANO
 
     def close(self) -> None:
