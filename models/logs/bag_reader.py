@@ -65,8 +65,8 @@ class Bag:
             counts[topic, kind] += time is not None
             if time is not None:
                 first, last = min(time, time if first is None else first), max(time, last)
+        # A truncated file holds fewer messages than stated; the reader then reports it.
         self.connections = [
-            # A truncated file holds fewer messages than stated; the reader then reports it.
             Connection(topic, kind, max(count, stated_counts.get(topic, 0))) for (topic, kind), count in counts.items()
         ]
         self.duration = 0 if first is None else last - first
