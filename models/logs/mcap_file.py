@@ -149,10 +149,12 @@ def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
         (packed,) = struct.unpack_from("<Q", record, 32 + name)
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError("the head of a chunk is damaged") from error
+    # The name of the compression follows 32 bytes; then 8 bytes with the size of the packed records.
     data = record[40 + name :]
     if len(data) != packed:
         raise ValueError(f"a chunk declares {packed:,} bytes and has {len(data):,}")
     content = unpacked(path, data, compression, size)
+    # Records that are not compressed cannot exceed the size of the file.
     budget.take(len(content) if compression else 0)
     if checksum and crc32(content) != checksum:
         raise ValueError("the checksum of a chunk does not match its content")

@@ -203,6 +203,7 @@ def _plant_in_c(
         c.track_at_rest, c.track_growth = slip.virtual_track.p0, slip.virtual_track.p1
     if slip.polynomial is not None:
         c.polynomial, c.has_polynomial = slip.polynomial.coefficients, 1
+    # The structure holds only addresses of the arrays.
     return c, [*arrays.values()]
 
 

@@ -124,6 +124,7 @@ class DriveWriter:
         measured = measurement_of(row)
 
         def stamp(reading: Stamped) -> int:
+            # The clock of the file may differ from that of the controller, so only differences of its times are used.
             return now + round(_NANO * (reading.time - float(row["t_s"])))
 
         pose, wheels, gyro, speeds = measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds
