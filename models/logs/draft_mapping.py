@@ -161,9 +161,11 @@ def _format_unused(names: Iterable[str]) -> list[str]:
 
 def _column(table: CsvTable, name: str) -> _Column | None:
     """Interpret the name of a column; return None if a mapping cannot use it or a cell is not a number."""
+    # Words of camelCase are separated like those of snake_case.
     text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
     known, unit, reasons = _table(), "", []
     for candidate, pattern in known.units.items():
+        # A unit is a whole word. `\b` would not match at an underscore.
         if match := re.search(rf"(?<![^\W_])({pattern})(?![^\W_])", text):
             unit, text = candidate, text[: match.start()] + " " + text[match.end() :]
             reasons = [f"'{match[0]}' in its name"]
@@ -177,6 +179,7 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     # A rate of the heading is a yaw rate.
     if _common_words(words, known.quantities["theta"]) and _common_words(words, known.rates):
         quantity = "omega"
+    # Only the forward speed and the yaw rate are mapped, not other components of a twist.
     sideways = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
     if not quantity or words & sideways:
         return None

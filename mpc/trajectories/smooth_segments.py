@@ -141,6 +141,8 @@ def _drive_nodes(
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
     reaches = [0.0, *(rounded.reach for rounded in joints), 0.0]
+    # Blocks with one maximum speed each: what the joints leave of a segment, and the joints, at the speed of the slower
+    # segment.
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
         remaining = length - reaches[i] - reaches[i + 1]
