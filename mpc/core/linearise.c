@@ -369,8 +369,7 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
             arcs[i * N + k] = move[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
             arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
-            /* ddmpc_linear_moves integrates headings without this gain, so the derivative by the heading contains
-             * it. */
+            /* ddmpc_linear_moves integrates headings without this gain, so the derivative contains it. */
             arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
         }
     }
