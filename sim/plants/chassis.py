@@ -78,6 +78,7 @@ class Chassis:
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
         self._position, self._velocity = self._data.qpos, self._data.qvel
+        # Velocities 0 to 5 and positions 0 to 6 belong to the free joint of the body; those of the wheels follow.
         ffi, self._lib = load_twin()
         self.c = ffi.new(
             "twin_chassis *",

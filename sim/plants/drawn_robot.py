@@ -249,6 +249,7 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
     castors = bool(stream.random() < market.driven.castors / (market.driven.castors + market.driven.wheels_4))
     skidding_base = 0.0 if castors else wheel_base
     no_load = _uniform(stream, market.top_speed) * rim_speed(track, skidding_base) / radius
+    # With castors the origin is at the driven axle, and a part of the weight is on the castors behind it.
     ahead = _uniform(stream, market.centre_of_mass) * wheel_base - (0.3 * wheel_base if castors else 0.0)
     left = _uniform(stream, market.centre_of_mass) * track
     difference = _uniform(stream, market.rolling_radii) / 2

@@ -242,6 +242,7 @@ class DelayLine:
         """Reserve memory for `room` pending commands, and copy the commands that are already pending."""
         arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
         if count:
+            # The pending commands form a ring, which starts again at place 0 in the new memory.
             places = (self.c.first + np.arange(count)) % self.c.room
             arrivals[:count], commands[:count] = self._arrivals[places], self._commands[places]
         self._arrivals, self._commands = arrivals, commands
