@@ -72,12 +72,14 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
+    # The rate changes where a ramp passes zero; with the position in samples from zero, every ramp has slope 1.
     increase, decrease = rates.tolist()
     starts, last, slowest = [], start, min(increase, decrease)
     # Python floats are faster here, because the command of a log may change at every sample.
     for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):
         starts.append(last)
         change = target - last
+        # The usual case: the target is reached within the run, at any rate.
         if -slowest * count <= change <= slowest * count:
             last = target
             continue
@@ -87,6 +89,7 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
         remaining = abs(gap) - count
         position = end + (remaining if gap > 0 else -remaining)
         last = position * (above if position > 0 else below) if remaining > 0 else target
+    # The same formula for all samples at once, now that the start of each ramp is known.
     before = np.repeat(starts, counts)
     above, below = np.where(commands > before, [[increase], [decrease]], [[decrease], [increase]])
     end = commands / np.where(commands > 0, above, below)
@@ -104,6 +107,7 @@ def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray)
     values = np.clip(inputs, -limit[:, 1], limit[:, 0])
     for j, rates in enumerate(np.minimum(limit[:, 2:], _UNLIMITED_RATE)):
         if rates.min() < _UNLIMITED_RATE:
+            # The mean over the parts of a sample approximates the ramp within it.
             part_values = ramps(np.repeat(values[:, j], PARTS), rates * dt / PARTS, float(start[j]))
             values[:, j] = part_values.reshape(-1, PARTS).mean(axis=1)
     return np.asarray(values)
@@ -357,6 +361,7 @@ def respond(
     if commands.ndim != 2 or commands.shape[1] != 2 or not np.isfinite(commands).all():
         raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
     start = np.asarray(start, dtype=float)
+    # Parts of a sample, because a ramp changes the command within a sample.
     sampled = model.discretise(dt / PARTS)
     requested = np.repeat(commands, PARTS, axis=0)
     if effects.twist_range is not None:

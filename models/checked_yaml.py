@@ -82,6 +82,7 @@ def _add_bounded(kind: str) -> None:
 
 _add_bounded("int")
 _add_bounded("float")
+# None stands for all tags without a constructor.
 _UniqueKeyLoader.add_constructor(None, _refuse_tag)
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
@@ -137,6 +138,7 @@ def _check_bounds(text: str) -> None:
     """Check the limits on the parser's events; the parser builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
+    # Values behind an alias count at each use: a few lines of nested aliases can stand for billions of values.
     for event in yaml.parse(text, Loader=SafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):
             open_parts.append(_Part(event.anchor))

@@ -72,6 +72,7 @@ def to_control(model: VelocityModel, dt: float | None) -> Any:  # noqa: ANN401 -
     first = n
     for j, length in enumerate(lengths):
         # States are past commands of this input, newest first, after the command itself.
+        # Age 0 is the current command, which is an input and no state.
         for age, column in ((int(sampled.delay[j]), sampled.B0[:, j]), (int(sampled.delay[j]) + 1, sampled.B1[:, j])):
             if age == 0:
                 B[:n, j] += column
@@ -142,6 +143,7 @@ def _cancel_common_factors(numerator: FloatArray, denominator: FloatArray) -> tu
 
 def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return A, B, C of the continuous system with this zero-order-hold sampling, and its dead time (2,) [s]."""
+    # A system of order n is determined by 2 n values of its impulse response.
     count = 2 * len(sampled.A) + 2
     response = _impulse_response(sampled.A, sampled.B, sampled.C, count)
     size = np.abs(response).max()
@@ -164,9 +166,11 @@ def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, Fl
         # Results of an inaccurate logarithm are rejected below.
         warnings.simplefilter("ignore", RuntimeWarning)
         continuous = np.real(logm(A)) / sampled.dt
+    # Inverse of a zero-order hold.
     B = np.linalg.solve(A - np.eye(len(A)), continuous @ B)
     n = len(A)
     resampled = expm(np.block([[continuous, B], [np.zeros((2, n + 2))]]) * sampled.dt)
+    # Only a comparison with the original shows whether logarithm and removal of delays were exact.
     undelayed = _impulse_response(resampled[:n, :n], resampled[:n, n:], C, count)
     for j in (0, 1):
         delayed = np.pad(undelayed[..., j], ((int(delay[j]), 0), (0, 0)))[:count]

@@ -19,6 +19,7 @@ _MAX_LENGTH = 4000
 
 
 def _one_line(message: str) -> str:
+    # Cut first, which limits the work for long texts.
     text = escaped(re.sub(r"\s*\n\s*", " ", message[:_MAX_LENGTH]))
     return text if len(text) <= _MAX_LENGTH and len(message) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 

@@ -101,6 +101,7 @@ def model_path(name: str | Path) -> Path:
         return ROBOTS / f"{name}.yaml"
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
+    # Names of linear models were found above without loading a plug-in.
     shipped = _shipped_files()
     robots = {path.stem: path for kind in function_structures().values() for path in kind.robots}
     if path := (shipped | robots).get(str(name)):

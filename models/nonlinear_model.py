@@ -177,6 +177,7 @@ class NonlinearModel:
     @property
     def dead_samples(self) -> NDArray[np.int64]:
         """(2,) age of the newest command that acts on the states, at rest."""
+        # The window has the oldest command first.
         acts = np.abs(self._jacobians[1]).max(axis=0)[::-1] > 0
         return np.asarray(acts.argmax(axis=0))
 
@@ -207,6 +208,7 @@ class NonlinearModel:
         if self.known_lag is not None:
             return np.array(self.known_lag, dtype=float)
         A, B, C = self._jacobians
+        # The mean of the impulse response is the sum of the mean age in the window and the delay of the states.
         ages = np.arange(self.memory, -1, -1.0)
         weighted = np.einsum("nwj,w->nj", B, ages)
         moment = C @ np.linalg.solve(np.eye(self.order) - A, self.settled + weighted)

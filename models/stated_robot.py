@@ -134,6 +134,7 @@ class MakersRobot(StrictModel):
                 number: StatedNumber | None = getattr(self, f"{channel}_{rate}")
                 if number is not None and number.stated < getattr(default, channel):
                     keys[f"limits.{channel}_{key}"] = StatedKey(number.stated, unit)
+        # Without the feature, its group in a configuration would be an error.
         if "free_space" not in plug_in_names("features"):
             return keys
         if self.footprint is not None:

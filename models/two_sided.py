@@ -45,6 +45,7 @@ class TwoSided(float):
         """Compare both sides; `float` would compare the smaller sides."""
         return not self == limit
 
+    # Python removes the hash of a class that defines `__eq__`.
     __hash__ = float.__hash__
 
     def __repr__(self) -> str:

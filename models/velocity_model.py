@@ -32,6 +32,7 @@ def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArra
     The system is x' = A x + B u(t - dead_time), y = C x with n states, m inputs and p outputs; `inputs` (p,) are the
     indices of the inputs.
     """
+    # The lag of a transfer function is -G'(0) / G(0), with G(0) = -C A^-1 B and G'(0) = -C A^-2 B.
     settled, pairs = np.linalg.solve(A, B), (np.arange(len(C)), list(inputs))
     return np.asarray(np.asarray(dead_time)[pairs[1]] - (C @ np.linalg.solve(A, settled))[pairs] / (C @ settled)[pairs])
 

@@ -92,6 +92,7 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
             if not rewrites:
                 check_not_read(target, path)
             stack.enter_context(new_folder(target.parent))
+            # The draft is in the folder of the target, because a rename is atomic only within one file system.
             draft = stack.enter_context(scratch_folder(target.parent)) / target.name
         except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
             raise ConfigError(f"{path}: cannot be written to ({reason(error)})") from error

@@ -32,6 +32,7 @@ from diffdrive_mpc.mpc.problem.formulas import (
 )
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_terms, parameter_places
 
+# Below the limit of an unlimited row (1e14, `terms._NO_LIMIT`), which solvers would treat as a bound.
 _UNLIMITED = 1e13
 
 
@@ -99,6 +100,7 @@ class CasadiProblem:
         values = [inputs[name] for name in self.horizon.name_in()[1:]]
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]
         lower, upper = np.copysign(bounds[0], inputs["lower"]), np.copysign(bounds[1], inputs["upper"])
+        # The first four kinds of limit are hard. A soft limit takes two rows, one for each of its sides and slacks.
         hard, soft = lower[:4].size, np.full(lower[4:].size, np.inf)
         plan, slacks = inputs["feed_forward"][:, 1:].T.ravel(), np.zeros(2 * len(soft))
         return {
@@ -171,6 +173,8 @@ def _next_state(problem: Problem, state: ca.SX, sent: ca.SX, late: ca.SX) -> ca.
     def delayed_command(channel: int, lag: int) -> ca.SX:
         """Interpolate the command that takes effect after the estimated delay."""
         first = newest - lag - int(model.delay[channel])
+        # The delay is a symbol and cannot be an index, so all possible ages are summed with the weights of linear
+        # interpolation.
         return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(late[channel] - age)) * sent[channel, first - age] for age in ages))
 
     recent, older = (ca.vertcat(delayed_command(0, lag), delayed_command(1, lag)) for lag in (0, 1))

@@ -88,8 +88,10 @@ class MessageFormatter:
             parts.append(f"solve failed: {status}")
         if reasons & lib.DDMPC_LATCHED:
             cause = f" ({self.cause})" if self.cause else ""
+            # The parts at the first tick of the stop name the failure; those of later ticks may not.
             self.cause = self.cause or "; ".join(parts)
             parts.append(f"stopped after a failure{cause}; call start or resume to drive on")
+        # A repeated tick has no other reason, so it says nothing about the stop.
         elif not reasons & lib.DDMPC_TIME_REPEATED:
             self.cause = ""
         return "; ".join(parts)

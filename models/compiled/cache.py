@@ -75,6 +75,7 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build_folder:
         built = build(Path(build_folder))
         path = folder / f"{stem}-{content_digest(built)}.so"
+        # The content reaches the disk before its name: a name with a digest promises whole content.
         _to_disk(built)
         # Atomic: another process may install the same library.
         built.replace(path)
@@ -112,6 +113,7 @@ def _folders() -> Iterator[Path]:
             yield path
         elif folder is user_folder:
             _log.warning("no compiled library is stored in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
+    # A folder of this process always works, but its library is compiled again in each process.
     yield _process_folder()
 
 

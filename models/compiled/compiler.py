@@ -157,6 +157,7 @@ def _run(command: Sequence[str], timeout: float, folder: Path | None = None) -> 
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
+        # A group of its own, so that the compiler's children can be killed with it.
         start_new_session=True,
     )
     with process:

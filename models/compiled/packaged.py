@@ -166,5 +166,6 @@ def load_library(
 
 def _processor_features() -> frozenset[str]:
     """Return the features that all processors of this machine report."""
+    # The process may run on any of the processors.
     flags = [frozenset(line.partition(":")[2].split()) for line in processor_lines() if line.startswith("flags")]
     return frozenset.intersection(*flags) if flags else frozenset()

@@ -58,6 +58,7 @@ def unpacked(path: Path, data: bytes | memoryview, compression: str, size: int |
             f"{path}: a chunk has {max_size / MEGABYTE:,.0f} MB, the limit is {MAX_UNPACKED / MEGABYTE:g}; {_REMEDY}"
         )
     try:
+        # One byte more than permitted, to notice larger content without unpacking it.
         content = _unpack(data, compression, max_size + 1)
     except Exception as error:  # the types depend on the library
         raise ConfigError(f"{path}: a chunk cannot be unpacked ({' '.join(str(error).split())})") from error

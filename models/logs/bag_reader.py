@@ -65,6 +65,7 @@ class Bag:
             counts[topic, kind] += time is not None
             if time is not None:
                 first, last = min(time, time if first is None else first), max(time, last)
+        # A truncated file holds fewer messages than stated; the reader then reports it.
         self.connections = [
             Connection(topic, kind, max(count, stated_counts.get(topic, 0))) for (topic, kind), count in counts.items()
         ]
@@ -131,6 +132,7 @@ class Bag:
                 "(`ros2 bag convert`)"
             )
         self._files = [self._path / name for name in names]
+        # Links may give one file several names, and its messages would count several times.
         inodes = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
         if len(inodes) < len(names):
             raise ConfigError(f"{path}: gives several names for one file; name each file once")

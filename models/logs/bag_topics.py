@@ -226,6 +226,7 @@ def read_topics(
         message = None
         for part in by_topic[name]:
             if part.is_due():
+                # Several roles may read one topic; a message is decoded once, and only if it is due.
                 message = message or store.deserialize_cdr(data, connections[name].msgtype)
                 part.take(received, message)
     return {role: part.rows() for role, part in columns.items()}
@@ -258,6 +259,7 @@ class _Columns:
         if not self._messages:
             raise ConfigError(f"{self._path}: topic '{name}' holds no message")
         received, stamped = (np.array(self._times[first::2]) for first in (0, 1))
+        # Files of one bag may overlap in time.
         order = np.argsort(received, kind="stable")
         values = np.array(self._values).reshape(len(received), -1)
         return TopicRows(name, received[order], stamped[order], values[order], self._stride, kind)

@@ -65,6 +65,7 @@ def _continues(silence: Silences, measured: Mapping[str, Signal], settings: Chec
             continue
         signal = measured[name]
         index = np.searchsorted(silence.start, signal.time, side="right") - 1
+        # Early in a silence the robot still moves by its lag; a base with a time-out has stopped in the second half.
         is_late = (
             (index >= 0)
             & (signal.time < silence.end[index])

@@ -97,6 +97,7 @@ class RowReader:
                 "or leave it "
                 "out of the mapping"
             )
+        # Squares of larger values would overflow.
         values = np.where(np.abs(values) < ABSURD, values, np.nan)
         bad = np.isnan(values) & ~empty
         if bad.all():
@@ -171,6 +172,7 @@ def fresh_rows(value: FloatArray) -> BoolArray:
     period = hold_period(value, check_settings())
     if period is None:
         period = int(np.percentile(np.diff(rows), 95)) if len(rows) > 1 else 1
+    # Rows since the last change; every whole period holds a further reading of the same value.
     since = np.arange(len(value)) - np.repeat(rows, np.diff([*rows, len(value)]))
     return np.asarray(since % period == 0)
 
@@ -227,6 +229,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     measured = _measured(reader, columns, time)
     findings += reader.findings
     is_timed = np.isfinite(time)
+    # Any measured signal serves: its smoothness shows the true order of the rows.
     reference = next(iter(measured.values())).value[is_timed, -1]
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
         refuse([finding])
@@ -361,6 +364,7 @@ def _split_stretches(
     if columns.segment is not None:
         segment = table.cells(columns.segment)[rows]
         is_cut |= segment[1:] != segment[:-1]
+    # Rows were omitted: a gap in the row numbers that exceeds the stride ends a stretch.
     if table.row[-1] - table.row[0] >= len(table.row):
         steps_of_rows = np.diff(table.row)
         is_after_omission = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
@@ -368,4 +372,5 @@ def _split_stretches(
     is_cut |= is_invalid[rows[1:]]
     parts = np.split(rows, np.flatnonzero(is_cut) + 1)
     parts = [part[~is_invalid[part]] for part in parts]
+    # Of rows with equal times the last one is used.
     return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]

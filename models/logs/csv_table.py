@@ -246,6 +246,7 @@ def _parse_quickly(text: str, separator: str, header: list[str], wanted: list[st
     count = text.count("\n") + (not text.endswith("\n"))
     if '"' in text or "\n\n" in text or not wanted or not _is_even(text, separator, len(header), count):
         return None
+    # Decimal commas. With points in the block, the parser of cells decides for each column.
     if separator != "," and "," in text:
         if "." in text:
             return None

@@ -161,9 +161,11 @@ def _format_unused(names: Iterable[str]) -> list[str]:
 
 def _column(table: CsvTable, name: str) -> _Column | None:
     """Interpret the name of a column; return None if a mapping cannot use it or a cell is not a number."""
+    # Words of camelCase are separated like those of snake_case.
     text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
     known, unit, reasons = _table(), "", []
     for candidate, pattern in known.units.items():
+        # A unit is a whole word. `\b` would not match at an underscore.
         if match := re.search(rf"(?<![^\W_])({pattern})(?![^\W_])", text):
             unit, text = candidate, text[: match.start()] + " " + text[match.end() :]
             reasons = [f"'{match[0]}' in its name"]
@@ -174,8 +176,10 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     if _common_words(words, known.ignored):
         return None
     quantity = next((key for key, meaning in known.quantities.items() if _common_words(words, meaning)), "")
+    # A rate of the heading is a yaw rate.
     if _common_words(words, known.quantities["theta"]) and _common_words(words, known.rates):
         quantity = "omega"
+    # Only the forward speed and the yaw rate are mapped, not other components of a twist.
     sideways = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
     if not quantity or words & sideways:
         return None
@@ -313,6 +317,7 @@ def _command_and_measured(alike: list[_Column], may_command: bool) -> tuple[_Col
     plain = [column for column in alike if not column.source]
     if command is None and may_command and plain:
         if len(plain) > 1 and measured is None and _delay_and_correlation(plain[0].values, plain[1].values)[0] < 0:
+            # The column that moves first is the command.
             plain[:2] = plain[1::-1]
         command = plain.pop(0)
         command.reasons.append("no other column is named as a command")
@@ -337,6 +342,7 @@ def _add_comparison(command: _Column | None, measured: _Column) -> None:
 
 def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, float]:
     """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
+    # Changes instead of values: offsets and slow drifts would hide the delay.
     u, y = (np.diff(_interpolate_missing(values)) for values in (first, second))
     max_lag = min(_table().largest_lag, len(u) // 4)
     lags = range(-max_lag, max_lag + 1)

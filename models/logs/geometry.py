@@ -58,6 +58,7 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
     if pairs:
         both = np.concatenate(pairs)
         both = both[np.isfinite(both).all(axis=1)]
+        # Without means, so that the bias of the gyro has no effect.
         wheel_rate, yaw_rate = (both - both.mean(axis=0)).T if len(both) else both.T
         product = float(wheel_rate @ yaw_rate)
         if product <= 0:

@@ -78,6 +78,7 @@ def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], li
             f"the positions turn in the opposite direction of the {source}: they are mirrored, or x and y are exchanged"
         )
         findings.append(Finding("mirrored pose", "error", log, message, changes=(MappingChange("pose", "y.sign", -1),)))
+        # Mirroring y also mirrors the lateral offset of the measured point.
         parameters = parameters * np.where(np.isin(np.arange(len(parameters)), (_TURN, len(parameters) - 1)), -1.0, 1.0)
     results: list[Record] = []
     for record, part in zip(records, data, strict=True):
@@ -136,6 +137,7 @@ def _predict_motion(part: _Positions, parameters: FloatArray) -> tuple[FloatArra
     v, omega = (_response(part.inputs[:, i], part.dt, parameters[4 * i : 4 * i + 4]) for i in (0, 1))
     turns = 0.5 * part.dt * (omega[1:] + omega[:-1])
     heading = np.concatenate([[0.0], np.cumsum(turns)])
+    # Exact arcs: the chord is the length of the arc times sinc of half its turn, along the mean heading.
     moves = 0.5 * part.dt * (v[1:] + v[:-1]) * np.sinc(turns / (2 * np.pi)) * np.exp(1j * (heading[:-1] + 0.5 * turns))
     path = np.concatenate([[0.0], np.cumsum(moves)]) + complex(*parameters[8:]) * np.exp(1j * heading)
     return heading, path[part.rows]
@@ -184,6 +186,7 @@ def _smooth_headings(part: _Positions, parameters: FloatArray) -> FloatArray:
     change, mean = identity[1:] - identity[:-1], 0.5 * (identity[1:] + identity[:-1])
     travel_weight, turn_weight = (sparse.diags(1.0 / (size * spread)) for size in _DISTURBANCES)
     positions, walk = part.measured, np.unwrap(np.angle(_align_windows(part, path, _WINDOWS[1])[2]))
+    # Gauss-Newton: only the direction of the moves depends nonlinearly on the random walk.
     for _ in range(_ITERATIONS):
         moves = steps * np.exp(1j * (mean @ walk))
         rows = [

@@ -41,6 +41,7 @@ def imu_decoders(reader: Bag) -> Decoders:
             return np.array([0.0, 0.0, 1.0])
         parent, rotation = parents.pop(frame)
         axis, u = vertical(parent), rotation[:3]
+        # Inverse rotation of `axis` by the quaternion: the parent's vertical in the frame of the child.
         across = 2.0 * np.cross(u, axis)
         return np.asarray(axis - rotation[3] * across + np.cross(u, across))
 

@@ -81,6 +81,7 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     if change.stream == "time" and has_columns:
         _set_time(group, change)
         return
+    # The command of a bag has a default topic, so its entry may be absent.
     if group.get(change.stream) is None and not (change.stream == "command" and not has_columns):
         raise ConfigError(f"the mapping has no '{change.stream}' to change")
     stream = group[change.stream] = _expand_name(group.get(change.stream, "/cmd_vel"), "topic")

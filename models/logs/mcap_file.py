@@ -118,6 +118,7 @@ def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
             if kind == 0:
                 raise ValueError("a record contains only zeros")
             if kind not in (*_KINDS, _CHUNK):
+                # In pieces, because a forged length must not allocate memory.
                 while length > 0:
                     length -= len(_read_exactly(file, min(length, MEGABYTE)))
                 continue
@@ -148,10 +149,12 @@ def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
         (packed,) = struct.unpack_from("<Q", record, 32 + name)
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError("the head of a chunk is damaged") from error
+    # The name of the compression follows 32 bytes; then 8 bytes with the size of the packed records.
     data = record[40 + name :]
     if len(data) != packed:
         raise ValueError(f"a chunk declares {packed:,} bytes and has {len(data):,}")
     content = unpacked(path, data, compression, size)
+    # Records that are not compressed cannot exceed the size of the file.
     budget.take(len(content) if compression else 0)
     if checksum and crc32(content) != checksum:
         raise ValueError("the checksum of a chunk does not match its content")

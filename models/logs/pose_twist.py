@@ -53,5 +53,7 @@ def _mean_twist(before: FloatArray, after: FloatArray, duration: float) -> tuple
     """Return the mean v [m/s] and omega [rad/s] of the arc between two poses (x, y, theta)."""
     dx, dy, turn = after - before
     middle = before[2] + 0.5 * turn
+    # The chord of an arc lies along the mean heading; the component across is slip or noise.
     chord = np.cos(middle) * dx + np.sin(middle) * dy
+    # The chord of an arc is its length times sin(turn / 2) / (turn / 2).
     return chord / np.sinc(0.5 * turn / np.pi) / duration, turn / duration

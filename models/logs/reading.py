@@ -75,6 +75,7 @@ def read_log(
     dt = sample_time or raw.sample_time or period
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
+    # Sampling with a wrong unit of time would be pointless, so this error ends the reading.
     if finding := check_period(raw.name, period, settings):
         refuse([finding])
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
@@ -82,6 +83,7 @@ def read_log(
     source = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
     unused = [Finding("unused value", "note", source, message) for message in (loaded.unused() if loaded else ())]
     findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
+    # Stuck readings are removed before headings and streams are computed from them.
     records, stuck = check_sensors(records, settings)
     poses = [part.measured["pose"] for part in raw.stretches if "pose" in part.measured]
     if any(pose.value.shape[1] == len("xy") for pose in poses):

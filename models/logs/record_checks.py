@@ -153,6 +153,7 @@ def _stuck(
         first, last = int(samples[a]), int(samples[b])
         if last - first < min_samples:
             continue
+        # Commands late in the run are left out: the robot has not had `stuck_time` to respond to them.
         commands = share[first : last - min_samples + 1]
         at_rest = is_pose or not readings[a].any()
         moving = (np.abs(share[first : last + 1]) > settings.stuck_command).any(axis=1).all()

@@ -140,6 +140,7 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
         np.searchsorted(place, starts, side="right") - 1,
         np.searchsorted(place, starts + 1.0, side="left") - 1,
     )
+    # Integral of the held value up to each change; differences of it are the means of the samples.
     passed = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
     held = passed[last] - passed[first] + (starts + 1.0 - place[last])[:, None] * value[last]
     held -= (starts - place[first])[:, None] * value[first]

@@ -94,6 +94,7 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     """Open the database read-only; yield it and the size of its file [bytes]."""
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
+        # `immutable` also ignores journals next to the file, which could change its content.
         base = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
         try:
             for category, limit in _LIMITS.items():
@@ -124,6 +125,7 @@ def _rows(
         if row[3] == "cdr" and isinstance(row[0], int) and isinstance(row[1], str) and isinstance(row[2], str):
             known[row[0]] = row[1], row[2]
             yield *known[row[0]], None, b""
+    # Bytes of other topics are not read from disk. The numbers are integers, so the statement is safe.
     numbers = ",".join(str(number) for number, topic in known.items() if topic in topics)
     invalid_count = 0
     for _, row in _ordered_rows(

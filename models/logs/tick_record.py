@@ -150,6 +150,7 @@ class DriveRecord:
         data = _parse(line)
         try:
             names = ("number", "starts", "reset", "t0", "reference", "config", "model")
+            # The first records of this format have no `goes_on`.
             return cls(**{name: data[name] for name in names}, goes_on=bool(data.get("goes_on", False)))
         except (KeyError, TypeError) as error:
             raise TickRecordError(f"not a record of a drive ({error})") from error

@@ -90,6 +90,7 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
     low, high = fit.layout.bounds
     found_doubts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
+        # Zero is a possible dead time; all other bounds only limit the search.
         if name.startswith("dead_time") and value - lower < AT_BOUND:
             message = (
                 "the data show no dead time in addition to the lag; check that `delay` in the mapping is not too large"

@@ -61,6 +61,7 @@ class SampledExperiment:
                 raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_MIN_READINGS}")
         if not (np.isfinite(self.inputs).all() and np.isfinite(self.outputs[self.counts]).all()):
             raise ValueError(f"{self.name}: a sample is not finite; split the record there")
+        # Zero instead of NaN: the weight of these samples is zero, and zero times NaN would spoil the sums.
         object.__setattr__(self, "outputs", np.where(self.counts, self.outputs, 0.0))
 
     @property

@@ -73,6 +73,7 @@ class HeldOut(NamedTuple):
         from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
         count = len(self.parameters)
+        # Jackknife: the sum of squared deviations times (n - 1) / n.
         scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))
         return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
 

@@ -54,6 +54,7 @@ def limit_derivatives(inputs: FloatArray, limit: FloatArray, dt: float, start: F
     """Return the derivatives (4, K, m) of `limited` with respect to each kind of limit; zero for infinite limits."""
     values, derivatives = limited(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
     for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
+        # A step of 1 leaves an infinite limit infinite, so its derivative is zero without a division by zero.
         step = np.where(np.isfinite(limit[:, kind]), _RELATIVE_STEP * limit[:, kind], 1.0)
         stepped = limit.copy()
         stepped[:, kind] += step

@@ -46,6 +46,7 @@ def find_limits(
     """
     settings, drives = estimator_settings().limits, _Drives(experiments)
     best = fit
+    # One limit per round, because each candidate is judged with the limits of the earlier rounds in force.
     while True:
         trial = _with_best_candidate(best, drives, quick, robust)
         if trial is None or _evidence(best, trial) < settings.evidence:
@@ -99,6 +100,7 @@ def _with_best_candidate(
     """Return the fit with the best candidate; None if no candidate improves the criterion."""
     limit, min_share = limits_of(best), estimator_settings().limits.share
     unlimited, current = replace(best.layout, limited=()), drives.limited(best, limit)
+    # Limits are the last parameters; the candidates' inputs are limited already, so the search is without them.
     starts = [best.parameters[: len(quick)], quick]
     scored = []
     with threadpool_limits(1):
@@ -149,6 +151,7 @@ def _remove_limits(
     fit: OutputErrorFit, blocks: HeldOut | None, kinds: Sequence[int], drives: _Drives, robust: bool
 ) -> _Removal:
     """Remove the limits of some kinds from a fit; `blocks` are fits of its layout without each block."""
+    # `first` is the index of the first limit, after parametrisation, dead times and offsets.
     settings, limit, first = estimator_settings().limits, limits_of(fit), sum(fit.layout.counts[:3])
     free = np.isfinite(limit) & ~np.isin(np.arange(len(KINDS)), kinds)
     start = np.concatenate([fit.parameters[:first], limit[free]])
@@ -185,6 +188,7 @@ def _confirm_limits(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives,
     first = sum(fit.layout.counts[:3])
     if first == len(fit.parameters):
         return free
+    # Removals are fitted briefly only.
     if fit is not best:
         fit = fit_output_error([(fit.layout, fit.parameters)], drives.experiments, robust)
     # Few commands exceed a limit, so its deviation is at least that between blocks.

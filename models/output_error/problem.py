@@ -97,6 +97,7 @@ class OutputErrorProblem:
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return weighted residuals (rows,) of experiments and samples, then of the pasts; inf for unstable systems."""
         system = self._layout.system(parameters)
+        # The trust region rejects a step with an infinite cost and shrinks.
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
         models = self._models(system)
@@ -139,8 +140,10 @@ class OutputErrorProblem:
         for dt, max_samples in self._max_samples.items():
             sampled = sample(system, dt)
             respond = StateResponse(sampled.A)
+            # After the dead time the slowest pole decays to `_DECAYED`; later samples do not depend on the past.
             early = int(min(max_samples, n + 2 + sampled.delay.max() + np.log(_DECAYED) / (slowest * dt)))
             steps = np.arange(early)
+            # Until its dead time has passed, a previous command still acts through B0 and B1.
             before = [
                 sampled.B0[:, [j]] * (steps < delay) + sampled.B1[:, [j]] * (steps < delay + 1)
                 for j, delay in enumerate(sampled.delay)
@@ -153,6 +156,7 @@ class OutputErrorProblem:
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
         """Return the derivatives of the continuous and the sampled system with respect to each parameter, (q, ...)."""
+        # A dead time enters B0 and B1 by its fractional part, which is differentiable; its whole samples are constant.
         stepped = parameters + 1j * _COMPLEX_STEP * np.eye(len(parameters))
         systems = LinearSystem(*map(np.array, zip(*map(self._layout.system, stepped), strict=True)))
         sampled = sample(systems, dt)
@@ -202,7 +206,9 @@ def _experiment_jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of an experiment's weighted residuals (K p, q) and of those of its past (m + n, q)."""
     states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
+    # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
+    # Limits also change the inputs.
     if slope.limit.any():
         changes = limited_inputs(model.system, experiment, limit_derivatives)
         for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
@@ -235,6 +241,7 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
             - steady_states @ inputs.T
         )
         total, count = total + difference @ difference.T, count + len(inputs)
+    # Principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
     rms = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))

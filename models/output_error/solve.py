@@ -209,6 +209,7 @@ class _Data(NamedTuple):
 def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - slow import, not needed to load a model
 
+    # Local coordinates are only valid near their origin, so each search starts at it.
     parametrisation, coordinates = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([coordinates, start[len(coordinates) :]])
@@ -274,7 +275,7 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     free = np.flatnonzero(has_effect & ~(is_at_bound & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
-    # A uniform distribution over its range is known of a parameter that the data do not tell.
+    # A parameter that the data do not determine is known to lie in its range: variance of a uniform distribution.
     prior = 12.0 / np.subtract(*layout.bounds)[free] ** 2
     parts = np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts)
     estimate = sandwich(*parts, prior)

@@ -58,6 +58,7 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
     n, m = system.B.shape[-2:]
     delay = np.floor(system.dead_time.real / dt + _ROUNDING).astype(np.int64)
     active_time = dt - (system.dead_time - delay * dt)
+    # With constant inputs as extra states, one exponential holds sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
     block = np.zeros((*system.A.shape[:-2], n + m, n + m), dtype=system.A.dtype)
     block[..., :n, :] = np.concatenate([system.A, system.B], axis=-1)
     full = linalg.expm(block * dt)
@@ -224,6 +225,7 @@ def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realis
     """
     import control  # noqa: PLC0415 - slow import, needed for an SSM only
 
+    # The algorithm expects the direct feedthrough first, which is zero.
     padded = np.concatenate([np.zeros_like(response[..., :1]), response], axis=-1)
     # With a sample time the library would assume an impulse of unit area and height 1 / dt.
     system, _ = control.eigensys_realization(padded, order, dt=True)
@@ -248,10 +250,12 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
         factor, weight = np.linalg.cholesky(controllability), np.linalg.cholesky(observability)
     except np.linalg.LinAlgError:
         return A, B, C
+    # Square-root algorithm: the singular values of this product are the Hankel singular values.
     left, values, right = np.linalg.svd(weight.T @ factor)
     transform = (left / np.sqrt(values)).T @ weight.T
     inverse = factor @ (right.T / np.sqrt(values))
     A, B, C = transform @ A @ inverse, transform @ B, C @ inverse
+    # Balanced coordinates are unique up to the sign of each state.
     sign = np.sign(C[np.argmax(np.abs(C), axis=0), np.arange(len(A))])
     return A * np.outer(sign, sign), B * sign[:, None], C * sign
 

@@ -140,6 +140,7 @@ def sandwich(
     scores = [
         np.einsum("kpq,kp->kq", j, np.nan_to_num(e), optimize=True) for j, e in zip(jacobians, errors, strict=True)
     ]
+    # Unit diagonal, so that the units of the parameters do not affect rank and condition.
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information / np.outer(spread, spread)
     before = np.diag(np.broadcast_to(prior, count))
@@ -148,6 +149,7 @@ def sandwich(
     reading_count = sum(int(np.isfinite(error).sum()) for error in errors)
     long_run, freedom = long_run_covariance(scores)
     white = student_factor(freedom) ** 2 * bread @ long_run @ bread * reading_count / max(reading_count - count, 1)
+    # With prior information P the covariance is (H + P)^-1 (S + P) (H + P)^-1.
     white += bread @ before @ bread
     counts = estimator_settings().scatter.blocks
     blocks = {number: bread @ block_covariance(scores, number) @ bread for number in counts}
@@ -167,6 +169,7 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
     if len(rows) < 2:
         return rows.T @ rows, 1
     count = max(1, min(int(_COSINES * len(rows) ** (2 / 3)), len(rows) - 1))
+    # Without the constant term: the scores sum to zero at the optimum.
     projected = np.sqrt(len(rows)) * fft.dct(rows, axis=0, norm="ortho")[1 : count + 1]
     return projected.T @ projected / count, count
 

@@ -124,8 +124,10 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledE
     for i, rows in enumerate(centred):
         for j, columns in enumerate(commands):
             after, pairs = _correlation(rows, columns, lags)
+            # Negative lags have the command after the residual; lag 0 is in `after`.
             cross[i, j] = np.concatenate([_correlation(columns, rows, lags)[0][:0:-1], after])
             autocorrelation = _correlation(columns, columns, lags)[0]
+            # Bartlett: two signals that are each correlated in time also correlate with each other by chance.
             inflation = 1.0 + 2.0 * float(np.sum(auto[i][0][1:] * autocorrelation[1:]))
             bound[i, j] = _BOUND * np.sqrt(max(inflation, 1.0) / readings[i])
     return ResidualCheck(

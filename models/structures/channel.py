@@ -129,6 +129,7 @@ def identify_channel(
     layout = Layout(form, 1, 1, known_dead_time=dead_time, offset=(offset,))
     starts = _first_guesses(layout, form, experiments, label)
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
+    # A search for limits starts from the fit without them, and also from a fast response: a ramp can appear as a lag.
     if limit:
         fit = find_limits(fit, experiments, _fast_parameters(layout, form, fit.parameters), robust)
     form_count = fit.layout.counts[0]

@@ -238,6 +238,7 @@ def write_model_file(path: Path, content: ModelFile) -> None:
 def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
     """Return the uncertainty of the parameters for the parameter file."""
     deviation = estimate.standard_deviation
+    # A deviation of zero has covariances of zero, so any scale avoids 0 / 0. Rounding may exceed a correlation of 1.
     scale = np.where(deviation > 0, deviation, 1.0)
     correlation = np.clip(estimate.covariance / np.outer(scale, scale), -1.0, 1.0)
     return {

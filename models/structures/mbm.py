@@ -74,6 +74,7 @@ class MotorsParametrisation:
         for i, (side, motor) in enumerate(zip(self.sides, parameters[:-1].reshape(count, -1), strict=True)):
             rows = slice(2 * i, 2 * i + 2)
             A[rows, rows], b, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
+            # Set-point of the wheel: rim speed v + side track omega / 2, over the radius.
             B[rows] = b * np.array([1.0, 0.5 * side * track]) / self.radius
         return A, B, C
 
@@ -166,6 +167,7 @@ def _start(
     v = identify_channel(forward, "wheels", limit=limits)
     omega = identify_channel(turning, "wheels' difference", limit=False)
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
+    # `turning` responds to omega_ref with the gain of the motors times the firmware's track.
     track = np.log(omega.content["gain"] / v.content["gain"])
     limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
     levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]

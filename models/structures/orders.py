@@ -129,6 +129,7 @@ def compare_orders(
         raise ValueError(
             f"no order of {name} gives a model that can describe a robot: identify SM, or use a longer log"
         )
+    # Each filter is dropped if no order passes it.
     certain = estimator_settings().warn.condition
     usable = [order for order in usable if rows[order - 1].identified.fits[0].sandwich.condition < certain] or usable
     if floor is not None:
@@ -165,6 +166,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
     """Compute AIC and BIC relative to their minima, with residual scale and correlation of the highest order."""
+    # Residuals of low orders hold unmodelled dynamics, which would appear as correlated noise.
     reference = models[-1].fits[0]
     samples = reference.sandwich.effective_samples
     criteria = []

@@ -137,6 +137,7 @@ def _identify_orders(
     for order in range(1, largest + 1):
         fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
     models = [_build_model(fit, yaw) for fit in fits]
+    # Order 4 contains SM, so it must not end behind SM.
     if largest >= _DECOUPLED:
         floor, row = validate(_decoupled(channels), records, yaw).fit_percent, _DECOUPLED - 1
         if is_behind(validate(models[row].system, records, yaw).fit_percent, floor):
@@ -166,6 +167,7 @@ def _fit(
     dt = experiments[0].dt
     length = round(estimator_settings().impulse_response / dt)
     candidates = []
+    # SM has one or two poles for each channel.
     if order % 2 == 0:
         candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))
     scale = np.concatenate([channel.fit.scale for channel in channels])
@@ -175,6 +177,7 @@ def _fit(
     direct = from_impulse_response(impulse_response(experiments, dead_time, length), order, dt)
     if direct:
         candidates.append(candidate(direct, dead_time))
+    # Start from the order below, and one state for the part that it does not explain.
     if below:
         system = below.system
         unexplained = [

@@ -114,6 +114,7 @@ def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: 
         # NumPy numbers, such as those of `np.arange`, are converted to Python numbers for the schema.
         return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
+    # A side of a limit that was given as one number for both sides.
     if rest[0] in SIDES and isinstance(inner, (int, float)):
         inner = dict.fromkeys(SIDES[rest[0]], inner)
     if not isinstance(inner, Mapping):

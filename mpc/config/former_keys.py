@@ -68,6 +68,7 @@ def with_present_names(data: Mapping[str, Any], where: str = "configuration") ->
         key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group
         raise ConfigError(f"{where}: {removed_message(key)}")
     present = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
+    # Renaming comes before `_drop_constants`, since a constant may be given by its former name.
     for old, new in former_keys().items():
         group, name = old.split(".")
         if isinstance(present.get(group), dict) and name in present[group]:
@@ -77,6 +78,7 @@ def with_present_names(data: Mapping[str, Any], where: str = "configuration") ->
             for inner in groups:
                 level = level.setdefault(inner, {})
             level.setdefault(name, value)
+    # The keys of this group moved to another group; an empty group would be an unknown key.
     if present.get("drivable") == {}:
         del present["drivable"]
     _drop_constants(present, where)

@@ -72,6 +72,7 @@ static real stopping_distance_outside(const ddmpc_controller *c)
     real farthest = distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c));
     const real fastest[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
     const real ramps = ddmpc_min(braking_samples(k, c->last), ddmpc_max(braking_samples(k, fastest), MAX_RAMP));
+    /* After the ramp, the pending commands still act, and then the robot rolls out. */
     const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(now, c->result.estimate.mean, sizeof(real) * (size_t)Z);

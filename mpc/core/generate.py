@@ -171,6 +171,7 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
         generator.add(_without_repetitions(function))
     text = generator.dump()
     for match in _WORK.finditer(text):
+        # The core passes no work memory to the functions.
         if (match["iw"], match["w"]) != ("0", "0"):
             raise ConfigError(f"{match['name']}: its C code needs memory; write it without calls of other functions")
     bodies = {match["name"]: _plain(match["name"], match["body"], names) for match in _BODY.finditer(text)}
@@ -197,6 +198,7 @@ def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
     """Convert CasADi's statements to the precision of `real`, including numbers and functions of math.h."""
 
     def replacement(token: re.Match[str]) -> str:
+        # A bare constant would be of type double in single precision too.
         if token["number"]:
             return f"R({token['number']})"
         word = token["rest"] or token["call"]

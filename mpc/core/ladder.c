@@ -171,6 +171,7 @@ int ddmpc_use_plan(ddmpc_controller *c)
     const int is_good = is_usable(c->result.solver.status) && isfinite(sum);
     if (!misses_too_many(c))
         return is_good ? accept(c) : ddmpc_reuse(c);
+    /* The next solve continues from this plan, although the robot brakes. */
     if (is_good)
         store_plan(c);
     return ddmpc_brake(c, DDMPC_DEADLINES_MISSED, DDMPC_FAILURE);

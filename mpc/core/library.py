@@ -108,6 +108,7 @@ def load_with_core(packaged: Packaged, texts: Callable[[], Mapping[str, str]], h
 
 def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: ANN401 - as above
     ffi, _ = load_core()
+    # User functions of several controllers have the same names.
     ffi.cdef(declared, override=True)
 
     def build(folder: Path) -> Path:

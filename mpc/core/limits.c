@@ -10,6 +10,7 @@ void ddmpc_reach(real last, const real step[2], real interval[2])
     const real grows = step[0], falls = step[1];
     interval[0] = last > R(0.0) ? last - falls : last - grows;
     interval[1] = last < R(0.0) ? last + falls : last + grows;
+    /* Beyond zero the absolute command grows, so the rest of the sample has the other rate. */
     if (last > R(0.0) && interval[0] < R(0.0))
         interval[0] *= grows / falls;
     if (last < R(0.0) && interval[1] > R(0.0))
@@ -38,6 +39,7 @@ static void bound_commands(ddmpc_controller *c)
         const real *slew = c->constants->slew + 2 * channel;
         real reach[2], *lower = p->lower + (2 + channel) * N, *upper = p->upper + (2 + channel) * N;
         ddmpc_reach(p->last[channel], slew, reach);
+        /* The first increment counts from zero (see ddmpc_limit_values), so its bounds are those of the command. */
         lower[0] = reach[0];
         upper[0] = reach[1];
         for (int k = 1; k < N; k++) {
@@ -135,6 +137,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
             p->lower[(HARD + kind) * N] = -(real)INFINITY;
             continue;
         }
+        /* Rows 2 and 3 are the rim speeds, which a learned limit of the wheels also bounds. */
         const int wheel = !group->term && (r == 2 || r == 3);
         const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
@@ -155,6 +158,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
         real *upper = p->upper + (HARD + kind) * N, *lower = p->lower + (HARD + kind) * N;
+        /* Backwards, since entry 0 holds the common bound until the last round. */
         for (int k = N - 1; k >= 0; k--) {
             upper[k] = upper[0] - p->soft_value[kind * N + k];
             lower[k] = lower[0] - p->soft_value[kind * N + k];

@@ -46,6 +46,7 @@ static void compute_targets(ddmpc_controller *c)
     }
     ddmpc_settled last;
     last.exists = 0;
+    /* Step -1 gives the feed-forward of the last command, relative to which the first increment is penalised. */
     for (int i = -1; i < STEPS(c); i++) {
         real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
@@ -80,6 +81,7 @@ static void free_twists(ddmpc_controller *c)
         real *results[2] = {p->free_twist + 2 * k, J};
         ddmpc_f_twist(arguments, results, 0, 0, 0);
     }
+    /* J is stored by columns. With flat slip the yaw rate does not depend on the forward speed, so J[1] is zero. */
     p->gains[0] = J[0];
     p->gains[1] = J[3];
     p->turn_gain = J[2];
@@ -181,6 +183,7 @@ void ddmpc_problem_begin(ddmpc_controller *c)
         return;
     real *free_output = CURVED(c) ? p->model_output : p->free_output;
     const int beyond = delay_commands(c, line);
+    /* Past commands that act only during the plan have the same response as commands of the plan. */
     convolve(k->response, line + past, beyond, N, arriving);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
@@ -325,6 +328,7 @@ static void linearise_rows(ddmpc_controller *c)
     const int N = STEPS(c), width = WIDTH(c);
     const real dt = (real)c->constants->sample_time;
     run(c, p->guess, p->free_output, 1);
+    /* Without the linear effect of the guess, the free output plus the rows gives the exact output at the guess. */
     add_rows(c, p->guess, p->by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
         p->free_output[i] -= p->by_plan[(i % 2) * (N + 1) + i / 2];
@@ -365,6 +369,7 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
             arcs[i * N + k] = move[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
             arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
+            /* ddmpc_linear_moves integrates headings without this gain, so the derivative contains it. */
             arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
         }
     }

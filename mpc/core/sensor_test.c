@@ -479,6 +479,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const int no_turns = !wheels && (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || m->unreal & BY_GYRO);
     if (no_turns || (m->accused & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &then))
         return;
+    /* P = F P F', as the offset grows by the bias and by a share of the turn. */
     for (int j = 0; j < 3; j++)
         P[0][j] += dt * P[1][j] + turn * P[2][j];
     for (int j = 0; j < 3; j++)
@@ -500,6 +501,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
                                                            : k->gyro[SHARE])};
     const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(total);
     m->fits = restart ? R(1.0) : decay * m->fits + R(1.0);
+    /* The ends are no candidates, since the parabola below needs both neighbours. */
     int best = 1;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         m->misfit[i] = restart ? R(0.0) : decay * m->misfit[i] + square(error[i]) / total;

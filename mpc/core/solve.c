@@ -209,6 +209,7 @@ static real cost_of(ddmpc_controller *c, const real *plan)
     for (int i = 0; i < inputs; i++)
         moved[i] = plan[i] - p->minimiser[i];
     for (int i = 0; i < inputs; i++) {
+        /* Relative to its minimum the quadratic cost is half the square of R (plan - minimiser), since H = R'R. */
         const real z = long_dot(p->factor + i * inputs + i, moved + i, inputs - i);
         sum += R(0.5) * z * z;
     }
@@ -271,6 +272,7 @@ static int find_active_set(ddmpc_controller *c)
     if (solved.status == DDMPC_UNFINISHED) {
         report->status = solved.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
         report->primal_residual = R(0.0);
+        /* The clipped plan satisfies the hard limits; its distance from the optimum is unknown. */
         report->dual_residual = (real)NAN;
         take_unfinished(c);
     }
@@ -289,6 +291,7 @@ int ddmpc_solve(ddmpc_controller *c)
     ddmpc_problem *p = &c->problem;
     ddmpc_report *report = &c->result.solver;
     int violated = 0;
+    /* Each status is set before the step that may fail with it. */
     report->status = DDMPC_QP_NOT_FINITE;
     if (!is_sound(c))
         return DDMPC_DONE;

@@ -27,8 +27,8 @@ static void forget(ddmpc_controller *c)
     c->short_wheel = c->on_spot = 0;
     c->tried = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
-    /* A tick that waits for its caller belongs to the previous drive: ddmpc_track and ddmpc_answer must not complete
-     * it. */
+    /* A tick that waits for its caller belongs to the previous drive: ddmpc_track and ddmpc_answer must not
+     * complete it. */
     c->pending = DDMPC_DONE;
 }
 
@@ -181,8 +181,7 @@ static int is_finished(ddmpc_controller *c, ddmpc_time time)
 ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const real *twist)
 {
     const ddmpc_constants *k = c->constants;
-    /* Both headings are that of the path: the deviation is measured from the path, not from the aim with side-slip.
-     * */
+    /* Both headings are that of the path, since the deviation is measured from the path, not from the aim. */
     const real followed[4] = {pose[0], pose[1], pose[2], pose[2]};
     real error[3];
     const real *arguments[5] = {pose_of(c), 0, 0, followed, 0};
@@ -462,8 +461,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     ddmpc_give_up(c);
     const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
-        /* The call may carry new measurements: they enter the existing nodes of the history, without a prediction
-         * step. */
+        /* The call may carry new measurements: they enter the existing nodes of the history, without a step. */
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;

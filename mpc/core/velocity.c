@@ -49,8 +49,7 @@ void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, cons
     const real dt = (real)k->sample_time;
     for (int channel = 0; channel < 2; channel++) {
         const real *acting = newest - 2 * (DELAY(c, channel) + whole_samples(late[channel] / dt)) + channel;
-        /* Slope of the interpolation in ddmpc_delayed: a longer delay moves each command towards the one before it.
-         * */
+        /* Slope of the interpolation in ddmpc_delayed: a longer delay moves each command towards its predecessor. */
         const real recent = (acting[-2] - acting[0]) / dt, older = (acting[-4] - acting[-2]) / dt;
         for (int i = 0; i < STATES(c); i++)
             by_delay[2 * i + channel] = k->B0[2 * i + channel] * recent + k->B1[2 * i + channel] * older;

@@ -191,6 +191,7 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
     s = _slip_components(slip)
     v, omega = twist[0], _without_curved(twist, slip)[1]
     _, slide = sliding(pose[2], twist[1], s.slide_x, s.slide_y)
+    # v / (v^2 + SLOW^2) replaces 1 / v, which is infinite at rest.
     outward = s.side_slip * omega + (turning_point(slip, acceleration) * omega - slide) * v / (v**2 + SLOW**2)
     return ca.vertcat(pose, pose[2] + ca.atan(outward - s.crab))
 

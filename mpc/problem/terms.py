@@ -33,6 +33,7 @@ Limits = Sequence[float | None] | float | None
 """Limits of a value, row by row; None for no limit."""
 
 _KINDS = ("residual", "soft")
+# The core requires upper limits of soft rows below DDMPC_LARGEST, 1e15.
 _NO_LIMIT = 1e14
 
 

@@ -164,6 +164,7 @@ def _value(function: ca.Function, arguments: list[ca.SX], place: str) -> ca.SX:
         expanded = function.expand()
     except RuntimeError as error:
         raise expansion_error from error
+    # The expansion may leave calls of other functions, whose C code needs memory.
     if any(expanded.instruction_id(k) == ca.OP_CALL for k in range(expanded.n_instructions())):
         raise expansion_error
     return expanded.call(arguments, True, False)[0]

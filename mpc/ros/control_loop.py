@@ -231,6 +231,7 @@ class ControlLoop:
         if self._is_latched:
             raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
+            # Raises for an unknown frame before anything is changed.
             placement.motion()
         self._check(reference)
         # A reference with a frame is not moved to the robot.
@@ -420,6 +421,7 @@ class ControlLoop:
         return _motion_difference(published.motion, reference.motion, pose.value) > _MIN_MOTION
 
     def _decide(self, t: float) -> LoopTick:
+        # First, since the conditions of a start below need the newest pose.
         self.inbox.look_up_pose()
         if self._start_when_ready and self._reference is not None and not self._missing():
             self._start_when_ready = False

@@ -122,6 +122,7 @@ class Inbox:
         except MessageError as error:
             self.odometry.refuse(str(error))
             return
+        # Nothing of a message is stored unless all of it is valid.
         self._twist = twist
         if pose is not None:
             self.newest_pose = self._pose = pose
@@ -161,11 +162,13 @@ class Inbox:
         try:
             value, stamp = self.frames.pose()
             if stamp <= self._transformed:
+                # The lookup works, but its transform was already used.
                 self.pose.reason = ""
                 return
             time = seconds(stamp, self._epoch)
             self.pose.accept(time, self.now, self._settings.odom_timeout)
         except (TransformError, MessageError) as error:
+            # A lasting fault counts once, not at every tick.
             if self.pose.reason.endswith(str(error)):
                 return
             self.pose.refuse(str(error))

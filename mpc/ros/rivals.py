@@ -67,6 +67,7 @@ class Rivals:
         publishers. Two nodes that claim the topic at the same time detect each other.
         """
         if self._claim is None:
+            # The claim comes before the look at others, so that two nodes cannot miss each other.
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
         rivals = self.others()
         start = time.monotonic()
@@ -89,6 +90,7 @@ class Rivals:
         foreign = self._other_publishers(self.topic, is_included=True)
         for name in project:
             if name in foreign:
+                # A node of this project also publishes on the command topic itself.
                 foreign.remove(name)
         return Others(tuple(project), tuple(foreign))
 

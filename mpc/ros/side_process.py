@@ -105,6 +105,7 @@ class SideProcess:
         self._process = subprocess.Popen(
             command, pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
+        # With this copy open, the end of the process would not close the socket.
         child_end.close()
         self._link = Connection(parent_end.detach())
         return self._link

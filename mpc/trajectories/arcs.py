@@ -48,6 +48,7 @@ class ArcTrajectory(TableTrajectory):
         poses = chain_arcs(start, forward, turn, length).tolist()
         time, arc_length = 0.0, 0.0
         columns: list[list[float]] = []
+        # `poses` also contains the end of the last stretch.
         for stretch, pose in zip(stretches, poses, strict=False):
             for phase in stretch.phases:
                 columns.append([time, *pose, arc_length, stretch.forward, stretch.turn, *phase[:2], phase[2] / 2])
@@ -65,6 +66,7 @@ def chain_arcs(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: 
     """
     start_pose = np.asarray(start, dtype=float)
     heading = np.cumsum(np.append(start_pose[2], turn * length))
+    # Displacements do not depend on the start position: all arcs are integrated at once from the origin, then chained.
     poses = np.zeros((len(length), 3))
     poses[:, 2] = heading[:-1]
     displacement = integrate_pose(poses, forward, turn, length)[:, :2]

@@ -27,6 +27,7 @@ _MAX_TURN = math.pi / 2
 # Reach below which a joint is omitted [m].
 _MIN_REACH = 1e-9
 _SAMPLES = np.linspace(0.0, 1.0, 41)
+# `_fit` integrates a whole clothoid of a joint in one step, for which 16 nodes are exact up to rounding.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -124,6 +125,7 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
     def gap(unknown: FloatArray) -> FloatArray:
         clothoids = parts(unknown)
         poses, _ = sample_clothoids(clothoids, np.append(0.0, np.cumsum([clothoid.length for clothoid in clothoids])))
+        # Divided by the reach, positions and heading have comparable sizes for any reach.
         return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
 
     guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])

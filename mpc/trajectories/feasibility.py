@@ -93,6 +93,7 @@ def find_shortfall(
     if records is None:
         return None
     first, end = int(records[0, 0]), int(records[-1, 0]) + ticks.preview + 1
+    # Reductions of each kind, in tolerances of their channel.
     parts = (np.abs(records[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
     # Limits that only the corrective motion exceeds are not the cause.
@@ -166,6 +167,8 @@ class _Ticks:
         wheel_speed, max_v, max_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
+        # Pose of the reference in the frame of the robot. The lead at the start is no effect of limits: `free_x` is
+        # what remains of it without limits.
         x = free_x = self.lead
         y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
         records: list[tuple[float, ...]] = []
@@ -186,6 +189,7 @@ class _Ticks:
             size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
             if size > 1.0:
                 return np.array(records)
+            # The deficit has not begun yet, or has been caught up.
             if size < _GROWTH_SHARE:
                 records.clear()
         return None

@@ -54,6 +54,7 @@ class MovedReference:
     def native(self) -> NativeTrajectory | None:
         """Moved reference in the compiled core; None if the core cannot sample the original."""
         native = getattr(self.original, "native", None)
+        # `moved` replaces a motion, so a reference that is already moved is sampled in Python.
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
         return native.moved(self.motion)
@@ -147,6 +148,7 @@ def scaled_to_robot(
         v=max(max_values[0], v_gain * max(limits.v.sides)),
         omega=max(max_values[1], omega_gain * max(limits.omega.sides)),
         v_acceleration=min(
+            # Lengths are scaled by `length` and times by `factor`.
             usual.v * length / factor**2,
             slew * v_gain * limits.v_slew,
             remaining_share * v_gain * limits.v / max(v_lag, _MIN_LAG),

@@ -32,6 +32,7 @@ class NativeTrajectory:
     def __init__(self, breaks: FloatArray, table: FloatArray, duration: float, motion: ArrayLike = (0, 0, 0)) -> None:
         ffi, self._lib = load_core()
         self._ffi = ffi
+        # The structure holds only addresses, so the arrays must live as long as it does.
         self._arrays = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
         rows, pieces = table.shape
         if rows not in (_ARC_ROWS, _CUBIC_ROWS) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
@@ -71,6 +72,7 @@ class NativeTrajectory:
         """Sample at `times` (n,) [s]; see `Trajectory.sample`."""
         time_array = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
         count = time_array.size
+        # One block for the three results: 3, 2 and 1 numbers of 8 bytes per time, hence the offsets of 24 and 40 bytes.
         block = np.empty(6 * count)
         pose, twist, arc_length = block[: 3 * count], block[3 * count : 5 * count], block[5 * count :]
         cast = self._ffi.cast
@@ -122,6 +124,7 @@ def _native(reference: Reference) -> NativeTrajectory | None:
 def _rest(reference: Reference) -> NativeTrajectory:
     """Build a trajectory at rest at the end of a reference."""
     table = np.zeros((_ARC_ROWS, 1))
+    # Rows 1 to 3 are the start pose; zero motion in all other rows is rest.
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
 
@@ -144,6 +147,7 @@ class TableTrajectory(Trajectory):
 
     def delayed(self, seconds: float) -> Self:
         """Return the trajectory with a preceding standstill of `seconds` [s] at its start pose."""
+        # Rows of the pose: the start pose of an arc, or the constant terms of cubics. Zeros in all other rows are rest.
         rest, pose = np.zeros((len(self.table), 1)), slice(1, 4) if len(self.table) == _ARC_ROWS else slice(12, 15)
         rest[pose] = self.table[pose, :1]
         breaks, table = np.append(0.0, seconds + self.breaks), np.hstack([rest, self.table])

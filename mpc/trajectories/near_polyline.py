@@ -37,15 +37,18 @@ def spline_near(waypoints: FloatArray, max_deviation: float) -> CubicSpline:
     along = legs / chords[:, None]
     # Difference of the unit vectors of both legs at a corner; its length is 2 sin(turn / 2).
     bend = np.diff(along, axis=0)
+    # The distance d of the docstring, from d sin(turn / 2) / 3 = max_deviation.
     reach = np.divide(6 * _SHARE * max_deviation, np.hypot(*bend.T), out=np.full(len(bend), np.inf), where=bend.any(1))
     room = _LEG * np.minimum(chords[:-1], chords[1:])
     kind = np.full(len(waypoints), _INTERPOLATED)
+    # Each round changes at least one corner, and a corner changes at most twice, so the loop ends.
     while True:
         spline = _spline(waypoints, chords, along, kind[1:-1], np.minimum(reach, room), reach)
         is_far = _leg_deviations(spline, waypoints, chords) > max_deviation
         if not is_far.any() or (kind[1:-1] == _ROUNDED).all():
             return spline
         is_touched = np.append(is_far, False) | np.append(False, is_far)
+        # If all corners of the far legs are rounded, the overshoot comes from corners further away.
         while not (is_touched[1:-1] & (kind[1:-1] < _ROUNDED)).any():
             is_touched[1:-1] |= is_touched[:-2] | is_touched[2:]
         first = np.where(room < reach / 2, _KNOTS, _ROUNDED)
@@ -71,6 +74,7 @@ def _spline(
     ends = np.concatenate([[0.0], np.cumsum(chords)])
     values, knots, points = waypoints.copy(), [ends], [waypoints]
     is_rounded = kind == _ROUNDED
+    # Value of a uniform cubic B-spline at its middle control point: (before + 4 corner + after) / 6.
     values[1:-1][is_rounded] += (np.diff(along, axis=0) * inner[:, None] / 6)[is_rounded]
     points[0] = values
     for side, leg in ((-1, slice(0, -1)), (1, slice(1, None))):

@@ -80,6 +80,7 @@ def squared_speeds(
             reachable = free if share * free <= room else room / share
             speeds[i + ahead] = min(speeds[i + ahead], reachable)
 
+    # The forward pass limits acceleration, the backward pass braking; see above for why one of each is enough.
     run_pass(range(lengths.size), 1)
     run_pass(range(lengths.size - 1, -1, -1), 0)
     return np.array(speeds)

@@ -41,6 +41,7 @@ class RandomSplines(StrictModel):
                 path = smooth_path(points, f"seed {seed}")
             except ConfigError:  # a turn is nearly a cusp
                 continue
+            # Otherwise the generator draws another path; the result still depends on the seed only.
             if path.bend.max() * self.turn_radius <= 1:
                 return points
 

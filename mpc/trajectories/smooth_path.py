@@ -79,6 +79,8 @@ def smooth_path(
     curvature, _, _ = bending(spline, u)
     bend, bend_change, stretch = (np.abs(values) for values in bending(spline, inside))
     lengths = np.diff(u) / 2 * (stretch @ _WEIGHTS)
+    # The nodes of the integration exclude the ends of a piece, where the curvature may be largest. Its derivative jumps
+    # at the knots and is taken inside the pieces only.
     bend = np.maximum(bend.max(axis=1), np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:])))
     # At a cusp the heading jumps, although the curvature may be zero on both sides.
     mean_curvature = np.abs(np.diff(heading)) / lengths

@@ -91,6 +91,7 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
         for segment, moves in driven
     )
     settings.check_pieces(pieces, where, "split it, or choose another timing")
+    # `joint` stores its results, so only different joints need time.
     joints = {
         (before.v, before.omega, after.v, after.omega)
         for (before, first), (after, second) in pairwise(driven)
@@ -140,6 +141,8 @@ def _drive_nodes(
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
     reaches = [0.0, *(rounded.reach for rounded in joints), 0.0]
+    # Blocks with one maximum speed each: what the joints leave of a segment, and the joints, at the speed of the slower
+    # segment.
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
         remaining = length - reaches[i] - reaches[i + 1]
@@ -168,6 +171,8 @@ def _drive_nodes(
             drawn.append(joint_distances[rounded])
     arc_lengths = np.concatenate(distances_along)
     local, curvature = sample_clothoids([part for parts, *_ in blocks for part in parts], arc_lengths)
+    # The local path is driven forwards. Backwards, it leaves the robot opposite to its heading: a rotation by half a
+    # turn.
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
     points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
     steps, size = np.diff(arc_lengths), np.abs(curvature)

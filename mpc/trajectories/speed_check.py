@@ -88,8 +88,10 @@ def check_speeds(
         message is one line with reference, time, value and limit.
     """
     times = _sample_times(reference, dt)
+    # Two samples remain, since the checks use their spacing.
     times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
+    # Negated, like the comparisons of the speeds below, so that NaN is invalid.
     invalid = np.flatnonzero(~(np.abs(sample.pose) <= _MAX_POSE).all(axis=1))
     if invalid.size:
         raise ValueError(
@@ -141,6 +143,7 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
     if radius is None:
         return
     v, omega = twist.T
+    # False at both ends makes the edges pairs: start and end of each turn.
     edges = np.flatnonzero(np.diff((v <= STANDING) & (omega > TURNING), prepend=False, append=False))
     for first, end in edges.reshape(-1, 2):
         angle = float(omega[first:end].sum() * (times[1] - times[0]))

@@ -74,6 +74,7 @@ def lay_timed_poses(
     settings = load_settings()
     pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
     nodes, through = rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])])
+    # Given rates leave no freedom for a continuous second derivative.
     splines = CubicSpline(nodes, through) if rates is None else CubicHermiteSpline(nodes, through, rates)
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
@@ -310,6 +311,7 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     if v is not None:
         headings = np.where(v < 0, headings + np.pi, headings)
     last_moving = np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)
+    # At rest the heading is that of the last moving row; before the first motion, that of the first moving row.
     heading = headings[moving[last_moving]]
     return np.asarray(np.unwrap(heading) - 2 * np.pi * np.round(heading[0] / (2 * np.pi)))
 

@@ -73,6 +73,7 @@ def between(length: float, cruise: float, entry: float, leave: float, accelerati
     """
     leave = min(leave, _reachable(entry, length, acceleration))
     entry = min(entry, _reachable(leave, length, acceleration))
+    # The peak of the triangle follows from rise + fall = length.
     peak = min(cruise, math.sqrt(acceleration * length + (entry**2 + leave**2) / 2))
     rise = (peak**2 - entry**2) / (2 * acceleration)
     fall = (peak**2 - leave**2) / (2 * acceleration)

@@ -78,6 +78,7 @@ class Chassis:
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
         self._position, self._velocity = self._data.qpos, self._data.qvel
+        # Velocities 0 to 5 and positions 0 to 6 belong to the free joint of the body; those of the wheels follow.
         ffi, self._lib = load_twin()
         self.c = ffi.new(
             "twin_chassis *",
@@ -95,6 +96,7 @@ class Chassis:
         self.c.step = self._step
         if scene is not None:
             scene.enter(self._model, self._data)
+        # The tyres are soft: the height at rest follows from the weight.
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
@@ -106,6 +108,7 @@ class Chassis:
         """Reset the body to rest at `pose` (3,), at its settled height."""
         x, y, theta = np.asarray(pose, dtype=float)
         self._restart(self._model, self._data)
+        # Position, and unit quaternion of the yaw, of the free joint.
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
         self._position[7:] = 0.0
         if self._scene is not None:
@@ -135,6 +138,7 @@ class Chassis:
 
     def set_friction(self, friction: FloatArray) -> None:
         """Set the sliding friction coefficients (4,) of the wheels in rolling direction; a reset preserves them."""
+        # The first tangent of a contact is along the axle, the second along the rolling direction.
         self._model.pair_friction[:, 0] = self._sideways * friction * self._friction_scale
         self._model.pair_friction[:, 1] = friction * self._friction_scale
 
@@ -149,6 +153,7 @@ class Chassis:
         """
         c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         x, y = c * forward - s * left, s * forward + c * left
+        # MuJoCo applies forces at the centre of mass; a force above it also tips the robot.
         lever = height - float(self._data.xipos[1, 2])
         self._data.xfrc_applied[1] += [x, y, 0.0, -lever * y, lever * x, yaw_torque]
 
@@ -246,6 +251,7 @@ def _split_tyre(tyre: Tyre) -> Tyre:
     inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2). Two contacts need twice the regularisation at
     equal damping and stiffness.
     """
+    # Twice the regularisation (1 - d) / d, solved for d.
     share = 1.0 / (1.0 + 2.0 * (1.0 / tyre.impedance - 1.0))
     ratio = tyre.impedance / share
     return tyre.model_copy(

@@ -86,6 +86,7 @@ class DisturbedPlant(PlantAround):
         """Send `command` (2,) or a false command, and advance by one sample; see `Plant.advance` for errors."""
         sent = clip_command(command, self._limits)
         false_commands = [item for item in self._scenario.false_commands if item.holds(self.time)]
+        # The controller is told the command that it sent, not the false one that the base executes.
         self._plant.advance([false_commands[-1].v, false_commands[-1].omega] if false_commands else sent)
         self._sent = (float(sent[0]), float(sent[1]))
 
@@ -148,6 +149,7 @@ class DisturbedPhysics:
         edges = twin.edges.tolist()
         for k, (start, end) in enumerate(itertools.pairwise(edges)):
             self.before_step(start, end)
+            # Step by step instead of one call in C, because disturbances act between motors and wheels.
             twin.step(k, self.motors(twin.torques(k), start))
 
     def before_step(self, start: float, end: float) -> None:
@@ -166,6 +168,7 @@ class DisturbedPhysics:
                 if blockade.holds(start):
                     self._apply_blockade(i, blockade)
         if scenario.battery:
+            # The current of the last step stands for that of this one.
             drop = scenario.battery.load_drop * self._torque_share
             self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
 

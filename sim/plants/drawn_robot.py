@@ -191,6 +191,7 @@ def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
     """Compute the yaw acceleration [rad/s^2] that driven wheels with friction `grip` give a box of the robot's size."""
     chassis, track = build.twin.chassis, build.robot.track
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
+    # Per mass: a homogeneous box, and the offset of its centre from the centre of rotation.
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
     return grip * GRAVITY * on_driven(build) * track / 2.0 / inertia
 
@@ -214,6 +215,7 @@ def draw_robot(seed: int) -> DrawnRobot:
     castors = build["twin"]["chassis"]["castors"]
     build["twin"]["motor"]["spread"], scenario["weak_motors"] = _draw_motors(market, stream, castors=castors)
     build["friction"] = _logarithmic(stream, market.friction)
+    # All values are drawn, whether they are used or not: the rest of the stream must not depend on them.
     patch = {name: _uniform(stream, getattr(market.patches, name)) for name in ("start", "length", "factor")}
     if stream.random() < market.patches.often:
         scenario["patches"] = [patch]
@@ -240,12 +242,14 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
     usual_robot: Any = twin["robot"]
     usual: Any = twin["twin"]
     mass = _logarithmic(stream, market.mass)
+    # Geometric similarity: lengths grow with the cube root of the mass.
     track = usual_robot["track"] * (mass / usual_robot["mass"]) ** (1 / 3) * _uniform(stream, market.track)
     wheel_base = track * _uniform(stream, market.wheel_base)
     radius = track * _uniform(stream, market.wheel_radius)
     castors = bool(stream.random() < market.driven.castors / (market.driven.castors + market.driven.wheels_4))
     skidding_base = 0.0 if castors else wheel_base
     no_load = _uniform(stream, market.top_speed) * rim_speed(track, skidding_base) / radius
+    # With castors the origin is at the driven axle, and a part of the weight is on the castors behind it.
     ahead = _uniform(stream, market.centre_of_mass) * wheel_base - (0.3 * wheel_base if castors else 0.0)
     left = _uniform(stream, market.centre_of_mass) * track
     difference = _uniform(stream, market.rolling_radii) / 2
@@ -268,8 +272,10 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
             "motor": {
                 "stall_torque": usual["motor"]["stall_torque"] * mass_ratio * radius_ratio,
                 "no_load_speed": no_load,
+                # Torque scales with mass times length, inertia with mass times length squared.
                 "rotor_inertia": usual["motor"]["rotor_inertia"] * mass_ratio * radius_ratio**2,
             },
+            # Gains are duty per speed, and full duty corresponds to the no-load speed.
             "driver": {gain: usual["driver"][gain] * speed_ratio for gain in ("proportional_gain", "integral_gain")},
             "link": {"dead_time": _uniform(stream, market.dead_time)},
         },

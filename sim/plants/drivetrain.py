@@ -37,6 +37,7 @@ class CommandShaper:
         lag = np.array([firmware.lag_v, firmware.lag_omega])
         pulse = 2 * np.pi / robot.encoder_pulses
         to_wheels = WheelKinematics(robot.wheel_radius, firmware.track).body_to_wheels
+        # The gain of omega is part of the firmware's track.
         to_pulses = to_wheels * [firmware.gain_v, 1.0] / pulse
         ffi, self._lib = load_twin()
         decay: list[float] = np.exp(-step / lag).tolist()
@@ -73,6 +74,7 @@ class SpeedObserver:
 
     def __init__(self, bandwidth: float, pulse: float, step: float, phase: FloatArray) -> None:
         pole = float(np.exp(-bandwidth * step))
+        # Gains that place both poles of angle and speed at `pole`.
         gains = {"angle_gain": 1 - pole**2, "speed_gain": (1 - pole) ** 2 / step}
         ffi, self._lib = load_twin()
         self.c = ffi.new("twin_observer *", gains | {"pulse": pulse, "step": step, "phase": phase.tolist()})
@@ -240,6 +242,7 @@ class DelayLine:
         """Reserve memory for `room` pending commands, and copy the commands that are already pending."""
         arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
         if count:
+            # The pending commands form a ring, which starts again at place 0 in the new memory.
             places = (self.c.first + np.arange(count)) % self.c.room
             arrivals[:count], commands[:count] = self._arrivals[places], self._commands[places]
         self._arrivals, self._commands = arrivals, commands

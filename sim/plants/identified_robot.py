@@ -91,6 +91,7 @@ class IdentifiedRobot(StrictModel):
 
     def drawn_model(self, model: Model, rng: np.random.Generator) -> Model:
         """Draw gains and delays of a linear model around the identified values; return a nonlinear model unchanged."""
+        # Drawn for every kind of model, so that the motion drawn afterwards is the same.
         gains, delays = 1.0 + rng.normal(0.0, self.gain_deviation), rng.normal(0.0, self.delay_deviation)
         if isinstance(model, NonlinearModel):
             return model
@@ -147,6 +148,7 @@ def drawn_motion(
     """
     measured, dt = rate
     block = max(1, round(block_time / measured))
+    # Blocks instead of samples preserve the correlation of the motion in time.
     starts = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
     parts: list[FloatArray] = []
     while sum(map(len, parts)) * measured < duration:

@@ -199,6 +199,7 @@ def _model_plant(
         extra_dead_time += named_dead_time
         identified = load_identified_robot(file)
         if identified is not None:
+            # Explicit arguments replace the surface and the sensors of the log.
             rng, file = np.random.default_rng([setting.seed, _IDENTIFIED]), str(Path(file).parent / identified.model)
             slip = identified.slip if setting.surface_name == DEFAULT else slip
             sensors = identified.sensors if setting.sensors_name == DEFAULT else sensors

@@ -122,6 +122,7 @@ class ModelPlant:
             self._c.next = self._function.advance(sent)
         self._advance(self._c, sent)
         now = self.time
+        # A pose sensor has its own times, which may lie between the ticks.
         for due in self._sensors.poses_due(now):
             if due != now:
                 self._interpolate_pose(self._c, before, due, address(self._interpolated))
@@ -202,6 +203,7 @@ def _plant_in_c(
         c.track_at_rest, c.track_growth = slip.virtual_track.p0, slip.virtual_track.p1
     if slip.polynomial is not None:
         c.polynomial, c.has_polynomial = slip.polynomial.coefficients, 1
+    # The structure holds only addresses of the arrays.
     return c, [*arrays.values()]
 
 

@@ -73,6 +73,7 @@ class MujocoPlant:
         self._robot, self._friction = robot, friction
         self.parts = parts or {}
         self._sample_time = robot.sample_time if sample_time is None else sample_time
+        # The physics keeps its step, and with it its behaviour, when the sample time of the controller changes.
         self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
         step = self._sample_time / self._substeps
         pulse = 2 * np.pi / robot.encoder_pulses
@@ -90,6 +91,7 @@ class MujocoPlant:
         if scenario is not None:
             wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
             self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
+        # Encoder noise comes from the counts of the observer; a sensor set without noise reads the true speeds.
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
@@ -169,6 +171,7 @@ class MujocoPlant:
                 self._line.send(start, twist)
         edges, poses = self._twin.edges, self._twin.poses
         np.add(self.time, self._offsets, out=edges)
+        # Exactly the time of the next tick: the sum of steps differs by rounding.
         edges[-1] = (self._tick + 1) * self.sample_time
         if self._disturbances is None:
             self._twin.advance()

@@ -99,6 +99,7 @@ def random_commands(
     if not smooth:
         return commands
     window = max(1, round(parameters.smoothing / dt))
+    # Moving average by differences of the cumulative sum; before the start the command is zero.
     total = np.cumsum(np.vstack([np.zeros((window, 2)), commands]), axis=0)
     return np.asarray((total[window:] - total[:-window]) / window)
 

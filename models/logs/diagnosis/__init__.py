@@ -49,12 +49,14 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
         return [*findings, *echo]
     findings += check_rectified(log, streams, settings)
     findings += check_clipped_side(log, streams, settings)
+    # Faults of the encoders come before axes, signs and units, as which they would appear.
     findings += check_wheels(log, streams, settings)
     if latch := check_latch(log, streams, settings):
         return [*findings, *latch]
     findings += check_axes(log, streams, settings)
     findings += check_signs(log, streams, settings)
     findings += check_units(log, streams, settings)
+    # Gains and shifts can be compared once signs and units are correct.
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
     findings += check_turning(log, streams, settings)

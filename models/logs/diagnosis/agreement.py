@@ -81,6 +81,7 @@ def _gains_by_part(
     if len(u) < 2 * settings.parts or u @ u == 0:
         return np.empty(0), np.empty(0)
     u, y = u - u.mean(), y - y.mean()
+    # Parts of equal excitation instead of equal time, so that their gains are equally certain.
     energy = np.cumsum(u**2) / (u @ u)
     edges = np.searchsorted(energy, np.linspace(0, 1, settings.parts + 1)[1:-1])
     gains, times = [], []
@@ -184,6 +185,7 @@ def check_turning(log: str, streams: Streams, settings: CheckSettings) -> list[F
         return [Finding("tyre change", "warning", log, message, *change_location(times, index))]
     if GYRO not in bodies:
         return []
+    # With a pose, the turn of the wheels is replaced by that of the pose, which does not slip.
     if POSE in bodies:
         rows[:, 0] = streams.pair(GYRO, POSE, 1)[1]
     known = np.isfinite(rows).all(axis=1)

@@ -30,6 +30,7 @@ def coherence(streams: Streams, settings: CheckSettings) -> float:
 def _pair_fit(streams: Streams, first: str, second: str, channel: int, settings: CheckSettings) -> float:
     """Compute the FIT of `second` from `first` [%], at least 0, with the best plausible lag, dead time and gain."""
     u, y = streams.pair(first, second, channel)
+    # A skid-steer robot turns less than its wheels, and later.
     skids = channel == 1 and first in (COMMAND, ENCODERS)
     gains = settings.gain_of_omega if skids else settings.gain_of_v
     lags = settings.lags if first == COMMAND or skids else (0.0,)

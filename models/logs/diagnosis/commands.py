@@ -97,11 +97,13 @@ def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
             share = command / max(float(np.nanmax(np.abs(command))), settings.least_command)
+            # Expo curve of remote controls: a share `expo` of the command is replaced by its cube.
             trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
             responses = [fit_response(streams, trial, values, settings) for trial in trials]
             residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
             best = int(np.argmin(residuals))
             if best and settings.curve_least < residuals[0] < 1.0 and residuals[best] < settings.shape * residuals[0]:
+                # At a third of the maximum, the cube is a ninth of the linear command.
                 curved.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
     if not curved:
         return []
@@ -166,6 +168,7 @@ def _scatter_of_holds(
     level, previous, mean, share, squares, count = np.array(rows).T
     regressors = np.column_stack([np.ones(len(level)), level, previous])
     residual = mean - regressors @ np.linalg.lstsq(regressors, mean, rcond=None)[0]
+    # Differences of adjacent readings have twice the variance of the noise.
     noise = squares.sum() / max(2 * count.sum(), 1)
     scatter = [
         np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0

@@ -24,6 +24,7 @@ def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list
         signed, unsigned = (fit_response(streams, inputs, values, settings) for inputs in (command, np.abs(command)))
         if unsigned is None or min(unsigned.correlation) < settings.clear_correlation:
             continue
+        # The magnitude must explain the readings better than the command itself.
         if signed is not None and min(signed.correlation) > min(unsigned.correlation):
             continue
         message = f"the readings of the {name} have no sign: record them with the direction of motion"
@@ -57,6 +58,7 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
     is_maximum = sizes >= maximum * (1 - 1e-9)
     share = np.nanmean(is_maximum, axis=0) / max(float(np.isfinite(sizes[:, 0]).mean()), 1e-9)
     side = int(np.argmax(share))
+    # If both sides rest at their maximum, the cause is not one encoder.
     if share[side] < settings.clipped_readings or share[1 - side] > 0.3 * share[side]:
         return []
     response = fit_response(streams, sides[:, side], streams.wheels[:, side], settings)

@@ -135,11 +135,13 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
         return None
     half_window = 4
     padded = np.pad(readings, ((half_window, half_window), (0, 0)), mode="edge")
+    # Change over several rows, relative to the range: holds can only be counted while the readings change quickly.
     slope = np.max(
         np.abs(padded[2 * half_window :] - padded[: -2 * half_window]) / np.maximum(np.ptp(readings, 0), 1e-12), axis=1
     )
     at_end = slope[changes[1:]]
     quick_gaps = gaps[at_end >= np.percentile(at_end, 80)]
+    # The largest period first, because its divisors also divide the gaps.
     for period in range(int(np.percentile(gaps, 90)), 1, -1):
         if np.mean(gaps % period == 0) >= settings.held_share:
             return period
@@ -167,6 +169,7 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         return None
     backward_count = int((steps < 0).sum())
     if backward_count > max(3.0, settings.disordered * len(steps)):
+        # Readings are smooth in their true order.
         order = np.argsort(time, kind="stable")
         as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
         mean_step = float(np.ptp(time)) / len(steps)

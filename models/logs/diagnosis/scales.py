@@ -67,6 +67,8 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     size = float((np.abs(motion[is_used]) * np.abs(direction[is_used])).sum())
     if not is_used.any() or size == 0 or np.ptp(streams.command[is_used, 0]) == 0:
         return []
+    # Without a fault, motion turned back by the heading is real and positive. For a mirrored pose, that holds for the
+    # conjugate of the motion, up to an angle that shows which axis is wrong.
     along = complex((motion * heading * direction)[is_used].sum()) / size
     across = complex((np.conj(motion) * heading * direction)[is_used].sum()) / size
     if abs(across) < settings.clear_correlation or abs(across) < 1.5 * abs(along):
@@ -206,6 +208,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
         sizes = _magnitudes(streams, channel, settings)
         if len(sizes) > 1 and _find_outlier(sizes, low, high) is not None:
+            # A limit of the base also reduces the response, which must not be taken for a unit.
             streams.command = within_limits(streams, channel, settings).command
             sizes = _magnitudes(streams, channel, settings)
         while len(sizes) > 1:

@@ -63,6 +63,7 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
         for pair, (shift, deviation) in shifted.items()
         if name in pair
     ]
+    # A filter is not a shift: a `delay` in the mapping would not correct it.
     if lagging := _lag_finding(log, name, signed[0][0] > 0, shifted, streams, settings):
         return [lagging]
     delay, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))

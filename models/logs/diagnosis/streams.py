@@ -68,6 +68,7 @@ class Streams:
         if self.pose is None:
             return None
         step = self.pose_rates()
+        # Rotated into the frame of the robot: the real part is forward.
         along = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * self.pose[:, 2])
         return np.asarray(along.real if channel == 0 else step[:, 2])
 
@@ -167,6 +168,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     stride = max(1, round(settings.compared_every / records[0].dt))
     dt = stride * records[0].dt
     counts = [-(-len(record.command) // stride) for record in records]
+    # The gap between stretches is longer than any shift, so no pair of samples crosses it.
     padding = round((settings.longest_lag + settings.longest_lead) / dt) + 1
     ends = padding + np.cumsum([count + padding for count in counts])
     total = int(ends[-1])
@@ -295,6 +297,7 @@ def fit_response(
     if intervals:
         edges = np.linspace(0, len(u), _BLOCKS + 1).astype(int)
         parts = [_explained_variance(filtered[a:b], y[a:b], low, high) for a, b in pairwise(edges)]
+        # A part of the log without excitation has no clear maximum.
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * explained_variance.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
     before, after = (part[:, 0] for part in finite_pairs(filtered, y, low + index))
@@ -335,6 +338,7 @@ def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> Fl
         return None
     a = np.where(finite_u[:, None], u - u[finite_u].mean(axis=0), 0.0)
     b = np.where(finite_y[:, None], y - y[finite_y].mean(axis=0), 0.0)
+    # Zero padding prevents the cyclic correlation from wrapping around.
     size = fft.next_fast_len(len(u) + high - low, real=True)
     spectrum_a, spectrum_b = fft.rfft(a, size, axis=0), fft.rfft(b, size, axis=0)
     shifts = np.arange(low, high + 1) % size
@@ -349,8 +353,10 @@ def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> Fl
     if (b**2).sum(axis=0).min() <= 0 or np.linalg.matrix_rank(inner) < inner.shape[0]:
         return None
     cross, energy = cross / np.maximum(pairs, 1.0)[:, None, None], energy / np.maximum(pairs, 1.0)[:, None]
+    # Share of the variance that the regression on all inputs explains, at each shift.
     explained = np.einsum("lcm,cd,ldm->lm", cross, np.linalg.inv(inner), cross) / np.maximum(energy, 1e-300)
     explained_variance = explained.mean(axis=1)
+    # Few pairs correlate by chance.
     explained_variance[pairs < 0.5 * pairs.max()] = 0.0
     if u.shape[1] == y.shape[1] == 1:
         positive = explained_variance * (cross[:, 0, 0] > 0)
@@ -400,6 +406,7 @@ def explained_by_future(streams: Streams, inputs: FloatArray, outputs: FloatArra
     future = [streams.delay(inputs, -lead) for lead in (0.1, 0.2, 0.3)]
     rows = np.column_stack([cropped, np.ones(len(cropped)), *past, *future])
     rows = rows[np.isfinite(rows).all(axis=1)]
+    # With few samples per coefficient, later commands explain the rest by chance.
     if len(rows) < 4 * rows.shape[1]:
         return 0.0
     y, past_rows = rows[:, 0], rows[:, 1 : 2 + len(past)]

@@ -123,6 +123,7 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, LookupError, struct.error) as error:  # damaged messages raise the last two
+        # The rows before the damage are valid.
         content.cut = True
         if not content.rows:
             raise ConfigError(f"{path}: is not an MCAP file of a drive ({_reason(error)})") from error

@@ -48,6 +48,7 @@ def main(descriptor: int) -> None:
 
 
 def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # noqa: ANN401 - an open file
+    # A thread empties the socket: while the disk is slow, its buffer would fill up and the sender would lose parcels.
     parcels: queue.Queue[bytes] = queue.Queue(_MAX_QUEUE)
     threading.Thread(target=_receive, args=(link, parcels), daemon=True).start()
     while parcel := parcels.get():
@@ -132,6 +133,7 @@ class DriveRecorder:
             )
         except OSError as error:
             self._process, self.fault = None, f"the writing process cannot be started ({error.strerror})"
+        # The process has its own copy. If this one stayed open, the end of the process would not close the socket.
         writer_link.close()
         self._send((str(path), metadata, options))
         self._receive_reply(timeout)

@@ -78,6 +78,7 @@ def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
 def imu(stamp: int, yaw_rate: Stamped) -> Message:
     """Build Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
     none, rate_covariance = np.zeros(9), np.zeros(9)
+    # sensor_msgs/Imu: -1 in the first element marks a quantity that is not measured.
     none[0] = -1.0
     if yaw_rate.covariance is not None:
         rate_covariance[8] = np.ravel(yaw_rate.covariance)[0]
@@ -104,6 +105,7 @@ def sensed_pose(stamp: int, pose: Stamped) -> Message:
 
 def joint_state(stamp: int, speeds: Stamped) -> Message:
     """Build JointState with the speeds (4,) of the wheels [rad/s]."""
+    # sensor_msgs/JointState: empty arrays mark quantities without values.
     empty = np.empty(0)
     return _make(
         "sensor_msgs/msg/JointState",

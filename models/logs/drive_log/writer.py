@@ -61,6 +61,7 @@ class DriveWriter:
         self._writer.add_metadata("layout", {"frame": frame, "poses": "sensor" if pose_topic else "odometry"})
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, int] = {}
+        # The first tick writes a status.
         self._last_mode, self._diagnostic_time = "", -_NANO
 
     def close(self) -> None:
@@ -123,6 +124,7 @@ class DriveWriter:
         measured = measurement_of(row)
 
         def stamp(reading: Stamped) -> int:
+            # The clock of the file may differ from that of the controller, so only differences of its times are used.
             return now + round(_NANO * (reading.time - float(row["t_s"])))
 
         pose, wheels, gyro, speeds = measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds

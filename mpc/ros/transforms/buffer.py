@@ -116,11 +116,13 @@ class TransformBuffer:
             self._frames[child] = entry
         unit = Rigid(*transform[:3], *(value / norm for value in transform[3:]))
         if static:
+            # `_at` reads a static transform at the time 0.
             entry.stamps, entry.history = [], {0: unit}
             return
         if entry.stamps and stamp < entry.stamps[-1] - STORED_TIME:
             raise TransformError(f"{link} is {(entry.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
         if stamp not in entry.history:
+            # Transforms may arrive out of order.
             insort(entry.stamps, stamp)
         entry.history[stamp] = unit
         start = bisect_left(entry.stamps, entry.stamps[-1] - STORED_TIME)
@@ -153,6 +155,7 @@ class TransformBuffer:
                 )
             if not entry.static:
                 moving.append((entry.stamps[-1], name))
+        # All transforms of the chain are known up to the oldest of their newest stamps.
         newest, oldest = min(moving, default=(None, ""))
         stamp = newest if time is None else time
         transform = IDENTITY

@@ -84,6 +84,7 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     arrival_heading, departure_heading = poses[firsts, 2], poses[lasts, 2]
     step = np.diff(points, axis=0)
     lengths, travel = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])
+    # 1 if the poses point along the direction of travel, -1 if against it.
     alignment = np.cos(departure_heading[:-1] - travel)
     has_headings = _has_headings(poses, alignment, robot)
     senses = np.where(np.abs(alignment) < settings.sideways, 0, np.sign(alignment)).astype(int)
@@ -249,10 +250,12 @@ def lay_poses(
     nodes: list[Nodes] = []
     speed, yaw_rate = twist
     is_standing = abs(speed) < _STANDING
+    # The path continues the curve that the robot drives now.
     bend = 0.0 if is_standing else max(-_MAX_CURVATURE, min(_MAX_CURVATURE, yaw_rate / abs(speed)))
     may_turn = not limits.min_turn_radius
     pose = np.array([*poses[0, :2], robot[2]])
     max_distance = 0.0
+    # The robot stops between runs, so only the first run depends on its current motion.
     for index, run in enumerate(runs):
         line, ends, drawn = _smooth_line(run, pose if index == 0 else None, bend, deviation, max_offset)
         max_distance = max(max_distance, float(drawn.max()))
@@ -260,6 +263,7 @@ def lay_poses(
         gap = float(wrap_angle(path.heading[0] - pose[2]))
         # Only the component of the robot's speed along the path continues.
         begins = max(0.0, run.sense * speed * math.cos(gap)) if index == 0 else 0.0
+        # At the start, a small difference is bent away, and a robot in motion does not stop to turn.
         if may_turn and (index or (is_standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
             nodes += _turn(np.array([*path.points[0], pose[2]]), gap, limits)
         square = squared_speeds(
@@ -267,6 +271,7 @@ def lay_poses(
         )
         times, node_poses, rates = time_path(path, square, limits, run.sense)
         nodes.append(
+            # `drawn` belongs to the points of the line, which has several nodes per point.
             (times, node_poses, rates, np.interp(np.linspace(0, 1, len(times)), np.linspace(0, 1, len(drawn)), drawn))
         )
         pose = node_poses[-1]
@@ -327,6 +332,7 @@ def _smooth_line(
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
     count = max(_MIN_POINTS, 1 + math.ceil(along[-1] / settings.spacing))
+    # `smooth_in_tube` requires evenly spaced points.
     arc_length = np.linspace(0.0, along[-1], count)
     points = np.column_stack([np.interp(arc_length, along, run.points[:, i]) for i in (0, 1)])
     spacing = float(arc_length[1])
@@ -335,6 +341,7 @@ def _smooth_line(
         offset = robot[:2] - points[0]
         if np.hypot(*offset) <= max_offset:
             length = min(settings.join, float(along[-1]))
+            # The offset fades out quadratically, so the approach ends without a kink.
             target += offset * np.maximum(0.0, 1.0 - arc_length / length)[:, None] ** 2
             is_approach, first = arc_length < length, float(robot[2])
     interval = min(count - 1, max(2, round(2 * settings.hairpin_length / spacing)))

@@ -58,6 +58,7 @@ def smooth_in_tube(points: FloatArray, spacing: float, tube: float, length: floa
     bending *= (length / spacing) ** 6
     weights, best, min_distance = np.ones(count), points, np.inf
     for iteration in range(_MAX_ITERATIONS):
+        # The weight of pinned points exceeds that of the bending for any wavelength.
         matrix, diagonal = bending.copy(), np.where(pinned, _PINNED * max(1.0, (length / spacing) ** 6), weights)
         matrix[3] += diagonal
         line = solveh_banded(matrix, diagonal[:, None] * points)
