@@ -17,7 +17,7 @@ from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc_extras.networks.finding import simulate_records
-from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc_extras.networks.network import Architecture, fit_percent, rmse, split_windows, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
 from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error, sampled
 from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, as_flags
@@ -82,11 +82,11 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     ]
     kind, usual = Architecture(), training_settings()
     for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
-        training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
+        training, validation, _ = split_windows(windows_of(twist_experiments(drive), kind.window), settings.shares)
         network = train(kind, training, validation, settings).network
         twists = simulate_records(network, drives, "gyro")
         for record, motion, twist in zip(drives, motions, twists, strict=True):
-            motion[name] = _motion(record, twist - network.at_rest)
+            motion[name] = _motion(record, twist - network.rest_output)
         predictions[name] = tuple(
             FreeDrive(
                 _velocity(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
@@ -117,7 +117,7 @@ def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], r
                 "patience": stated.patience,
             }
         )
-        training, validation, test = divided(windows_of(experiments, kind.window), settings.shares)
+        training, validation, test = split_windows(windows_of(experiments, kind.window), settings.shares)
         done = train(kind, training, validation, settings)
         on_validation, on_test = (
             _velocity(fit_percent(done.network, part), rmse(done.network, part)) for part in (validation, test)
