@@ -13,7 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
-# Duration of a block of samples [s]. A block is reduced to mean and trend: noise would bias single squared currents.
+# Duration of a block [s], which is reduced to mean and trend: squares of single noisy currents are less informative.
 _BLOCK_DURATION = 0.3
 _MIN_BLOCK_SAMPLES = 5  # mean and trend take two degrees of freedom
 _MIN_BLOCKS = 20
@@ -50,12 +50,12 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     linearly. The power of a braking motor is scaled by `driver_efficiency`, or is zero without `regeneration`. If the
     log has the currents of the sides only, the motors of a side share the current evenly.
 
-    Additional columns separate two effects of a real drive if the log shows them: power that is drawn only while the
-    wheels turn (idle power is drawn at rest, too), and the heat of currents that change faster than the sample time.
-    This heat is assumed proportional to the squared residual of the logged current within a block of 0.3 s.
+    Additional columns separate two effects of a real drive if the log determines them. The first is the additional power
+    while the wheels turn; the idle power is the power at rest. The second is the heat of currents that change faster
+    than the sample time. It is assumed proportional to the squared residual of the logged current in a block of 0.3 s.
 
-    The deviations contain the residual (correlated over 1.2 s if that is larger) and half of the change that the
-    ripple column causes.
+    The deviations contain the residual, with correlation over 1.2 s if this increases them, and half of the change that
+    the ripple column causes.
 
     Parameters
     ----------
