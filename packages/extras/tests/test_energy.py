@@ -59,10 +59,10 @@ def test_predicted_energy_agrees_with_the_terrain_of_the_curves():
     assert predicted.energy == pytest.approx(expected, rel=0.1)
 
 
-TRUE = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_power": 6.0})
+TRUE_CONSTANTS = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_power": 6.0})
 
 
-def simulate_log(constants=TRUE, noise=0.2, count=600, seed=2):
+def simulate_log(constants=TRUE_CONSTANTS, noise=0.2, count=600, seed=2):
     """Return wheel speeds, side currents (count, 2) and battery readings of a drive with rest, straights and turns."""
     rng = np.random.default_rng(seed)
     speed = np.repeat(rng.uniform(-1, 9, (count // 30, 2)), 30, axis=0)
@@ -79,7 +79,7 @@ def record(speed, current, battery):
 
 @pytest.mark.parametrize("regeneration", [True, False])
 def test_identification_returns_the_constants_of_the_simulation(regeneration):
-    true = TRUE.model_copy(update={"regeneration": regeneration})
+    true = TRUE_CONSTANTS.model_copy(update={"regeneration": regeneration})
     estimate = identify_constants([record(*simulate_log(true))], BOT.model_copy(update={"regeneration": regeneration}))
     for name in ("torque_constant", "resistance", "idle_power"):
         value, deviation = getattr(estimate.constants, name), estimate.deviation[name]
@@ -97,13 +97,14 @@ def test_currents_of_four_motors_determine_the_constants_when_front_and_rear_opp
     common = np.repeat(rng.uniform(-0.5, 2, (20, 2)), 30, axis=0)
     motors = np.hstack([common + opposed, common - opposed])
     speeds = np.tile(speed, 2)
-    power = TRUE.motor_power(motors * TRUE.torque_per_current * speeds, (motors * TRUE.torque_per_current) ** 2)
-    battery = np.stack([np.full(len(speed), 16.0), (power.sum(axis=1) + TRUE.idle_power) / 16.0], axis=-1)
+    torque = motors * TRUE_CONSTANTS.torque_per_current
+    power = TRUE_CONSTANTS.motor_power(torque * speeds, torque**2)
+    battery = np.stack([np.full(len(speed), 16.0), (power.sum(axis=1) + TRUE_CONSTANTS.idle_power) / 16.0], axis=-1)
     sides = record(speed, motors[:, :2] + motors[:, 2:], battery)
     four_motors = replace(sides, motor_currents=motors, wheel_speeds=speeds)
     estimate = identify_constants([four_motors], BOT).constants
-    assert estimate.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
-    assert estimate.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
+    assert estimate.resistance == pytest.approx(TRUE_CONSTANTS.resistance, rel=1e-6)
+    assert estimate.torque_constant == pytest.approx(TRUE_CONSTANTS.torque_constant, rel=1e-6)
 
 
 def test_log_at_rest_or_with_reversed_currents_raises_config_error():

@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
 COSTS = {surface: load_turn_costs(f"fsu_bot-{surface}") for surface in ("slippery", "default")}
 RESIDUALS = {surface: energy_function(costs) for surface, costs in COSTS.items()}
-ON = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
+ENERGY_TERM = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
 GENTLE = lay_segments(
     [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
     TrajectoryLimits.of_robot(),
@@ -97,7 +97,7 @@ def test_higher_weight_reduces_energy_and_increases_the_position_error():
 
 
 def test_weight_is_a_stage_parameter_that_can_change_during_a_drive():
-    controllers = [Controller(load_config("ssm", ON | {"energy.weight": weight})) for weight in (0.01, 0.1)]
+    controllers = [Controller(load_config("ssm", ENERGY_TERM | {"energy.weight": weight})) for weight in (0.01, 0.1)]
     controllers[0].set_parameters(energy=[0.1])
     commands = []
     for controller in controllers:
@@ -110,17 +110,17 @@ def test_min_radius_comes_from_the_turn_costs_unless_the_configuration_sets_it()
     settings = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
     controller = Controller(load_config("ssm", settings))
     assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
-    stated = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
-    assert with_min_radius(stated).limits.min_commanded_radius == 0.9
-    none = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
-    assert with_min_radius(none).limits.min_commanded_radius is None
+    explicit = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
+    assert with_min_radius(explicit).limits.min_commanded_radius == 0.9
+    unlimited = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
+    assert with_min_radius(unlimited).limits.min_commanded_radius is None
 
 
 def test_invalid_turn_costs_raise_config_error(tmp_path):
     with pytest.raises(ConfigError, match=r"energy.*turn_costs: give a shipped name, such as fsu_bot-default"):
         load_config("ssm", {"energy.weight": 0.1})
     with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
-        Controller(load_config("ssm", ON | {"energy.turn_costs": "nowhere"}))
+        Controller(load_config("ssm", ENERGY_TERM | {"energy.turn_costs": "nowhere"}))
     weak = COSTS["default"].model_dump(mode="json")
     weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of the drive train
     (tmp_path / "weak.yaml").write_text(yaml.safe_dump(weak))

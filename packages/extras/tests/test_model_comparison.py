@@ -21,8 +21,8 @@ def limit_order(monkeypatch):
 
 @pytest.mark.long
 def test_sm_is_recommended_for_decoupled_channels():
-    truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
-    comparison = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
+    model = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
+    comparison = compare_models(data_of(*(noisy_drive(model, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
     assert comparison.recommended.kind == "sm"
     assert [score.kind for score in comparison.scores] == [NO_MODEL, "sm", "ssm"]
     low, high = comparison.gain(comparison.scores[2], comparison.recommended)

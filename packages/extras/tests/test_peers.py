@@ -17,12 +17,12 @@ from diffdrive_mpc_extras.peers.kanayama_plain import KanayamaController, load_p
 from diffdrive_mpc_extras.peers.mppi import MppiGains
 from diffdrive_mpc_extras.peers.rpp import PurePursuit, load_parameters, path_of
 
-P = load_parameters()
+DEFAULTS = load_parameters()
 AT_REST = np.zeros(2)
 
 
 def law(path, **changes):
-    return PurePursuit(np.asarray(path, dtype=float), P.model_copy(update=changes), 0.05)
+    return PurePursuit(np.asarray(path, dtype=float), DEFAULTS.model_copy(update=changes), 0.05)
 
 
 def straight(length=4.0, heading=0.0):
@@ -36,14 +36,16 @@ def arc(radius, length=4.0):
 
 
 def test_pursuit_drives_a_straight_path_at_the_desired_speed():
-    np.testing.assert_allclose(law(straight()).decide(np.zeros(3), AT_REST), [P.desired_linear_vel, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        law(straight()).decide(np.zeros(3), AT_REST), [DEFAULTS.desired_linear_vel, 0.0], atol=1e-12
+    )
 
 
 @given(lateral=st.floats(-0.4, 0.4))
 def test_pursuit_drives_an_arc_through_the_carrot(lateral):
     """The curvature of pure pursuit is 2 y / L^2 for a carrot at the lateral offset y and the distance L."""
     v, omega = law(straight()).decide(np.array([0.0, lateral, 0.0]), AT_REST)
-    assert omega / v == pytest.approx(-2.0 * lateral / P.lookahead_dist**2, abs=1e-9)
+    assert omega / v == pytest.approx(-2.0 * lateral / DEFAULTS.lookahead_dist**2, abs=1e-9)
 
 
 @given(radius=st.floats(0.45, 3.0))
@@ -51,8 +53,8 @@ def test_pursuit_scales_the_speed_with_the_radius_down_to_the_minimum(radius):
     v, omega = law(arc(radius)).decide(np.zeros(3), AT_REST)
     # The robot is on the arc, so pure pursuit follows the arc.
     assert omega / v == pytest.approx(1.0 / radius, rel=2e-3)
-    expected = P.desired_linear_vel * min(1.0, radius / P.regulated_linear_scaling_min_radius)
-    assert v == pytest.approx(max(expected, P.regulated_linear_scaling_min_speed), rel=2e-3)
+    expected = DEFAULTS.desired_linear_vel * min(1.0, radius / DEFAULTS.regulated_linear_scaling_min_radius)
+    assert v == pytest.approx(max(expected, DEFAULTS.regulated_linear_scaling_min_speed), rel=2e-3)
 
 
 @given(distance=st.floats(0.26, 0.55))
@@ -60,7 +62,7 @@ def test_pursuit_scales_the_speed_with_the_distance_during_the_approach(distance
     follower = law(straight())
     for x in (1.0, 2.0, 3.0, 4.0 - distance):
         v = follower.decide(np.array([x, 0.0, 0.0]), AT_REST)
-    assert v[0] == pytest.approx(P.desired_linear_vel * distance / P.approach_velocity_scaling_dist)
+    assert v[0] == pytest.approx(DEFAULTS.desired_linear_vel * distance / DEFAULTS.approach_velocity_scaling_dist)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -68,9 +70,9 @@ def test_pursuit_rotates_in_place_towards_a_carrot_at_a_large_angle(side):
     follower = law(straight())
     v, omega = follower.decide(np.array([0.0, 0.0, -side * 1.2]), AT_REST)
     assert v == 0.0
-    assert omega == pytest.approx(side * P.max_angular_accel * 0.05)
+    assert omega == pytest.approx(side * DEFAULTS.max_angular_accel * 0.05)
     v, omega = follower.decide(np.array([0.0, 0.0, -side * 1.2]), np.array([0.0, side * 1.8]))
-    assert omega == pytest.approx(side * P.rotate_to_heading_angular_vel)
+    assert omega == pytest.approx(side * DEFAULTS.rotate_to_heading_angular_vel)
     assert follower.decide(np.array([0.0, 0.0, -side * 0.7]), AT_REST)[0] > 0.0
 
 
@@ -86,7 +88,7 @@ def test_pursuit_rotates_to_the_heading_of_the_goal_and_ends():
     assert omega > 0.0
     # The yaw rate decreases with the remaining angle, so that the robot can stop in time.
     v, omega = follower.decide(np.array([3.8, 0.0, 0.7]), np.array([0.0, 1.8]))
-    assert omega <= math.sqrt(2.0 * P.max_angular_accel * 0.3) + 1e-12
+    assert omega <= math.sqrt(2.0 * DEFAULTS.max_angular_accel * 0.3) + 1e-12
     assert follower.decide(np.array([3.8, 0.0, 0.8]), AT_REST) is None
 
 
@@ -96,19 +98,19 @@ def test_pursuit_reaches_the_goal_in_closed_loop(name):
     plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
     run = simulate(make_peer("rpp"), plant, reference, extra_time=10.0)
     assert run.modes[-1] == "FINISHED"
-    goal = path_of(reference, P.path_spacing)[-1]
-    assert math.hypot(*(run.true_pose[-1] - goal)[:2]) <= P.xy_goal_tolerance + 0.02
-    assert np.abs(run.command[:, 0]).max() <= P.desired_linear_vel + 1e-9
+    goal = path_of(reference, DEFAULTS.path_spacing)[-1]
+    assert math.hypot(*(run.true_pose[-1] - goal)[:2]) <= DEFAULTS.xy_goal_tolerance + 0.02
+    assert np.abs(run.command[:, 0]).max() <= DEFAULTS.desired_linear_vel + 1e-9
 
 
 NAMES = ("mppi", "mppi+slip")
-MODERATE = MppiGains(lead=0.05, position=400, across=400, heading=5, smoothness=0.02, v_noise=0.1, omega_noise=0.3)
+SOFT_GAINS = MppiGains(lead=0.05, position=400, across=400, heading=5, smoothness=0.02, v_noise=0.1, omega_noise=0.3)
 """Gains for a start with a large error; the tuned gains are too high for it."""
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_mppi_returns_to_the_reference_from_a_displaced_start(name: str) -> None:
-    check_return(make_tracking_peer(name, MODERATE))
+    check_return(make_tracking_peer(name, SOFT_GAINS))
 
 
 def test_peer_completes_the_square_with_turns_on_the_spot() -> None:

@@ -119,13 +119,13 @@ def power_sensor(name: str = "power") -> PowerSensor:
 def robot_power(name: str) -> RobotPower:
     """Return motors and battery of the robot that the name of a plant contains, such as "mujoco:fsu_bot"."""
     robot = simulated_robot(name)
-    return _checked_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
+    return _check_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
 
 
-def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - content of a file
+def _check_power(values: Any, source: str) -> RobotPower:  # noqa: ANN401 - content of a file
     """Check the values of a robot file; missing values of `drive` are those of the papers' robot."""
     defaults = {"drive": papers_drive().model_dump()}
-    return check(RobotPower, merge_mappings(defaults, values) if isinstance(values, Mapping) else values, where)
+    return check(RobotPower, merge_mappings(defaults, values) if isinstance(values, Mapping) else values, source)
 
 
 class PowerRunColumns(RunColumns):
@@ -150,7 +150,7 @@ class PowerKind:
 
     def make_part(self, sensor: object, robot: object, seed: int) -> PowerReadings:
         """Make the sensors; raise ConfigError if a value is invalid."""
-        power = _checked_power(robot, "robot: parts.power")
+        power = _check_power(robot, "robot: parts.power")
         return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), power.battery, power.drive, seed)
 
 

@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
-def sizes_text(problem: Problem, *, single: bool) -> str:
+def sizes_text(problem: Problem, *, is_single: bool) -> str:
     """Format ddmpc_sizes.h, which defines the sizes and the memory of the core."""
     ffi, lib = load_core()
     sizes = _sizes(problem)
@@ -34,7 +34,7 @@ def sizes_text(problem: Problem, *, single: bool) -> str:
     offsets = {f"first_parameter_of_{_identifier(name)}": start for name, start in starts.items()}
     lines = [f"#define DDMPC_{name.upper()} {value}" for name, value in {**sizes, **memory, **offsets}.items()]
     guard = ["#ifndef DDMPC_SIZES_H", "#define DDMPC_SIZES_H", "", "#define DDMPC_EXPORT"]
-    return "\n".join([*guard, *(["#define DDMPC_FLOAT"] if single else []), *lines, "", "#endif", ""])
+    return "\n".join([*guard, *(["#define DDMPC_FLOAT"] if is_single else []), *lines, "", "#endif", ""])
 
 
 def operations_bound(problem: Problem) -> int:
@@ -135,19 +135,19 @@ def _term(index: int, term: Term, first: int) -> str:
     return "    {" + ", ".join(f".{name} = {value}" for name, value in members.items()) + "}"
 
 
-def _struct(kind: str, name: str, members: Iterable[tuple[str, str]]) -> str:
-    return f"const {kind} ddmpc_this_{name} = {{\n{_members(members)}\n}};"
+def _struct(c_type: str, name: str, members: Iterable[tuple[str, str]]) -> str:
+    return f"const {c_type} ddmpc_this_{name} = {{\n{_members(members)}\n}};"
 
 
 def _members(members: Iterable[tuple[str, str]]) -> str:
     return ",\n".join(f"    .{name} = {value}" for name, value in members)
 
 
-def _table(kind: str, name: str, numbers: FloatArray, *, static: str = "static ") -> str:
-    """Format a C array of decimals, which the compiler rounds to the precision of `kind`."""
+def _table(c_type: str, name: str, numbers: FloatArray, *, static: str = "static ") -> str:
+    """Format a C array of decimals, which the compiler rounds to the precision of `c_type`."""
     decimals = [_c_number(value) for value in numbers.tolist()]
     lines = [", ".join(decimals[start : start + 8]) for start in range(0, len(decimals), 8)]
-    return f"{static}const {kind} {name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
+    return f"{static}const {c_type} {name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
 
 
 def _c_value(value: Sequence[float] | float | int) -> str:

@@ -104,7 +104,7 @@ def export_controller(
     functions = generated_functions(velocity_model, terms)
     texts = {
         **core_texts(),
-        SIZES: sizes_text(problem, single=precision is Precision.FLOAT),
+        SIZES: sizes_text(problem, is_single=precision is Precision.FLOAT),
         "constants.c": constants_text(problem, functions.stem if functions else None),
         **trajectory_texts(reference, config.sample_time),
     }

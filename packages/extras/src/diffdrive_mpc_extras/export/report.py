@@ -102,9 +102,9 @@ def _size(target: str, folder: Path) -> Size | None:
         listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     rows = [cells for line in listing.splitlines() if len(cells := line.split()) == 3 and cells[1].isdigit()]
     sections = {name: int(size) for name, size, _ in rows}
-    data, zero, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
-    constant = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
-    return Size(target, compiler, constant + data, data + zero + stack, stack)
+    data, bss, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
+    constants = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
+    return Size(target, compiler, constants + data, data + bss + stack, stack)
 
 
 def _size_command(compiler: str) -> str:

@@ -136,14 +136,14 @@ BLOCK, STORED = 32, 6
 """DDMPC_BLOCK and DDMPC_STORED of `mpc/core/network.h`."""
 
 
-def _padded(count: int) -> int:
+def _round_up(count: int) -> int:
     return -(-count // BLOCK) * BLOCK
 
 
 def pack_parameters(network: Network) -> FloatArray:
     """Pack the parameters (Q,) as `mpc/core/network.h` describes; subtract the output at rest from the offsets."""
     architecture, w = network.architecture, network.weights
-    unit_row, dense_row, input_row = map(_padded, (architecture.units, architecture.dense, architecture.units + 2))
+    unit_row, dense_row, input_row = map(_round_up, (architecture.units, architecture.dense, architecture.units + 2))
 
     def pad(matrix: FloatArray, width: int) -> FloatArray:
         return np.pad(matrix, [*[(0, 0)] * (matrix.ndim - 1), (0, width - matrix.shape[-1])])
@@ -169,7 +169,7 @@ def pack_parameters(network: Network) -> FloatArray:
 def work_size(network: Network) -> int:
     """Compute the size of the work memory of a step of the network in the core [reals]."""
     architecture = network.architecture
-    unit_row, dense_row, input_row = map(_padded, (architecture.units, architecture.dense, architecture.units + 2))
+    unit_row, dense_row, input_row = map(_round_up, (architecture.units, architecture.dense, architecture.units + 2))
     forward = input_row + unit_row + len(GATES) * unit_row + 2 * dense_row
     backward = len(GATES) * unit_row + unit_row + input_row + dense_row
     return forward + backward + architecture.window * STORED * unit_row

@@ -195,9 +195,9 @@ def _compile(
 
             def advance(carry: Any, layer_input: Any, recurrent: Any = recurrent) -> Any:  # noqa: ANN401
                 out, cell = carry
-                gates = jnp.split(layer_input + out @ recurrent, 4, axis=1)
-                cell = next_cell(*gates[:3], cell, jnp.tanh)
-                out = hidden(gates[3], cell, jnp.tanh)
+                input_gate, forget_gate, candidate, output_gate = jnp.split(layer_input + out @ recurrent, 4, axis=1)
+                cell = next_cell(input_gate, forget_gate, candidate, cell, jnp.tanh)
+                out = hidden(output_gate, cell, jnp.tanh)
                 return (out, cell), out
 
             sums = rows @ p[f"input_{layer}"] + p[f"gate_offset_{layer}"]

@@ -34,8 +34,8 @@ _LEARNING_ANGLE = 1.0
 """Turned angle over which the error from unlearned slip decays to 1/e [rad]."""
 _FREE_SHARE = 0.6
 """Fraction of the maximum wheel speed above which `wheel_speed` is positive [-]."""
-_USUAL_AGE = Failure().max_pose_age
-"""Pose age above which poses count as late [s]."""
+_DEFAULT_POSE_AGE = Failure().max_pose_age
+"""Default maximum pose age; a longer maximum in a configuration increases `pose_age` [s]."""
 
 
 def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: FloatArray) -> FloatArray:
@@ -61,7 +61,7 @@ def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: F
     dv, domega = np.abs(np.gradient(twist, dt, axis=0)).T
     angle = np.cumsum(omega) * dt
     wheel_share = (v + omega * config.wheels.track / 2) / config.limits.wheel_speed
-    age = max(config.failure.max_pose_age - _USUAL_AGE, 0.0)
+    age = max(config.failure.max_pose_age - _DEFAULT_POSE_AGE, 0.0)
     values = {
         "floor": np.ones_like(v),
         "pose_age": np.full_like(v, age),
@@ -155,9 +155,9 @@ class ErrorCalibration(StrictModel):
 
 def load_calibration(path: str | Path | None = None) -> ErrorCalibration:
     """Load a calibration, by default the shipped calibration; raise ConfigError if the file is invalid."""
-    return _shipped() if path is None else load_checked(ErrorCalibration, Path(path))
+    return _load_shipped() if path is None else load_checked(ErrorCalibration, Path(path))
 
 
 @cache
-def _shipped() -> ErrorCalibration:
+def _load_shipped() -> ErrorCalibration:
     return load_checked(ErrorCalibration, _FILE)
