@@ -34,7 +34,7 @@ class Energy(FeatureGroup):
     )
 
     @model_validator(mode="after")
-    def _has_costs(self) -> Self:
+    def _check_costs(self) -> Self:
         if (self.weight or self.use_min_radius) and not self.turn_costs:
             raise ValueError("turn_costs: give a shipped name, such as fsu_bot-default, or a file written by torque")
         return self
@@ -89,8 +89,8 @@ def energy_function(costs: TurnCosts) -> ca.Function:
     command, weight = ca.SX.sym("command", 2), ca.SX.sym("parameters", 1)
     omega = command[1]
     power = turning_power(costs, command[0], omega)
-    positive = 0.5 * (power + ca.sqrt(power**2 + _SMOOTHING_POWER**2))
-    residual = ca.sqrt(weight * positive) * omega / ca.sqrt(omega**2 + _SMOOTHING_YAW_RATE**2)
+    smoothed_power = 0.5 * (power + ca.sqrt(power**2 + _SMOOTHING_POWER**2))
+    residual = ca.sqrt(weight * smoothed_power) * omega / ca.sqrt(omega**2 + _SMOOTHING_YAW_RATE**2)
     return ca.Function(NAME, [command, weight], [residual], ["command", "parameters"], ["residual"])
 
 

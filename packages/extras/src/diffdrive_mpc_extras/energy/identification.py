@@ -50,9 +50,10 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     linearly. The power of a braking motor is scaled by `driver_efficiency`, or is zero without `regeneration`. If the
     log has the currents of the sides only, the motors of a side share the current evenly.
 
-    Additional columns separate two effects of a real drive if the log determines them. The first is the additional power
-    while the wheels turn; the idle power is the power at rest. The second is the heat of currents that change faster
-    than the sample time. It is assumed proportional to the squared residual of the logged current in a block of 0.3 s.
+    Additional columns separate two effects of a real drive if the log determines them. The first is the additional
+    power while the wheels turn; the idle power is the power at rest. The second is the heat of currents that change
+    faster than the sample time. This heat is assumed proportional to the squared residual of the logged current in a
+    block of 0.3 s.
 
     The deviations contain the residual, with correlation over 1.2 s if this increases them, and half of the change that
     the ripple column causes.

@@ -133,7 +133,7 @@ class EmulatedController:
         assert self._process.stdout is not None
         data = self._process.stdout.read(count)
         if len(data) < count:
-            raise ConfigError(f"--emulate: the program on {_EMULATOR} does not reply; report it as a bug")
+            raise ConfigError(f"--emulate: the program on {_EMULATOR} stopped without a reply; report this as a bug")
         return data
 
 

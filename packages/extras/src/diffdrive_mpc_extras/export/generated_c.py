@@ -30,7 +30,7 @@ def sizes_text(problem: Problem, *, is_single: bool) -> str:
     sizes = _sizes(problem)
     c_sizes = ffi.new("ddmpc_sizes *", sizes)
     memory = {"reals": lib.ddmpc_reals(c_sizes), "ints": lib.ddmpc_ints(c_sizes)}
-    starts = {name: place.start for name, place in parameter_places(problem.terms).items()}
+    starts = {name: span.start for name, span in parameter_places(problem.terms).items()}
     offsets = {f"first_parameter_of_{_identifier(name)}": start for name, start in starts.items()}
     lines = [f"#define DDMPC_{name.upper()} {value}" for name, value in {**sizes, **memory, **offsets}.items()]
     guard = ["#ifndef DDMPC_SIZES_H", "#define DDMPC_SIZES_H", "", "#define DDMPC_EXPORT"]
@@ -122,9 +122,9 @@ def _closed_form(reference: Reference, spacing: float) -> NativeTrajectory:
         return native
     times = np.linspace(0.0, reference.duration, max(2, int(np.ceil(reference.duration / spacing - 1e-9)) + 1))
     sample = reference.sample(times)
-    finite = np.isfinite(np.hstack([sample.pose, sample.twist])).all(axis=1)
-    if not finite.all():
-        raise ValueError(f"reference '{reference.name}' is not finite at {times[finite.argmin()]:.2f} s; repair it")
+    is_finite = np.isfinite(np.hstack([sample.pose, sample.twist])).all(axis=1)
+    if not is_finite.all():
+        raise ValueError(f"reference '{reference.name}' is not finite at {times[is_finite.argmin()]:.2f} s; repair it")
     v, heading = sample.twist[:, :1], sample.pose[:, 2:]
     rates = np.hstack([v * np.cos(heading), v * np.sin(heading), sample.twist[:, 1:]])
     return SplineTrajectory.through(reference.name, times, sample.pose, rates).native

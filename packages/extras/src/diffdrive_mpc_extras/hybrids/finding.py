@@ -86,7 +86,7 @@ class HybridPredictor:
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """Doubts about the model: no network improves the prediction."""
+        """Doubts about the model; not empty if no network improves the prediction."""
         if self.decay is not None:
             return ()
         reason = "no network predicts held-out blocks better than the linear model: its output is zero"
@@ -155,7 +155,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> HybridPredictor:
     for rest, block in blocks(experiments):
         held_out, training = (training_runs(linear, system, extract(experiments, part)) for part in (block, rest))
         networks = train_corrections(linear, training, settings.decays, settings)
-        gains.append([_log_power(linear, network, held_out) for network in networks])
+        gains.append([_log_error_ratio(linear, network, held_out) for network in networks])
     scores = np.mean(gains, axis=0)
     runs, best = training_runs(linear, system, experiments), int(np.argmin(scores))
     if scores[best] > np.log1p(-settings.min_gain):
@@ -168,7 +168,7 @@ def _select_rows(records: Sequence[Record]) -> list[Record]:
     return most_informative(records, identification_settings().most_rows["effects"])
 
 
-def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
+def _log_error_ratio(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
     """Compute the logarithm of the squared error relative to the linear model's, averaged over v and omega."""
     try:
         model = hybrid_model(_NAME, linear, correction)

@@ -100,11 +100,11 @@ class MppiLaw:
         goal = (unwrapped - heading).astype(np.float32)
         dx, dy = x - goal_x, y - goal_y
         across = dy * np.cos(goal) - dx * np.sin(goal)
-        pose = gains.position * (dx * dx + dy * dy) + gains.across * across * across
-        pose += gains.heading * (rotation - goal) ** 2
+        pose_cost = gains.position * (dx * dx + dy * dy) + gains.across * across * across
+        pose_cost += gains.heading * (rotation - goal) ** 2
         deviation = (commands - feed_forward[:, None]) / self._noise[:, None, None]
-        steps = np.diff(deviation, axis=2)
-        cost = pose.sum(axis=1) + gains.smoothness * (steps * steps).sum(axis=(0, 2))
+        increments = np.diff(deviation, axis=2)
+        cost = pose_cost.sum(axis=1) + gains.smoothness * (increments * increments).sum(axis=(0, 2))
         additional = self._additional_cost(sight, x, y, rotation)
         return np.asarray(cost if additional is None else cost + additional, dtype=np.float32)
 
