@@ -17,7 +17,7 @@ from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc_extras.networks.finding import simulate_records
-from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc_extras.networks.network import Architecture, fit_percent, rmse, split_windows, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
 from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, discretise, pose_error
 from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, as_flags
@@ -84,11 +84,11 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     ]
     architecture, default = Architecture(), training_settings()
     for name, settings in ((LSTM, default), (LONGER, default.model_copy(update=study.longer.model_dump()))):
-        training, validation, _ = divided(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+        training, validation, _ = split_windows(windows_of(twist_experiments(drive), architecture.window), settings.shares)
         network = train(architecture, training, validation, settings).network
         twists = simulate_records(network, drives, "gyro")
         for record, motion, twist in zip(drives, motions, twists, strict=True):
-            motion[name] = _motion(record, twist - network.at_rest)
+            motion[name] = _motion(record, twist - network.rest_output)
         predictions[name] = tuple(
             FreeDrive(
                 _velocity_fit(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
@@ -119,7 +119,7 @@ def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], r
                 "patience": paper_row.patience,
             }
         )
-        training, validation, test = divided(windows_of(experiments, architecture.window), settings.shares)
+        training, validation, test = split_windows(windows_of(experiments, architecture.window), settings.shares)
         result = train(architecture, training, validation, settings)
         validation_fit, test_fit = (
             _velocity_fit(fit_percent(result.network, part), rmse(result.network, part)) for part in (validation, test)

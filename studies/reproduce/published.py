@@ -197,7 +197,7 @@ class LongerTraining(StrictModel):
     dropout: float = Field(ge=0, lt=1)
     decay: float = Field(ge=0)
     patience: Count
-    most_epochs: Count
+    max_epochs: Count
 
 
 class NetworkStudy(StrictModel):

@@ -43,7 +43,7 @@ from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, r
 from diffdrive_mpc_extras.drives.drive_model import write_drive
 from diffdrive_mpc_extras.drives.finding import drive_content
 from diffdrive_mpc_extras.drives.fitting import fit_drive
-from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, windows_of
+from diffdrive_mpc_extras.networks.network import Architecture, fit_percent, split_windows, windows_of
 from diffdrive_mpc_extras.networks.network_model import network_content, write_network
 from diffdrive_mpc_extras.networks.training import method, train, training_settings
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
@@ -466,7 +466,7 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     drive = logs.free(1, study.train_duration, study.paper_range)
     held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
     announce(1, 2)
-    training, validation, test = divided(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+    training, validation, test = split_windows(windows_of(twist_experiments(drive), architecture.window), settings.shares)
     result = train(architecture, training, validation, settings)
     network = result.network
     held_out_windows = windows_of(twist_experiments(held_out), architecture.window)
@@ -486,8 +486,8 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
             "experiments": [record.name for record in drive],
             "date": date.today().isoformat(),
             "notes": "Architecture, optimiser and stopping rule are the paper's (Table 2, row 2); its weights and data "
-            "are not public. The paper does not state the division of the data or the learning rate. Validated on "
-            "other drives of the same kind. The output at rest is subtracted from every output.",
+            "are not public. The paper does not specify how the data were split, nor the learning rate. Validated on "
+            "other drives of the same kind. The output at rest is subtracted from each output.",
         },
     )
     write_network(folder / "lstm.yaml", network, content)

@@ -1,4 +1,4 @@
-"""Prediction of the deviations that a drive gives a velocity model."""
+"""Expected standard deviations of a velocity model identified from a drive."""
 
 import numpy as np
 import pytest
@@ -29,21 +29,21 @@ def steps(seed, seconds):
 
 @settings(deadline=None, max_examples=8)
 @given(seed=st.integers(0, 10_000))
-def test_laws_of_information(seed):
-    """Deviations go with the noise and, for the same drive four times over, with one over two."""
+def test_standard_deviations_scale_with_noise_and_duration(seed):
+    """Deviations are proportional to the noise, and half as large for four repetitions of a drive."""
     commands = np.vstack([steps(seed, 20.0), np.zeros((100, 2))])
-    once = DriveInformation(SM, NOISE).parameters(commands, DT)
-    louder = DriveInformation(SM, 3 * NOISE).parameters(commands, DT)
-    # The prior of the second time constant is not scaled with the noise: a few per cent.
-    assert louder.standard_deviation == pytest.approx(3 * once.standard_deviation, rel=0.1)
-    four = DriveInformation(SM, NOISE).parameters(np.tile(commands, (4, 1)), DT)
-    assert four.standard_deviation == pytest.approx(once.standard_deviation / 2, rel=0.1)
+    single = DriveInformation(SM, NOISE).parameters(commands, DT)
+    noisy = DriveInformation(SM, 3 * NOISE).parameters(commands, DT)
+    # The prior of the second time constant does not scale with the noise: a few per cent.
+    assert noisy.standard_deviation == pytest.approx(3 * single.standard_deviation, rel=0.1)
+    repeated = DriveInformation(SM, NOISE).parameters(np.tile(commands, (4, 1)), DT)
+    assert repeated.standard_deviation == pytest.approx(single.standard_deviation / 2, rel=0.1)
     longer = DriveInformation(SM, NOISE).parameters(np.vstack([commands, steps(seed + 1, 5.0)]), DT)
-    assert (longer.standard_deviation <= once.standard_deviation * (1 + 1e-6)).all()
+    assert (longer.standard_deviation <= single.standard_deviation * (1 + 1e-6)).all()
 
 
 @pytest.mark.parametrize("name", ["mbm", "ssm"])
-def test_other_structures_by_gain_and_mean_delay(name):
+def test_parameters_of_other_structures_match_gain_and_mean_delay(name):
     model = load_linear_model(name)
     estimate = DriveInformation(model, NOISE).parameters(steps(1, 10.0), DT)
     for row, channel in enumerate(("v", "omega")):
@@ -52,30 +52,32 @@ def test_other_structures_by_gain_and_mean_delay(name):
         assert delay == pytest.approx(model.lag[row], rel=1e-6)
 
 
-def test_errors_of_identification_are_as_large_as_stated():
-    """Ten logs of one robot, each with noise of its own: errors over stated deviations are of size one."""
+def test_identification_errors_agree_with_the_expected_deviations():
+    """Compare the errors in ten logs with independent noise to the expected standard deviations."""
     commands = steps(5, 25.0)
-    stated = DriveInformation(SM, NOISE).parameters(commands, DT)
+    expected = DriveInformation(SM, NOISE).parameters(commands, DT)
     sampled = SM.discretise(DT)
-    state, clean = np.zeros(SM.order), np.zeros(commands.shape)
+    state, outputs = np.zeros(SM.order), np.zeros(commands.shape)
     line = np.vstack([np.zeros((int(sampled.delay.max()) + 1, 2)), commands])
     first = len(line) - len(commands)
     for k in range(len(commands)):
-        clean[k] = sampled.C @ state
+        outputs[k] = sampled.C @ state
         recent = np.array([line[first + k - d, j] for j, d in enumerate(sampled.delay)])
         older = np.array([line[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
         state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ older
     errors = []
     for seed in range(10):
-        read = clean + NOISE * np.random.default_rng(seed).standard_normal(clean.shape)
-        record = Record("drive", 0.0, DT, commands, twist=read, yaw_rate=read[:, 1])
+        readings = outputs + NOISE * np.random.default_rng(seed).standard_normal(outputs.shape)
+        record = Record("drive", 0.0, DT, commands, twist=readings, yaw_rate=readings[:, 1])
         identified = identify_sm([record], limits=False).parameters
         for channel in ("v", "omega"):
-            part = {name: identified.value(f"{channel}.{name}") for name in ("gain", "dead_time")}
-            part["lag"] = 2 * identified.value(f"{channel}.damping") / identified.value(f"{channel}.natural_frequency")
-            named = [(f"{channel}.{name}", part[name]) for name in TOLD]
-            errors.append([(value - stated.value(name)) / stated.deviation(name) for name, value in named])
-    # The root mean square of 10 normal values has a deviation of 0.22: within three of them.
-    size = np.sqrt(np.mean(np.reshape(errors, (10, 6)) ** 2, axis=0))
-    assert (size > 0.5).all(), size
-    assert (size < 1.6).all(), size
+            values = {name: identified.value(f"{channel}.{name}") for name in ("gain", "dead_time")}
+            values["lag"] = (
+                2 * identified.value(f"{channel}.damping") / identified.value(f"{channel}.natural_frequency")
+            )
+            parameters = [(f"{channel}.{name}", values[name]) for name in TOLD]
+            errors.append([(value - expected.value(name)) / expected.deviation(name) for name, value in parameters])
+    # The RMS of 10 standard normal values has a standard deviation of 0.22.
+    rms = np.sqrt(np.mean(np.reshape(errors, (10, 6)) ** 2, axis=0))
+    assert (rms > 0.5).all(), rms
+    assert (rms < 1.6).all(), rms

@@ -1,4 +1,4 @@
-"""The power that turning takes, in the cost: the residual, the plan with it, and the energy of the simulated robot."""
+"""Energy term of the cost: its residual, the plan that minimises it, and the energy of the simulated robot."""
 
 import casadi as ca
 import numpy as np
@@ -15,12 +15,12 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.energy.power_readings import run_energy
-from diffdrive_mpc_extras.energy_term import energy_function, with_least_radius
+from diffdrive_mpc_extras.energy_term import energy_function, with_min_radius
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
-COSTS = {floor: load_turn_costs(f"fsu_bot-{floor}") for floor in ("slippery", "default")}
-RESIDUALS = {floor: energy_function(costs) for floor, costs in COSTS.items()}
-ON = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
+COSTS = {surface: load_turn_costs(f"fsu_bot-{surface}") for surface in ("slippery", "default")}
+RESIDUALS = {surface: energy_function(costs) for surface, costs in COSTS.items()}
+ENERGY_TERM = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
 GENTLE = lay_segments(
     [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
     TrajectoryLimits.of_robot(),
@@ -28,13 +28,13 @@ GENTLE = lay_segments(
 )
 
 
-@pytest.mark.parametrize("floor", COSTS)
-def test_its_square_is_the_power_of_turning(floor):
-    """Beyond where it is rounded at straight on: 0.05 W and 0.02 rad/s."""
+@pytest.mark.parametrize("surface", COSTS)
+def test_square_of_the_residual_is_the_weighted_turning_power(surface):
+    """Compare outside the smoothed range around straight motion, 0.05 W and 0.02 rad/s."""
     for v in (0.0, 0.1, 0.4, -0.3, 0.8):
         omega = np.concatenate([-np.geomspace(0.1, 1.5, 30), np.geomspace(0.1, 1.5, 30)])
-        power = COSTS[floor].power(np.column_stack([np.full(60, v), omega])) - COSTS[floor].power([[v, 0.0]])
-        result = np.array([float(RESIDUALS[floor]([v, w], 0.25)) for w in omega])
+        power = COSTS[surface].power(np.column_stack([np.full(60, v), omega])) - COSTS[surface].power([[v, 0.0]])
+        result = np.array([float(RESIDUALS[surface]([v, w], 0.25)) for w in omega])
         assert np.sign(result) == pytest.approx(np.sign(omega))
         assert result**2 / 0.25 == pytest.approx(power, rel=0.08, abs=0.25)
 
@@ -43,32 +43,32 @@ def test_its_square_is_the_power_of_turning(floor):
     v=st.floats(-1.0, 1.0),
     omega=st.floats(-2.0, 2.0),
     weight=st.floats(1e-6, 1.0),
-    floor=st.sampled_from(sorted(COSTS)),
+    surface=st.sampled_from(sorted(COSTS)),
 )
-def test_it_is_smooth_through_rest_and_straight_on(v, omega, weight, floor):
-    """The gradient agrees with central differences, everywhere: half the step changes them by little."""
-    command, given_weight = ca.SX.sym("command", 2), ca.SX.sym("weight")
-    value = RESIDUALS[floor](command, given_weight)
-    gradient = ca.Function("g", [command, given_weight], [ca.jacobian(value, command)])
+def test_residual_is_smooth_at_rest_and_in_straight_motion(v, omega, weight, surface):
+    """Compare the gradient with central differences at all commands."""
+    command, symbolic_weight = ca.SX.sym("command", 2), ca.SX.sym("weight")
+    value = RESIDUALS[surface](command, symbolic_weight)
+    gradient = ca.Function("g", [command, symbolic_weight], [ca.jacobian(value, command)])
     point = np.array([v, omega])
     exact = gradient(point, weight).full()
     assert np.isfinite(exact).all()
-    slopes = differences(lambda command: RESIDUALS[floor](command, weight), point)
+    slopes = differences(lambda command: RESIDUALS[surface](command, weight), point)
     assert exact == pytest.approx(slopes, abs=2e-3 * np.sqrt(weight) * 60)
 
 
-def test_straight_on_and_at_rest_it_costs_nothing():
+def test_residual_is_zero_at_rest_and_in_straight_motion():
     for v in (0.0, 0.5, -0.5):
         assert float(RESIDUALS["default"]([v, 0.0], 1.0)) == 0.0
 
 
-@pytest.mark.parametrize(("floor", "weight"), [("slippery", 0.01), ("default", 0.001)])
-def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight):
-    """In the middle of a turn: the plan with the term in its cost, against IPOPT with the same function."""
-    chosen = {"energy.turn_costs": f"fsu_bot-{floor}", "energy.weight": weight}
-    # With lighter increments Gauss-Newton steps of this curved term swing instead of converging.
-    chosen |= {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
-    config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | chosen)
+@pytest.mark.parametrize(("surface", "weight"), [("slippery", 0.01), ("default", 0.001)])
+def test_real_time_iterations_with_the_energy_term_converge_to_the_ipopt_solution(surface, weight):
+    """Compare the plan in the middle of a turn with IPOPT's solution for the same cost."""
+    overrides = {"energy.turn_costs": f"fsu_bot-{surface}", "energy.weight": weight}
+    # With smaller increment weights, Gauss-Newton steps oscillate because the term is strongly curved.
+    overrides |= {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
+    config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | overrides)
 
     def make():
         return Controller(config)
@@ -76,14 +76,15 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
     controller = make()
     robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
     drive = record(controller, robot, GENTLE, 120, lambda *_: None)
-    again, result = iterate_to_convergence(make, drive, GENTLE, lambda *_: None)
-    plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {"energy.weight": 0.0}))
-    assert np.abs(plan - without).max() > 1e-3, "the term must matter"
+    converged, result = iterate_to_convergence(make, drive, GENTLE, lambda *_: None)
+    plan = solve_with_ipopt(converged)
+    plan_without_term = solve_with_ipopt(converged, load_config(config, {"energy.weight": 0.0}))
+    assert np.abs(plan - plan_without_term).max() > 1e-3, "the term must change the plan"
     assert result.planned_commands == pytest.approx(plan, abs=1e-6)
 
 
-def test_less_is_paid_for_turning_the_more_it_weighs():
-    """On the slippery floor, on a square: energy falls until the robot leaves the path too far for that to pay."""
+def test_higher_weight_reduces_energy_and_increases_the_position_error():
+    """Drive a square on the slippery surface."""
     results = {}
     for weight in (0.0, 0.003, 0.02, 0.1):
         overrides = {"energy.weight": weight, "energy.turn_costs": "fsu_bot-slippery"}
@@ -95,8 +96,8 @@ def test_less_is_paid_for_turning_the_more_it_weighs():
     assert results[0.1].metrics.position_rmse_m > 1.5 * results[0.02].metrics.position_rmse_m
 
 
-def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
-    controllers = [Controller(load_config("ssm", ON | {"energy.weight": weight})) for weight in (0.01, 0.1)]
+def test_weight_is_a_stage_parameter_that_can_change_during_a_drive():
+    controllers = [Controller(load_config("ssm", ENERGY_TERM | {"energy.weight": weight})) for weight in (0.01, 0.1)]
     controllers[0].set_parameters(energy=[0.1])
     commands = []
     for controller in controllers:
@@ -105,24 +106,24 @@ def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
     assert np.array(commands[0]) == pytest.approx(np.array(commands[1]), abs=0.0)
 
 
-def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
+def test_min_radius_comes_from_the_turn_costs_unless_the_configuration_sets_it():
     settings = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
     controller = Controller(load_config("ssm", settings))
     assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
-    stated = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
-    assert with_least_radius(stated).limits.min_commanded_radius == 0.9
-    none = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
-    assert with_least_radius(none).limits.min_commanded_radius is None
+    explicit = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
+    assert with_min_radius(explicit).limits.min_commanded_radius == 0.9
+    unlimited = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
+    assert with_min_radius(unlimited).limits.min_commanded_radius is None
 
 
-def test_mistakes_are_said_in_one_line(tmp_path):
-    with pytest.raises(ConfigError, match=r"energy.*turn_costs: give a file; shipped are fsu_bot-default and others"):
+def test_invalid_turn_costs_raise_config_error(tmp_path):
+    with pytest.raises(ConfigError, match=r"energy.*turn_costs: give a shipped name, such as fsu_bot-default"):
         load_config("ssm", {"energy.weight": 0.1})
     with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
-        Controller(load_config("ssm", ON | {"energy.turn_costs": "nowhere"}))
+        Controller(load_config("ssm", ENERGY_TERM | {"energy.turn_costs": "nowhere"}))
     weak = COSTS["default"].model_dump(mode="json")
-    weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of its drive train
+    weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of the drive train
     (tmp_path / "weak.yaml").write_text(yaml.safe_dump(weak))
     config = load_config("ssm", {"energy.turn_costs": str(tmp_path / "weak.yaml"), "energy.use_min_radius": True})
-    with pytest.raises(ConfigError, match="the motors have no torque for any turn"):
+    with pytest.raises(ConfigError, match="give a motor torque above the limit for every turn"):
         Controller(config)

@@ -1,4 +1,4 @@
-"""`excite`: drives that determine slip and models, their files, and robots that differ from the believed one."""
+"""`diffdrive-mpc excite`: drives for the identification of slip and of models, and their files."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, tol
 @pytest.mark.parametrize(
     ("side", "speed", "yaw_rate"), [(3.0, 0.6, 1.0), (6.0, 0.6, 1.0), (6.0, 1.0, 0.5), (20.0, 2.0, 1.0)]
 )
-def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed, yaw_rate):
+def test_slip_excitation_stays_in_the_square_and_separates_the_terms(tmp_path, side, speed, yaw_rate):
     write_slip_drive(tmp_path / "drive.yaml", slip_excitation(side, 60.0, speed, yaw_rate))
     if speed <= 1.5:
         drive = load_trajectory(tmp_path / "drive.yaml")
         pose = drive.sample(np.linspace(0.0, drive.duration, 2000)).pose
-        # Smoothing may cut a corner by its own tolerance.
+        # Smoothing may cut a corner by its tolerance.
         assert np.abs(pose[:, :2]).max() <= 0.5 * side - 0.2
     segments = load_segments(tmp_path / "drive.yaml")
     assert told_apart(segments) < 0.5
@@ -50,15 +50,15 @@ def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
 @pytest.mark.parametrize(
     ("arguments", "message"), [((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"), ((6.0, 1e9, 0.6, 1.0), "at most 1800 s")]
 )
-def test_infeasible_excitation_is_refused(arguments, message):
+def test_infeasible_slip_excitation_raises_value_error(arguments, message):
     with pytest.raises(ValueError, match=message):
         slip_excitation(*arguments)
 
 
-def test_the_command_writes_a_trajectory_and_says_what_it_tells(tmp_path):
+def test_command_writes_the_slip_trajectory_and_prints_the_correlation_of_its_terms(tmp_path):
     path = tmp_path / "slip.yaml"
     result = invoke(app, "excite", "--for", "slip", "--side", "5", "--out", path)
-    assert "the two least apart correlate by 0." in result.output
+    assert "Maximum correlation of the terms v, omega and v omega: 0." in result.output
     assert yaml.safe_load(path.read_text())["timing"] == "smooth"
     invoke(app, "excite", "--for", "mass", "--out", tmp_path / "no.yaml", code=2)
     assert not (tmp_path / "no.yaml").exists()
@@ -83,7 +83,7 @@ def worth(twists):
     v=st.floats(0.05, 2.0),
     omega=st.floats(0.1, 3.0),
 )
-def test_every_member_keeps_to_room_and_limits(family, seed, length, width, seconds, v, omega):
+def test_all_members_of_a_family_stay_inside_room_and_limits(family, seed, length, width, seconds, v, omega):
     room, limits = Room(length, width), TrajectoryLimits(v, omega, 1.0, 3.0)
     member = family(room, seconds, limits)
     twists = member.twists(np.random.default_rng(seed).uniform(size=member.genes))
@@ -94,34 +94,34 @@ def test_every_member_keeps_to_room_and_limits(family, seed, length, width, seco
     assert (np.abs(path_of(twists, TICK)[:, :2]) <= room.reach + 1e-6).all()
 
 
-def test_the_search_finds_more_than_chance_and_the_same_again(monkeypatch):
+def test_search_beats_random_drives_and_is_reproducible(monkeypatch):
     quick = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: quick)
     room = Room(4.0, 3.0)
     drive = model_excitation(room, 15.0, LIMITS, worth, seed=3)
-    again = model_excitation(room, 15.0, LIMITS, worth, seed=3)
-    assert np.array_equal(drive.twists, again.twists)
+    repetition = model_excitation(room, 15.0, LIMITS, worth, seed=3)
+    assert np.array_equal(drive.twists, repetition.twists)
     stream = np.random.default_rng(4)
     for name, family in (("steps", searched._Steps), ("multi-sine", searched._Sines)):
         member = family(room, 15.0, LIMITS)
-        chance = [worth(member.twists(stream.uniform(size=member.genes))) for _ in range(8)]
-        assert drive.worth[name] > np.median(chance)
+        random_worth = [worth(member.twists(stream.uniform(size=member.genes))) for _ in range(8)]
+        assert drive.worth[name] > np.median(random_worth)
     assert worth(drive.twists) == pytest.approx(max(drive.worth.values()))
 
 
-def test_the_file_is_the_drive(tmp_path):
+def test_trajectory_file_contains_the_drive(tmp_path):
     member = searched._Steps(Room(4.0, 3.0), 20.0, LIMITS)
     twists = member.twists(np.random.default_rng(1).uniform(size=member.genes))
     write_model_drive(tmp_path / "drive.yaml", searched.ModelDrive("steps", twists, {}), TICK)
     drive = load_trajectory(tmp_path / "drive.yaml")
-    # The ramp of the first twist from rest, and of the last one to it, take time of their own.
+    # The ramps from and to rest take additional time.
     assert drive.duration == pytest.approx(len(twists) * TICK, abs=0.3)
     assert drive.sample([drive.duration]).pose[0] == pytest.approx(path_of(twists, TICK)[-1], abs=5e-3)
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """A short search."""
+    """Short search settings."""
     short = searched.model_excitation_settings().model_copy(update={"population": 6, "generations": 2})
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
 
@@ -144,7 +144,7 @@ def drive_of(excitation, folder, plant):
 
 
 @pytest.mark.usefixtures("quick")
-def test_drive_stays_in_its_room_on_robots_of_other_gains(tmp_path):
+def test_drive_stays_in_the_room_on_robots_with_other_gains(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
     excitation.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
@@ -154,18 +154,18 @@ def test_drive_stays_in_its_room_on_robots_of_other_gains(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_robot_that_leaves_its_room_raises_config_error(tmp_path):
+def test_robot_that_leaves_the_room_raises_config_error(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
     excitation.write(tmp_path / "drive.yaml")
     run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
-    with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
+    with pytest.raises(ConfigError, match=r"the robot left the room after \d+\.\d s"):
         check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), excitation.room)
 
 
 @pytest.mark.usefixtures("quick")
 def test_command_writes_drive_and_log(tmp_path):
     drive, log = tmp_path / "drive.yaml", tmp_path / "drive.csv"
-    words = ["excite", "sm", "--for", "model", "--inside", "4x3", "--seconds", "15", "--plant", "model:sm"]
-    result = invoke(app, *words, "--log", log, "--out", drive)
+    arguments = ["excite", "sm", "--for", "model", "--inside", "4x3", "--seconds", "15", "--plant", "model:sm"]
+    result = invoke(app, *arguments, "--log", log, "--out", drive)
     assert "fence: {enabled: true, length: 4, width: 3, frame: start}" in result.output
     read_log(log).require_sound()

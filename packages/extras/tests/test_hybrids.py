@@ -1,4 +1,4 @@
-"""A linear model with a network: what it computes, where the network is silent, its file, its training."""
+"""Hybrid models: equations, gate, parameter file and training."""
 
 import sys
 
@@ -30,7 +30,7 @@ DT = 0.0202
 
 
 def random_correction(seed=0, size=0.02, units=5):
-    """Draw a correction for the four states of an SM; it adds some hundredths of their usual size in a sample."""
+    """Draw a correction for the four states of an SM, with some hundredths of their scale per sample."""
     random = np.random.default_rng(seed)
     root = np.eye(6) + 0.2 * random.normal(size=(6, 6))
     scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])
@@ -38,18 +38,18 @@ def random_correction(seed=0, size=0.02, units=5):
     return Correction(scale, inward, outward, root.T @ root, 9.0, 36.0)
 
 
-def random_hybrid(seed=0, **kind):
-    return hybrid_model("hybrid", load_model("sm").discretise(DT), random_correction(seed, **kind))
+def random_hybrid(seed=0, **options):
+    return hybrid_model("hybrid", load_model("sm").discretise(DT), random_correction(seed, **options))
 
 
 MODEL = random_hybrid()
 LINEAR = MODEL.linear
-QUICK = hybrid_settings().model_copy(update={"units": 6, "decays": (1e-3,), "most_steps": 80})
-numbers = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
+QUICK = hybrid_settings().model_copy(update={"units": 6, "decays": (1e-3,), "max_steps": 80})
+FEATURES = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 
-def by_hand(commands, past):
-    """Evaluate the definition, number by number."""
+def simulate_by_definition(commands, past):
+    """Evaluate the equations of the model, element by element."""
     c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
     for k in range(len(commands)):
         outputs.append(LINEAR.C @ x)
@@ -58,11 +58,11 @@ def by_hand(commands, past):
         older = np.array([line[row - 1, j] for j, row in enumerate(rows)])
         z = np.array([*x, *recent]) / c.scale
         distance = sum(z[i] * c.shape[i, j] * z[j] for i in range(6) for j in range(6))
-        past_full = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
-        share = 1.0 - 3.0 * past_full**2 + 2.0 * past_full**3
+        fraction = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
+        gate = 1.0 - 3.0 * fraction**2 + 2.0 * fraction**3
         units = [np.tanh(sum(c.inward[i, unit] * z[i] for i in range(6))) for unit in range(5)]
-        says = [sum(c.outward[unit, n] * units[unit] for unit in range(5)) for n in range(4)]
-        x = LINEAR.A @ x + LINEAR.B0 @ recent + LINEAR.B1 @ older + c.scale[:4] * share * says
+        change = [sum(c.outward[unit, n] * units[unit] for unit in range(5)) for n in range(4)]
+        x = LINEAR.A @ x + LINEAR.B0 @ recent + LINEAR.B1 @ older + c.scale[:4] * gate * change
     return np.array(outputs)
 
 
@@ -74,8 +74,8 @@ def distance(z):
     return z @ MODEL.correction.shape @ z
 
 
-def stepped(model, x, recent):
-    """Compute one step with commands that were held."""
+def step_with_constant_command(model, x, recent):
+    """Compute the next state (n,) from the state `x` for a constant command `recent` (2,)."""
     window = np.tile(recent, model.memory + 1)
     return np.asarray(model.step(x, window)).ravel()
 
@@ -84,48 +84,48 @@ def linear_step(x, recent):
     return LINEAR.A @ x + LINEAR.drive @ recent
 
 
-def test_it_computes_its_definition():
+def test_simulation_agrees_with_the_equations():
     random = np.random.default_rng(0)
     past, commands = random.normal(size=(MODEL.memory, 2)), np.repeat(random.normal(size=(30, 2)), 5, axis=0)
     output = MODEL.simulate(commands, past=past)
-    assert output == pytest.approx(by_hand(commands, past), abs=1e-12)
-    assert np.abs(output - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
+    assert output == pytest.approx(simulate_by_definition(commands, past), abs=1e-12)
+    assert np.abs(output - LINEAR.simulate(commands, past=past)).max() > 0.02, "the network must matter"
 
 
-def test_its_gradient_is_that_of_differences():
-    """Inside, on the slope of the gate, and beyond."""
+def test_gradient_agrees_with_central_differences():
+    """Compare with the gate at 1, between 1 and 0, and at 0."""
     x, window = ca.SX.sym("x", 4), ca.SX.sym("w", 2 * (MODEL.memory + 1))
-    together = ca.vertcat(x, window)
-    by = ca.Function("by", [together], [ca.jacobian(MODEL.step(x, window), together)])
+    arguments = ca.vertcat(x, window)
+    jacobian = ca.Function("by", [arguments], [ca.jacobian(MODEL.step(x, window), arguments)])
     random, regions = np.random.default_rng(1), set()
     for size in np.geomspace(0.1, 6.0, 20):
-        place = size * random.normal(size=together.numel()) * 0.5
-        place[:4] *= MODEL.correction.scale[:4]
-        slopes = differences(lambda point: MODEL.step(point[:4], point[4:]).full(), place)
-        assert by(place).full() == pytest.approx(slopes, abs=1e-6)
-        recent = [place[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
-        regions.add(int(np.digitize(distance(features(place[:4], recent)), [9.0, 36.0])))
+        point = size * random.normal(size=arguments.numel()) * 0.5
+        point[:4] *= MODEL.correction.scale[:4]
+        slopes = differences(lambda values: MODEL.step(values[:4], values[4:]).full(), point)
+        assert jacobian(point).full() == pytest.approx(slopes, abs=1e-6)
+        recent = [point[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
+        regions.add(int(np.digitize(distance(features(point[:4], recent)), [9.0, 36.0])))
     assert regions == {0, 1, 2}
 
 
-@given(numbers, st.floats(1.0, 50.0))
-def test_beyond_the_data_it_is_the_linear_model(direction, beyond):
+@given(FEATURES, st.floats(1.0, 50.0))
+def test_step_far_from_the_data_is_that_of_the_linear_model(direction, factor):
     size = distance(direction)
     if size < 1e-6:
         return
-    z = direction * np.sqrt(beyond * 36.0 * (1 + 1e-9) / size)
+    z = direction * np.sqrt(factor * 36.0 * (1 + 1e-9) / size)
     x, recent = np.split(z * MODEL.correction.scale, [4])
-    assert stepped(MODEL, x, recent) == pytest.approx(linear_step(x, recent), rel=1e-12, abs=1e-13)
+    assert step_with_constant_command(MODEL, x, recent) == pytest.approx(linear_step(x, recent), rel=1e-12, abs=1e-13)
 
 
-@given(numbers)
-def test_what_the_network_adds_is_bounded_and_whole_among_the_data(z):
+@given(FEATURES)
+def test_change_by_the_network_is_bounded_and_unattenuated_near_the_data(z):
     x, recent = np.split(z * MODEL.correction.scale, [4])
     c = MODEL.correction
-    adds = (stepped(MODEL, x, recent) - linear_step(x, recent)) / c.scale[:4]
-    assert (np.abs(adds) <= np.abs(c.outward).sum(axis=0) + 1e-9).all()
+    change = (step_with_constant_command(MODEL, x, recent) - linear_step(x, recent)) / c.scale[:4]
+    assert (np.abs(change) <= np.abs(c.outward).sum(axis=0) + 1e-9).all()
     if distance(z) <= c.full:
-        assert adds == pytest.approx(c.outward.T @ np.tanh(c.inward.T @ z), abs=1e-9)
+        assert change == pytest.approx(c.outward.T @ np.tanh(c.inward.T @ z), abs=1e-9)
 
 
 def content():
@@ -135,16 +135,16 @@ def content():
     return HybridFile.model_validate(data | {"correction": correction_content(random_correction())})
 
 
-def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
-    for name in ("one", "other"):
+def test_file_restores_the_model_and_is_reproducible(tmp_path):
+    for name in ("first", "second"):
         write_hybrid(tmp_path / f"{name}.yaml", content())
-    assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "other.yaml").read_bytes()
-    loaded = load_model(tmp_path / "one.yaml")
+    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
+    loaded = load_model(tmp_path / "first.yaml")
     assert isinstance(loaded, HybridModel)
     commands = np.repeat(np.random.default_rng(3).normal(size=(10, 2)), 8, axis=0)
     assert loaded.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
     assert loaded.provenance["source"] == "random numbers"
-    assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
+    assert load_base_effects(tmp_path / "first.yaml") == load_base_effects("ssm")
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
         (lambda data: data.update(structure="hybird"), "structure: expected one of .*hybrid.*, found 'hybird'"),
     ],
 )
-def test_a_bad_file_is_one_line(tmp_path, change, message):
+def test_invalid_file_raises_a_one_line_error(tmp_path, change, message):
     path = tmp_path / "mine.yaml"
     write_hybrid(path, content())
     data = yaml.safe_load(path.read_text())
@@ -179,13 +179,13 @@ def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
         hybrid_model("wild", LINEAR, random_correction(size=3.0))
 
 
-def sagging(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
-    """Simulate a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
+def simulate_weak_supply(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
+    """Simulate a robot with a weak supply: the command of each channel reduces the gain of the other channel."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
-    settled, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)
+    steady_twist, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)
     for k in range(1, len(commands)):
-        twist[k] = twist[k - 1] + dt / lag * (settled[k - 1] - twist[k - 1])
+        twist[k] = twist[k - 1] + dt / lag * (steady_twist[k - 1] - twist[k - 1])
     noisy = twist + random.normal(0, [0.003, 0.005], twist.shape)
     return Record(f"drive {seed}", 0.0, dt, commands, twist=noisy, yaw_rate=noisy[:, 1])
 
@@ -196,17 +196,17 @@ def quick(monkeypatch):
 
 
 def test_network_fits_better_than_any_linear_model(quick):
-    data = data_of(sagging(1, 60.0), sagging(2, 60.0))
+    data = data_of(simulate_weak_supply(1, 60.0), simulate_weak_supply(2, 60.0))
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = comparison.scores[1:]
     assert hybrid.states == linear.states == 4
-    left = [100.0 - comparison.fits(score) for score in (linear, hybrid)]
-    assert (left[1] < 0.6 * left[0]).all()
+    errors = [100.0 - comparison.fits(score) for score in (linear, hybrid)]
+    assert (errors[1] < 0.6 * errors[0]).all()
     assert comparison.recommended.kind == "hybrid"
 
 
-def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
-    record = sagging(5, 60.0)
+def test_identification_from_a_log_writes_a_hybrid_that_a_controller_loads(quick, tmp_path):
+    record = simulate_weak_supply(5, 60.0)
     columns = {"t": record.dt * np.arange(len(record.command)), "v": record.twist[:, 0], "gyro": record.yaw_rate}
     columns |= {"v_ref": record.command[:, 0], "omega_ref": record.command[:, 1], "omega_wheels": record.yaw_rate}
     log = write_csv(tmp_path / "drive.csv", columns)
@@ -222,10 +222,10 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     assert check_written(identification, tmp_path / "mine", 1e-5).dt == 0.04
 
 
-def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
+def test_missing_jax_raises_missing_package_error_with_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
-    with pytest.raises(MissingPackageError) as refused:
+    with pytest.raises(MissingPackageError) as raised:
         identify(tmp_path / "never read.csv", None, "hybrid")
-    assert str(refused.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
+    assert str(raised.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
     with pytest.raises(ConfigError, match="structure hybrid has no effects; choose sm"):
         identify(tmp_path / "never read.csv", None, "hybrid", effects=True)

@@ -1,4 +1,4 @@
-"""Sensors of battery and motors: what they read, what they leave alone, and what their log tells of the drive."""
+"""Simulated sensors of battery and motors: readings, logs, and drive constants identified from these logs."""
 
 import math
 from pathlib import Path
@@ -37,63 +37,63 @@ CONSTANTS = ("torque_constant", "resistance", "idle_power")
 
 
 @given(st.floats(-50.0, 300.0), st.floats(6.0, 50.0), st.floats(0.0, 0.08))
-def test_a_battery_gives_what_is_taken(power: float, voltage: float, resistance: float) -> None:
-    battery = Battery(voltage=voltage, resistance=resistance)
-    volts, amperes = battery.loaded(power)
-    assert volts == pytest.approx(voltage - resistance * amperes, abs=1e-6 * voltage)
+def test_battery_supplies_the_requested_power_up_to_its_maximum(
+    power: float, voltage: float, resistance: float
+) -> None:
+    loaded_voltage, current = Battery(voltage=voltage, resistance=resistance).voltage_and_current(power)
+    assert loaded_voltage == pytest.approx(voltage - resistance * current, abs=1e-6 * voltage)
     if power < voltage**2 / (4 * resistance + 1e-12):
-        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6)
-        assert volts >= 0.5 * voltage
+        assert loaded_voltage * current == pytest.approx(power, rel=1e-6, abs=1e-6)
+        assert loaded_voltage >= 0.5 * voltage
 
 
-def run(sensors: str, world: str = "", **around: str) -> Run:
+def run(sensors: str) -> Run:
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
-    return simulate(FeedForward(), make_plant(f"{world}mujoco:fsu_bot", sensors=sensors, seed=4, **around), reference)  # type: ignore[arg-type]
+    return simulate(FeedForward(), make_plant("mujoco:fsu_bot", sensors=sensors, seed=4), reference)
 
 
 @pytest.fixture(scope="module")
-def logged() -> Run:
+def logged_run() -> Run:
     return run("power")
 
 
-def test_the_drive_is_the_same_with_the_sensors_and_so_is_the_rest_of_the_log(logged: Run) -> None:
+def test_power_sensors_add_columns_and_change_nothing_else(logged_run: Run) -> None:
     plain = run("default")
     assert not plain.parts and not set(READINGS) & set(plain.columns)
-    assert np.isfinite(logged.parts["power"].readings).all()
-    assert list(plain.columns) == [name for name in logged.columns if name not in READINGS]
+    assert np.isfinite(logged_run.parts["power"].readings).all()
+    assert list(plain.columns) == [name for name in logged_run.columns if name not in READINGS]
     for name, column in plain.columns.items():
         if "step_time" not in name and "solve_time" not in name:
-            assert np.array_equal(column, logged.columns[name], equal_nan=column.dtype != object), name
+            assert np.array_equal(column, logged_run.columns[name], equal_nan=column.dtype != object), name
 
 
-def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:
+def test_noiseless_battery_readings_integrate_to_the_energy_of_the_run() -> None:
     build = load_simulated_robot("fsu_bot")
     power = robot_power("mujoco:fsu_bot")
     part = PowerReadings(EXACT, power.battery, power.drive, 0)
-    built = {"robot": build.robot, "twin": build.twin, "firmware": build.firmware}
-    plant = MujocoPlant(1.0, build.sensors, parts={"power": part}, **built)
+    options = {"robot": build.robot, "twin": build.twin, "firmware": build.firmware}
+    plant = MujocoPlant(1.0, build.sensors, parts={"power": part}, **options)
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
-    done = simulate(FeedForward(), plant, reference, extra_time=0.1)
-    readings = done.parts["power"].readings
+    result = simulate(FeedForward(), plant, reference, extra_time=0.1)
+    readings = result.parts["power"].readings
     electric_power = readings[:, :2].prod(axis=1)
-    # The reading of a tick is of the sample before it.
-    counted = np.flatnonzero(done.counted) + 1
-    assert electric_power[counted].sum() * done.sample_time == pytest.approx(run_energy(done).energy_j, rel=1e-9)
-    assert readings[1:, 2:] == pytest.approx(done.motor_torque[:-1] / power.drive.torque_per_current)
+    # The reading of a tick covers the sample that ends at this tick.
+    counted = np.flatnonzero(result.counted) + 1
+    assert electric_power[counted].sum() * result.sample_time == pytest.approx(run_energy(result).energy_j, rel=1e-9)
+    assert readings[1:, 2:] == pytest.approx(result.motor_torque[:-1] / power.drive.torque_per_current)
 
 
-def test_readings_are_whole_steps_and_repeat_with_the_seed() -> None:
+def test_readings_are_multiples_of_the_resolution_and_reproducible_by_seed() -> None:
     sensor = power_sensor()
 
     def read(seed: int) -> np.ndarray:
-        reads = PowerReadings(sensor, Battery(), load_drive_constants(), seed)
-        return np.array([reads.value for _ in range(200) if reads.take(np.full((10, 2, 4), 1.0)) is None])
+        part = PowerReadings(sensor, Battery(), load_drive_constants(), seed)
+        return np.array([part.value for _ in range(200) if part.take(np.full((10, 2, 4), 1.0)) is None])
 
-    first = read(1)
-    assert np.array_equal(first, read(1)) and not np.array_equal(first, read(2))
-    assert np.abs(first * 100 - np.rint(first * 100)).max() < 1e-9
-    spread = first.std(axis=0)
-    assert spread == pytest.approx([0.02, *[0.05] * 5], rel=0.2)
+    readings = read(1)
+    assert np.array_equal(readings, read(1)) and not np.array_equal(readings, read(2))
+    assert np.abs(readings * 100 - np.rint(readings * 100)).max() < 1e-9
+    assert readings.std(axis=0) == pytest.approx([0.02, *[0.05] * 5], rel=0.2)
 
 
 BAG = """
@@ -108,16 +108,16 @@ wheels: {radius: 0.1075, track: 0.39}
 """
 
 
-def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: Path) -> None:
-    write_csv(logged, tmp_path / "log.csv")
-    write_mcap(logged, tmp_path / "log.mcap")
+def test_csv_mcap_and_topics_contain_the_same_readings(logged_run: Run, tmp_path: Path) -> None:
+    write_csv(logged_run, tmp_path / "log.csv")
+    write_mcap(logged_run, tmp_path / "log.mcap")
     (tmp_path / "bag.yaml").write_text(BAG)
     (csv,), (mcap,), (bag,) = (
         read_log(tmp_path / name, *mapping).records
         for name, mapping in (("log.csv", ()), ("log.mcap", ()), ("log.mcap", (tmp_path / "bag.yaml",)))
     )
-    assert np.array_equal(csv.battery, logged.parts["power"].readings[:, :2])
-    assert np.array_equal(csv.motor_currents, logged.parts["power"].readings[:, 2:])
+    assert np.array_equal(csv.battery, logged_run.parts["power"].readings[:, :2])
+    assert np.array_equal(csv.motor_currents, logged_run.parts["power"].readings[:, 2:])
     for name in ("battery", "motor_current", "motor_currents"):
         assert np.array_equal(getattr(mcap, name), getattr(csv, name))
         assert getattr(bag, name) == pytest.approx(getattr(csv, name), abs=1e-5)  # BatteryState has single precision
@@ -125,81 +125,81 @@ def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: 
     assert logged_energy([bag]) == pytest.approx(logged_energy([csv]), rel=1e-6)
 
 
-FLOORS = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery")]
+SURFACES = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery")]
 
 
 class TorqueDrive(NamedTuple):
-    """Motion and torques of n ticks; the physics does not depend on the readings."""
+    """Motion and torques of n ticks; both are independent of the readings."""
 
     dt: float
     command: FloatArray
     speeds: FloatArray
-    """(n, 4) as the encoders say [rad/s]"""
+    """(n, 4) wheel speeds from the encoders [rad/s]."""
     motors: FloatArray
-    """(n, steps, 2, 4) in the sample before the tick"""
+    """(n, steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before the tick."""
 
 
-def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
-    """Drive, and keep what every motor did in every step."""
+def drive_torques(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
+    """Drive the commands (n, 2), and record torque and speed of each motor in each physics step."""
     plant.reset(np.zeros(3))
     speeds, motors = [], []
-    done = np.zeros_like(plant.motors)
+    last_sample = np.zeros_like(plant.motors)
     for command in commands:
         speeds.append(np.asarray(plant.measure().wheel_speeds.value))
-        motors.append(done)
+        motors.append(last_sample)
         plant.advance(command)
-        done = plant.motors.copy()
+        last_sample = plant.motors.copy()
     return TorqueDrive(plant.sample_time, commands, np.array(speeds), np.array(motors))
 
 
 def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
-    """Build the record of a log of the drive with sensors of power, for a robot with these constants."""
-    reads = PowerReadings(power_sensor(), battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
+    """Build the record of the drive with simulated power sensors, for a robot with these constants."""
+    part = PowerReadings(power_sensor(), battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
     rows = []
     for motors in drive.motors:
-        reads.take(motors)
-        rows.append(reads.value)
-    read = np.array(rows)
+        part.take(motors)
+        rows.append(part.value)
+    power = np.array(rows)
     sides = 0.5 * (drive.speeds[:, :2] + drive.speeds[:, 2:])
-    sensed = {"wheels": sides, "wheel_speeds": drive.speeds, "battery": read[:, :2], "motor_currents": read[:, 2:]}
-    return Record("drive", 0.0, drive.dt, drive.command, motor_current=read[:, 2:4] + read[:, 4:], **sensed)
+    readings = {"wheels": sides, "wheel_speeds": drive.speeds, "battery": power[:, :2], "motor_currents": power[:, 2:]}
+    return Record("drive", 0.0, drive.dt, drive.command, motor_current=power[:, 2:4] + power[:, 4:], **readings)
 
 
-def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
-    """Draw constants of another robot with the same gears: a half to twice, and a computer of 2 to 20 W."""
+def draw_constants(nominal: DriveConstants, rng: np.random.Generator) -> DriveConstants:
+    """Draw the constants of a robot with the same gears: 0.5 to 2 times the nominal values, idle power 2 to 20 W."""
     torque, resistance = np.exp(rng.uniform(np.log(0.5), np.log(2.0), 2))
     changes = {
-        "torque_constant": usual.torque_constant * torque,
-        "resistance": usual.resistance * resistance,
+        "torque_constant": nominal.torque_constant * torque,
+        "resistance": nominal.resistance * resistance,
         "idle_power": rng.uniform(2.0, 20.0),
         "regeneration": bool(rng.random() < 0.5),
         "driver_efficiency": rng.uniform(0.85, 1.0),
     }
-    return usual.model_copy(update=changes)
+    return nominal.model_copy(update=changes)
 
 
-def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
-    """Drive ten turns, half a minute."""
+def diagnostic_drive(robot: str, surface: str, seed: int) -> TorqueDrive:
+    """Drive ten turns of different radii for half a minute."""
     commands = diagnostic_commands(
         (400.0, -60.0, 15.0, -8.0, 4.5, -2.8, 1.8, -1.1, 0.8, -0.6), (0.2, 0.6, 0.4), 130, 100
     )
-    return driven(make_plant(f"mujoco:{robot}", surface=surface, seed=seed), commands)
+    return drive_torques(make_plant(f"mujoco:{robot}", surface=surface, seed=seed), commands)
 
 
-def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
+def test_errors_of_identified_constants_agree_with_their_deviations() -> None:
     rng, errors = np.random.default_rng(31), []
-    for seed, (robot, surface) in enumerate(FLOORS, start=31):
-        usual = robot_power(f"mujoco:{robot}").drive
-        drive = diagnostic(robot, surface, seed)
+    for seed, (robot, surface) in enumerate(SURFACES, start=31):
+        nominal = robot_power(f"mujoco:{robot}").drive
+        drive = diagnostic_drive(robot, surface, seed)
         for k in range(4):
-            true = drawn(usual, rng)
-            prior = usual.model_copy(
+            true = draw_constants(nominal, rng)
+            prior = nominal.model_copy(
                 update={name: getattr(true, name) for name in ("regeneration", "driver_efficiency")}
             )
             try:
                 estimate = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
             except ValueError as error:
-                assert "apart" in str(error)
+                assert "does not separate" in str(error)
                 continue
             errors.append(
                 [

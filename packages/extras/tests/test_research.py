@@ -1,4 +1,4 @@
-"""The Gymnasium environment and tables of many drives agree with single runs of `simulate`."""
+"""Research tools: the Gymnasium environment and tables of many drives, compared with single runs of `simulate`."""
 
 import sys
 
@@ -16,20 +16,20 @@ TRACKING_ENV = "diffdrive_mpc_extras.research.tracking_env"
 
 
 def drive(env, commands, seed=None):
-    """Drive an episode; return its observations, rewards and last return values."""
+    """Drive an episode; return observations (n + 1, ...), rewards (n,) and (terminated, truncated, info) of the end."""
     observation, _ = env.reset(seed=seed)
     observations, rewards = [observation], []
     for command in commands:
-        observation, reward, *last = env.step(command)
+        observation, reward, *status = env.step(command)
         observations.append(observation)
         rewards.append(reward)
-        if any(last[:2]):
+        if any(status[:2]):
             break
-    return np.array(observations), np.array(rewards), last
+    return np.array(observations), np.array(rewards), status
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_environment_keeps_the_gymnasium_api():
+def test_environment_passes_the_gymnasium_checker():
     pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 
@@ -40,8 +40,8 @@ def test_environment_keeps_the_gymnasium_api():
 def test_metrics_of_an_episode_equal_those_of_the_bench(plant):
     seeding = pytest.importorskip("gymnasium.utils.seeding")
     config, reference = load_config("ssm"), load_trajectory("s")
-    drawn = int(seeding.np_random(5)[0].integers(2**31))
-    run = simulate(Controller(config), make_plant(plant, seed=drawn, **plant_settings(config)), reference)
+    plant_seed = int(seeding.np_random(5)[0].integers(2**31))
+    run = simulate(Controller(config), make_plant(plant, seed=plant_seed, **plant_settings(config)), reference)
     observations, rewards, (terminated, truncated, info) = drive(make_env("s", config, plant=plant), run.command, 5)
     assert (terminated, truncated, info["ended"]) == (False, True, "")
     assert info["metrics"] == pytest.approx(
@@ -53,12 +53,12 @@ def test_metrics_of_an_episode_equal_those_of_the_bench(plant):
 
 
 def solver_columns(metrics):
-    """Return the columns of a solver, which an agent does not have."""
+    """Return the metrics of a solver, which do not exist for an agent."""
     names = ("iterations", "method_", "path_", "not_solved")
     return {name: value for name, value in metrics.items() if name.startswith(names)}
 
 
-def test_same_seed_repeats_an_episode_and_the_next_episode_has_other_noise():
+def test_same_seed_repeats_an_episode_and_an_episode_without_seed_differs():
     pytest.importorskip("gymnasium")
     env, commands = make_env(plant="model:ssm"), np.tile([0.3, 0.3], (40, 1))
     first, repeated, following = (drive(env, commands, seed)[0] for seed in (1, 1, None))
@@ -75,7 +75,7 @@ def test_episode_terminates_beyond_the_maximum_error():
         env.step([0.0, 0.0])
 
 
-def test_wrong_arguments_and_commands_are_refused_with_one_line():
+def test_invalid_arguments_and_commands_raise_errors():
     pytest.importorskip("gymnasium")
     with pytest.raises(ValueError, match="preview = -1"):
         make_env(preview=-1)
@@ -87,7 +87,7 @@ def test_wrong_arguments_and_commands_are_refused_with_one_line():
         env.step([np.nan, 0.0])
 
 
-def test_missing_gymnasium_is_one_line_with_the_remedy(monkeypatch):
+def test_missing_gymnasium_raises_missing_package_error_with_the_install_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, TRACKING_ENV, raising=False)
     with pytest.raises(
@@ -112,9 +112,9 @@ def test_rows_of_many_drives_equal_single_runs(jobs):
     assert {name: row[name] for name in expected} == pytest.approx(expected, nan_ok=True)
 
 
-def test_many_drives_with_a_mistake_drive_nothing():
-    done = []
+def test_invalid_arguments_of_many_drives_raise_config_error_before_the_first_drive():
+    finished_drives = []
     for change in ({"configs": ["ssm", "smm"]}, {"trajectories": "cirle"}, {"plant": "mujco"}):
         with pytest.raises(ConfigError, match="unknown|did you mean"):
-            drive_many(**{"seeds": [0], "on_done": lambda: done.append(1), **change})
-    assert not done
+            drive_many(**{"seeds": [0], "on_done": lambda: finished_drives.append(1), **change})
+    assert not finished_drives

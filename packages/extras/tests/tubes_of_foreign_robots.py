@@ -2,9 +2,9 @@
 
     python packages/extras/tests/tubes_of_foreign_robots.py FOLDER tyres:10 belts:11 castors:12
 
-Each robot is identified as SM and as SSM; each model drives two of five paths five times. FOLDER keeps logs, models and
-errors, and `rows.csv` gets a row for each path as it is driven. With `--oracle N` each path is driven N times more, and
-the tube of these drives is the oracle's. A robot that has a model in FOLDER is not identified again.
+Each robot is identified as SM and as SSM. Each model drives two of five paths five times. FOLDER contains logs, models
+and errors; `rows.csv` gets a row after each path. `--oracle N` adds N drives of each path, from which the tube of an
+oracle is computed. A robot with a model in FOLDER is not identified again.
 """
 
 import sys
@@ -29,8 +29,8 @@ _DRIVES, _SEED = 5, 9000
 _PATHS = ("s", "circle", "spline", "square", "cane")
 
 
-def excited(folder, make):
-    """Drive a robot for 120 s in 6 by 6 m; return the log."""
+def record_excitation(folder, make):
+    """Drive an excitation of 120 s in a room of 6 m by 6 m; return the path of the log."""
     excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)
@@ -42,11 +42,14 @@ def excited(folder, make):
     return log
 
 
-def identified(folder, make, structure="sm"):
-    """Write model, configuration and robot of the log in `folder`, driven if it is missing; return the second."""
+def identify_robot(folder, make, structure="sm"):
+    """Identify model, configuration and robot from the log in `folder`; return the path of the configuration.
+
+    If the log is missing, it is recorded first.
+    """
     log, part = folder / "log.csv", folder / structure
     if not (part / "robot.yaml").exists():
-        identification = identify([log if log.exists() else excited(folder, make)], structure=structure)
+        identification = identify([log if log.exists() else record_excitation(folder, make)], structure=structure)
         if identification.refusal:
             raise ValueError(identification.refusal)
         part.mkdir(exist_ok=True)
@@ -56,21 +59,21 @@ def identified(folder, make, structure="sm"):
 
 
 def measure(config, make, trajectory, oracle):
-    """Return for each direction drives inside, width, width of the oracle and largest error in mm."""
+    """Yield, per direction, the number of drives inside, and width, oracle's width and maximum error [mm]."""
     predicted = predict_by_drives(config, trajectory, own_plant(config))
     reference, loaded = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
     runs = (simulate(Controller(loaded), make(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
     widths = [predicted.lateral.everywhere, predicted.along.everywhere]
     np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
-    for width, driven in zip(widths, errors.swapaxes(0, 1), strict=True):
-        best = tube(driven[_DRIVES:], loaded.sample_time).everywhere.mean() if oracle else np.nan
-        yield np.count_nonzero((driven[:_DRIVES] <= width).all(axis=1))
-        yield from (1e3 * np.array([width.mean(), best, driven.max()])).round(2)
+    for width, rows in zip(widths, errors.swapaxes(0, 1), strict=True):
+        oracle_width = tube(rows[_DRIVES:], loaded.sample_time).everywhere.mean() if oracle else np.nan
+        yield np.count_nonzero((rows[:_DRIVES] <= width).all(axis=1))
+        yield from (1e3 * np.array([width.mean(), oracle_width, rows.max()])).round(2)
 
 
 def main(folder, names, oracle):
-    """Measure all robots, and write a row for each path."""
+    """Measure the robots, and write a row for each path."""
     folder.mkdir(exist_ok=True)
     with (folder / "rows.csv").open("a") as file:
         for name in names:
@@ -78,11 +81,11 @@ def main(folder, names, oracle):
             part.mkdir(exist_ok=True)
             kind, _, number = name.partition(":")
             make, number = partial(FOREIGN[kind], int(number)), int(number)
-            for place, structure in ((number, "sm"), (number + 2, "ssm")):
-                for path in (_PATHS[place % 5], _PATHS[(place + 1) % 5]):
+            for index, structure in ((number, "sm"), (number + 2, "ssm")):
+                for path in (_PATHS[index % 5], _PATHS[(index + 1) % 5]):
                     trajectory = f"spline-{330200 + number}" if path == "spline" else path
                     try:
-                        row = measure(identified(part, make, structure), make, trajectory, oracle)
+                        row = measure(identify_robot(part, make, structure), make, trajectory, oracle)
                         cells = [*row]
                     except ValueError as error:
                         cells = [f"no tube: {error}".replace(",", ";")]

@@ -41,7 +41,7 @@ HYBRID = FunctionStructure(
     loader="hybrid_model:load_hybrid",
     file="hybrid_model:HybridFile",
     finder_function="finding:find_hybrid",
-    check="training:libraries",
+    check="training:import_jax",
     slow=True,
 )
 LSTM = FunctionStructure(

@@ -29,12 +29,12 @@ from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, E
 CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
 _HEAD = """\
-# Written by `make study NAME=predicted-error`; its drives and seeds stand in study.yaml of that study.
-# A scale of |error| is the sum of features (calibration.py) with these coefficients [m for each unit],
-# fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
-# seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.
-# `calibrated` says for which paths and models: top speed v [m/s] and yaw rate omega [rad/s] of a path, as the study
-# timed them, and lag of the model with its dead time [s], as the models of the populations had it, with some margin.
+# Written by `make study NAME=predicted-error`; packages/extras/studies/predicted_error/study.yaml has drives and seeds.
+# The scale of |error| is the sum of the features (calibration.py) times these coefficients [m per unit], fitted as the
+# quantile `level`; a tube is a multiple of the scale. The multiples are conformal quantiles over robots, paths and
+# seeds that the fit did not use: at_each_place weighs all drives equally, everywhere counts whole drives.
+# `calibrated` has the ranges of the calibration with some margin: maximum speed v [m/s] and yaw rate omega [rad/s] of
+# the paths, and lag of the models, dead time included [s].
 """
 _COLUMNS = (
     "drives",

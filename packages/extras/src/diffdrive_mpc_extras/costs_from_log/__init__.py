@@ -1,1 +1,1 @@
-"""Costs of turns of a robot, identified from its log."""
+"""Energy costs of a robot's turns, identified from a log."""

@@ -1,4 +1,4 @@
-"""Costs of turns of a robot, identified from its log: `diffdrive-mpc torque`."""
+"""Study of `diffdrive-mpc torque`: energy costs of a robot's turns, identified from a log."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ _CURVE_RADII = np.geomspace(0.3, 300.0, 80)
 
 
 def draw_log(outcome: LogOutcome, path: Path) -> None:
-    """Draw torques by the currents of a log, and the curves learned from them."""
+    """Draw the torques that follow from the motor currents of a log, and the learned curves."""
     with new_figure(path, 6.4, 3.8) as figure:
         axes = figure.subplots()
         radii, outer, inner = outcome.samples.T
         pairs = ((outer, outcome.curves.outer, "outer"), (inner, outcome.curves.inner, "inner"))
-        for side, (values, prior, name) in enumerate(pairs):
+        for side, (values, curve, name) in enumerate(pairs):
             axes.plot(radii, values, ".", color=colour(side), markersize=1.5, alpha=0.25, rasterized=True)
-            axes.plot(_CURVE_RADII, prior(_CURVE_RADII), color=colour(side), label=name)
-        least = outcome.curves.least_radius()
-        if 0 < least < np.inf:
-            axes.axvline(least, color=colour(2), linestyle="-.", label=f"least radius {least:.2f} m")
-        torque_axes(axes, outcome.vehicle, f"Torques by the motors' currents in {outcome.log.name}")
+            axes.plot(_CURVE_RADII, curve(_CURVE_RADII), color=colour(side), label=name)
+        min_radius = outcome.curves.least_radius()
+        if 0 < min_radius < np.inf:
+            axes.axvline(min_radius, color=colour(2), linestyle="-.", label=f"minimum radius {min_radius:.2f} m")
+        _label_axes(axes, outcome.vehicle, f"Torques from the motor currents in {outcome.log.name}")
         axes.legend()
 
 
-def torque_axes(axes: Axes, vehicle: Vehicle, title: str) -> None:
-    """Label the axes of torques over radii, and draw the limits of the motors."""
+def _label_axes(axes: Axes, vehicle: Vehicle, title: str) -> None:
+    """Label axes of torque over radius, and draw the torque limits."""
     for sign in (1, -1):
         axes.axhline(sign * vehicle.torque_limit, color=REFERENCE_COLOUR, linewidth=0.8, linestyle="--")
     axes.axhline(0.0, color=REFERENCE_COLOUR, linewidth=0.8)
@@ -56,7 +56,7 @@ _CONSTANTS = (
 
 
 class TorqueLogStudy(Study[None, LogOutcome]):
-    """One log.
+    """Study of one log.
 
     Parameters
     ----------
@@ -65,24 +65,24 @@ class TorqueLogStudy(Study[None, LogOutcome]):
     """
 
     name = "torque"
-    title = "What a turn costs, from a log"
+    title = "Energy costs of turns, from a log"
 
     def __init__(self, log: Path, mapping: str | None, vehicle: str, drive: str | None) -> None:
-        self._asked = log, mapping, vehicle, drive
+        self._arguments = log, mapping, vehicle, drive
 
     def plan(self) -> None:
-        """Return no plan: everything is in the files."""
+        """Return None: the study has no plan."""
 
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> LogOutcome:
-        """Read and learn; raises ConfigError as `learn_log`."""
+        """Learn from the log; raise ConfigError as `learn_log` does."""
         del plan, jobs
         bar.start_stage("learning", 1)
-        return learn_log(*self._asked)
+        return learn_log(*self._arguments)
 
     def report(self, results: LogOutcome, seconds: float) -> Report:
-        """Report tables, the figure and the two files."""
-        least = results.costs.least_radius()
-        shown = "none" if least == 0 else f"{number(least, 2)} m"
+        """Report the tables, the figure, the drive constants and the turn costs."""
+        min_radius = results.costs.least_radius()
+        radius_text = "none" if min_radius == 0 else f"{number(min_radius, 2)} m"
         source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
         drive = results.drive.model_dump(mode="json")
         return Report(
@@ -92,23 +92,23 @@ class TorqueLogStudy(Study[None, LogOutcome]):
                 "constants": {name: getattr(results.drive, name) for name, _, _ in _CONSTANTS},
                 "deviations": None if results.identified is None else results.identified.deviation,
                 "slip": None if results.slip is None else results.slip.named(),
-                "least_radius_m": least,
+                "least_radius_m": min_radius,
                 "measured_j": results.measured,
                 "predicted_j": results.predicted,
             },
             facts=[
-                f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {source} The curves began "
-                f"with the terrain '{PRIOR}'; {results.slip_from}.",
+                f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {source} Initial curves: "
+                f"terrain '{PRIOR}'; {results.slip_source}.",
                 *(f"{finding.place}: {finding.words}." for finding in results.log.findings),
             ],
             notes=[
-                "Energy: of turns no sharper than the least radius, and of rest; predicted by turn costs that were "
-                "learned from this very log.",
+                "Energy at rest and in turns of at least the minimum radius. The prediction uses turn costs learned "
+                "from the same log.",
             ],
             tables=_tables(results),
             figures={"learned.png": partial(draw_log, results)},
             shown=Shown(
-                key_figures=[KeyFigure("least radius", shown, f"at {results.costs.curve.speed:g} m/s", "good")]
+                key_figures=[KeyFigure("minimum radius", radius_text, f"at {results.costs.curve.speed:g} m/s", "good")]
             ),
             files={
                 DRIVE_FILE: yaml.safe_dump(drive, sort_keys=False, allow_unicode=True),
@@ -121,15 +121,15 @@ def _tables(results: LogOutcome) -> list[Table]:
     identified, speed = results.identified, results.costs.curve.speed
     constants = Table(
         "Drive constants",
-        ("constant", "found", "standard deviation", "before"),
+        ("constant", "identified", "standard deviation", "initial"),
         tuple(
             (
-                words,
+                label,
                 number(getattr(results.drive, name), digits),
                 "as given" if identified is None else number(identified.deviation[name], digits),
                 number(getattr(results.prior, name), digits),
             )
-            for name, words, digits in _CONSTANTS
+            for name, label, digits in _CONSTANTS
         ),
     )
     commands = np.stack([np.full_like(_RADII, speed), speed / _RADII], axis=-1)
@@ -141,8 +141,8 @@ def _tables(results: LogOutcome) -> list[Table]:
             (number(radius, 2), number(outer, 2), number(inner, 2), number(watts, 1))
             for radius, (inner, outer), watts in zip(_RADII.tolist(), torques.tolist(), power.tolist(), strict=True)
         ),
-        note=f"At {speed:g} m/s. Driven were radii of {number(float(results.samples[:, 0].min()), 2)} to "
-        f"{number(float(results.samples[:, 0].max()), 1)} m; beyond them the curves are held.",
+        note=f"At {speed:g} m/s. The log has radii of {number(float(results.samples[:, 0].min()), 2)} to "
+        f"{number(float(results.samples[:, 0].max()), 1)} m; the curves are constant outside this range.",
     )
     tables = [constants, curve]
     if results.slip is not None:
@@ -152,9 +152,9 @@ def _tables(results: LogOutcome) -> list[Table]:
                 results.slip.named().items(), results.slip.deviations.ravel().tolist(), strict=True
             )
         )
-        tables.append(Table("Slip law", ("coefficient", "found", "standard deviation"), tuple(rows)))
+        tables.append(Table("Slip law", ("coefficient", "identified", "standard deviation"), tuple(rows)))
     if math.isfinite(results.measured):
-        off = 100 * (results.predicted / results.measured - 1) if results.measured else math.nan
-        row = (number(results.measured, 1), number(results.predicted, 1), number(off, 1))
-        tables.append(Table("Energy of the log", ("measured [J]", "predicted [J]", "off [%]"), (row,)))
+        error = 100 * (results.predicted / results.measured - 1) if results.measured else math.nan
+        row = (number(results.measured, 1), number(results.predicted, 1), number(error, 1))
+        tables.append(Table("Energy of the log", ("measured [J]", "predicted [J]", "error [%]"), (row,)))
     return tables

@@ -1,4 +1,4 @@
-"""Energy of driving: motor constants from a log, and predictions from them."""
+"""Energy of driving: drive constants from a log, and energy predictions from these constants."""
 
 from diffdrive_mpc_extras.energy.identification import IdentifiedConstants, identify_constants, logged_energy
 

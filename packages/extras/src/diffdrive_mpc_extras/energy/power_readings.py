@@ -1,4 +1,4 @@
-"""Readings of a battery monitor and of motor drivers, and the energy of a run."""
+"""Simulated readings of a battery monitor and of motor drivers, and the energy of a run."""
 
 from __future__ import annotations
 
@@ -19,51 +19,49 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.sensor_set import Deviation, load_sensor_set
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, NamedDrive, papers_drive
 
-# A battery with voltage and current: the power of its drive, through its internal resistance.
-
 
 class Battery(StrictModel):
-    """For its sensor readings; the motors of the simulated robot do not feel its voltage."""
+    """Battery with internal resistance, for its sensor readings; its voltage does not affect the simulated motors."""
 
-    voltage: Positive = Field(default=12.0, description="without load [V]")
-    resistance: NotNegative = Field(default=0.05, description="of cells and leads [ohm]")
+    voltage: Positive = Field(default=12.0, description="open-circuit voltage [V]")
+    resistance: NotNegative = Field(default=0.05, description="resistance of cells and leads [ohm]")
 
-    def loaded(self, power: float) -> tuple[float, float]:
+    def voltage_and_current(self, power: float) -> tuple[float, float]:
         """Compute voltage [V] and current [A] at an output of `power` [W], negative while charging.
 
-        A larger power than it can supply counts as the largest: half of its voltage is left then.
+        The power is limited to the maximum power of the battery, at which the voltage is half of `voltage`.
         """
-        # U = U_0 - R I and P = U I; of the two voltages the greater is the one that batteries have.
-        beyond = 4 * self.resistance * power > self.voltage**2
-        delivered = self.voltage**2 / (4 * self.resistance) if beyond else power
-        root = 0.0 if beyond else math.sqrt(self.voltage**2 - 4 * self.resistance * power)
+        # Solve U = U_0 - R I and P = U I; the larger of the two solutions is the stable one.
+        is_limited = 4 * self.resistance * power > self.voltage**2
+        delivered_power = self.voltage**2 / (4 * self.resistance) if is_limited else power
+        root = 0.0 if is_limited else math.sqrt(self.voltage**2 - 4 * self.resistance * power)
         voltage = 0.5 * (self.voltage + root)
-        return voltage, delivered / voltage
+        return voltage, delivered_power / voltage
 
 
 READINGS = ("battery_voltage_v", "battery_current_a", "motor_fl_a", "motor_fr_a", "motor_rl_a", "motor_rr_a")
-"""Names of the readings, in their order."""
+"""Names of the readings, in the order of the columns."""
 
-# Spawn keys of the other sensors' streams are 0, 1, 2, ...: this one can never meet them.
-_KEY = 1_001
+# Spawn key of the noise stream; the keys 0, 1, 2, ... belong to the other sensors.
+_SPAWN_KEY = 1_001
 
 
 class PowerSensor(StrictModel):
     """Battery monitor and current sensors of the motor drivers: means since the previous tick."""
 
-    voltage_sd: Deviation = Field(description="standard deviation of the battery's voltage [V]")
-    voltage_step: NotNegative = Field(description="resolution of the voltage [V]; 0: none")
-    current_sd: Deviation = Field(description="standard deviation of the battery's current [A]")
-    current_step: NotNegative = Field(description="resolution of the current [A]")
-    motor_current_sd: Deviation = Field(description="standard deviation of the current of a motor [A]")
-    motor_current_step: NotNegative = Field(description="resolution of the current of a motor [A]")
+    voltage_sd: Deviation = Field(description="standard deviation of the battery voltage [V]")
+    voltage_step: NotNegative = Field(description="resolution of the battery voltage [V]; 0 disables rounding")
+    current_sd: Deviation = Field(description="standard deviation of the battery current [A]")
+    current_step: NotNegative = Field(description="resolution of the battery current [A]; 0 disables rounding")
+    motor_current_sd: Deviation = Field(description="standard deviation of a motor current [A]")
+    motor_current_step: NotNegative = Field(description="resolution of a motor current [A]; 0 disables rounding")
 
 
 class RobotPower(StrictModel):
     """Values under `parts.power` of a robot file."""
 
-    drive: NamedDrive = Field(default_factory=papers_drive, description="motors and drivers, by name or written out")
-    battery: Battery = Field(default_factory=Battery, description="battery that the sensors read")
+    drive: NamedDrive = Field(default_factory=papers_drive, description="drive constants: a name or the values")
+    battery: Battery = Field(default_factory=Battery, description="battery of the sensor readings")
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class PowerRecord:
     Attributes
     ----------
     readings
-        (n, 6) means over the sample before each tick, in the order of `READINGS`.
+        (n, 6) means over the sample that ends at each tick, in the order of `READINGS`.
     drive
         Electrical constants of the motors.
     """
@@ -86,8 +84,7 @@ class PowerRecord:
 class RunEnergy:
     """Energy of a run from its start to the end of its reference [J]; NaN for a plant without motors.
 
-    `motor_work_j` is the work of the motors on the wheels less what they take back, `energy_j` the energy that the
-    battery gives for it.
+    `motor_work_j` is the net work of the motors on the wheels, `energy_j` the energy that the battery supplies.
     """
 
     motor_work_j: float = math.nan
@@ -95,47 +92,47 @@ class RunEnergy:
 
 
 def run_energy(run: Run, drive: DriveConstants | None = None) -> RunEnergy:
-    """Return the energy of a run by the true torques of its motors.
+    """Compute the energy of a run from the true torques of the motors.
 
     Parameters
     ----------
     run
-        The run; a sample in which the robot was lost does not count.
+        Run; samples in which the robot was lost do not count.
     drive
-        Constants of its motors; by default those of its power readings, or of the papers' robot.
+        Constants of the motors; by default those of the run's power readings, or else of the papers' robot.
     """
-    known = run.counted & np.isfinite(run.motor_power).all(axis=1)
-    if not known.any():
+    mask = run.counted & np.isfinite(run.motor_power).all(axis=1)
+    if not mask.any():
         return RunEnergy()
     record: PowerRecord | None = run.parts.get("power")
     constants = drive or (record.drive if record else papers_drive())
-    work, square = run.motor_power[known], run.motor_square[known]
+    work, square = run.motor_power[mask], run.motor_square[mask]
     power = constants.motor_power(work, square).sum() + constants.idle_power * len(work)
     return RunEnergy(float(work.sum() * run.sample_time), float(power * run.sample_time))
 
 
 def power_sensor(name: str = "power") -> PowerSensor:
-    """Return the power sensor of a sensor set; raises KeyError for a set without one."""
+    """Return the power sensor of a sensor set; raise KeyError if the set has no power sensor."""
     return check(PowerSensor, load_sensor_set(name).parts["power"], f"{name}: parts.power")
 
 
 def robot_power(name: str) -> RobotPower:
-    """Return motors and battery of the robot of a plant's name, such as "mujoco:fsu_bot"."""
+    """Return motors and battery of the robot that the name of a plant contains, such as "mujoco:fsu_bot"."""
     robot = simulated_robot(name)
-    return _checked_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
+    return _check_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
 
 
-def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - content of a file
-    """Check values of a robot file; a drive given in full may omit values that equal those of the papers."""
-    usual = {"drive": papers_drive().model_dump()}
-    return check(RobotPower, merge_mappings(usual, values) if isinstance(values, Mapping) else values, where)
+def _check_power(values: Any, source: str) -> RobotPower:  # noqa: ANN401 - content of a file
+    """Check the values of a robot file; missing values of `drive` are those of the papers' robot."""
+    defaults = {"drive": papers_drive().model_dump()}
+    return check(RobotPower, merge_mappings(defaults, values) if isinstance(values, Mapping) else values, source)
 
 
 class PowerRunColumns(RunColumns):
-    """Power readings over time, and the energy of the run."""
+    """Columns of a run: power readings over time, and the energy."""
 
     def series(self, run: Run) -> Mapping[str, FloatArray]:
-        """Return the readings by `READINGS`."""
+        """Return the readings by the names in `READINGS`."""
         return dict(zip(READINGS, run.parts["power"].readings.T, strict=True))
 
     def row(self, run: Run) -> Mapping[str, object]:
@@ -143,17 +140,17 @@ class PowerRunColumns(RunColumns):
         return asdict(run_energy(run))
 
     def summary(self, run: Run) -> str:
-        """Return energy and work."""
+        """Describe energy and work in one line."""
         energy = run_energy(run)
         return f"energy: {energy.energy_j:.1f} J, work of the motors {energy.motor_work_j:.1f} J"
 
 
 class PowerKind:
-    """Simulator part `power`, which a sensor file names under `parts:`."""
+    """Simulator part `power`; a sensor file names it under `parts:`."""
 
     def make_part(self, sensor: object, robot: object, seed: int) -> PowerReadings:
-        """Make the sensors; raises ConfigError if a value cannot be used."""
-        power = _checked_power(robot, "robot: parts.power")
+        """Make the sensors; raise ConfigError if a value is invalid."""
+        power = _check_power(robot, "robot: parts.power")
         return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), power.battery, power.drive, seed)
 
 
@@ -161,7 +158,7 @@ POWER, COLUMNS = PowerKind(), PowerRunColumns()
 
 
 class PowerReadings:
-    """Reads at each tick, with noise of its own random stream.
+    """Readings at each tick, with noise from a separate random stream.
 
     Parameters
     ----------
@@ -170,7 +167,7 @@ class PowerReadings:
     battery
         Battery of the drive.
     drive
-        Constants by which torque is current.
+        Constants that convert torque to current.
     seed
         Seed of the noise.
     """
@@ -179,12 +176,12 @@ class PowerReadings:
         self._battery, self._drive, self._seed = battery, drive, seed
         self._sd = np.array([sensor.voltage_sd, sensor.current_sd, *[sensor.motor_current_sd] * 4])
         step = np.array([sensor.voltage_step, sensor.current_step, *[sensor.motor_current_step] * 4])
-        self._step, self._steps = np.where(step > 0, step, 1.0), step > 0
+        self._step, self._is_rounded = np.where(step > 0, step, 1.0), step > 0
         self.reset()
 
     def reset(self) -> None:
-        """Reset to a robot that has always been at rest, at time 0."""
-        self._noise = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_KEY,)))
+        """Reset the noise stream, and the readings to those of a robot at rest."""
+        self._noise = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_SPAWN_KEY,)))
         self.take(np.zeros((1, 2, 4)))
 
     def record(self, values: FloatArray) -> PowerRecord:
@@ -192,11 +189,11 @@ class PowerReadings:
         return PowerRecord(values, self._drive)
 
     def take(self, motors: FloatArray) -> None:
-        """Take the motors of one sample: torques [N m] and wheel speeds [rad/s] (steps, 2, 4)."""
+        """Update the readings from the motors' torques [N m] and wheel speeds [rad/s] of one sample (steps, 2, 4)."""
         torque, speed = motors[:, 0], motors[:, 1]
-        # As energy is counted: of the means over the sample, which the drivers' capacitors smooth.
-        drawn = self._drive.motor_power((torque * speed).mean(axis=0), (torque**2).mean(axis=0))
-        loaded = self._battery.loaded(float(drawn.sum()) + self._drive.idle_power)
-        true = np.array([*loaded, *torque.mean(axis=0) / self._drive.torque_per_current])
-        noisy = true + self._sd * self._noise.standard_normal(len(true))
-        self.value = np.where(self._steps, np.rint(noisy / self._step) * self._step, noisy)
+        # Use means over the sample, as for the energy: the capacitors of the drivers smooth the power.
+        power = self._drive.motor_power((torque * speed).mean(axis=0), (torque**2).mean(axis=0))
+        battery = self._battery.voltage_and_current(float(power.sum()) + self._drive.idle_power)
+        exact = np.array([*battery, *torque.mean(axis=0) / self._drive.torque_per_current])
+        noisy = exact + self._sd * self._noise.standard_normal(len(exact))
+        self.value = np.where(self._is_rounded, np.rint(noisy / self._step) * self._step, noisy)

@@ -1,1 +1,1 @@
-"""Optimised excitation of a robot for identification."""
+"""Optimised excitation drives for identification."""

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc excite`: a drive with much information on slip or on a model."""
+"""`diffdrive-mpc excite`: an optimised drive for the identification of slip or of a model."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def excite(
     config: Annotated[
         str | None,
         typer.Argument(
-            help="For the model: configuration of the controller that drives it, a file, or mbm, sm, ssm.",
+            help="For a model: configuration of the controller; a file, or mbm, sm, ssm.",
             show_default="ssm",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Trajectory file to write.", show_default=False)],
-    purpose: Annotated[str, typer.Option("--for", help="What it is to tell: slip, or model.")] = _SLIP,
+    purpose: Annotated[str, typer.Option("--for", help="Purpose of the identification: slip or model.")] = _SLIP,
     side: Annotated[
         float | None,
         typer.Option(
-            help="For slip: side of the square that it stays in; it begins in the middle [m].",
+            help="For slip: side of the square around the start that the drive stays in [m].",
             show_default=f"{_SIDE:g}",
         ),
     ] = None,
@@ -36,38 +36,39 @@ def excite(
         str | None,
         typer.Option(
             metavar="LxW",
-            help="For the model: room that it stays in [m]; it begins in the middle, the length ahead.",
+            help="For a model: length and width of the room [m]; the drive starts in the middle, along the length.",
             show_default=False,
         ),
     ] = None,
     seconds: Annotated[
         float | None,
         typer.Option(
-            help="How long it lasts, about [s].", show_default=f"{_SLIP_SECONDS:g}; {_SECONDS:g} for the model"
+            help="Approximate duration of the drive [s].", show_default=f"{_SLIP_SECONDS:g}; {_SECONDS:g} for a model"
         ),
     ] = None,
-    speed: Annotated[float, typer.Option(help="Largest speed [m/s].")] = 0.6,
-    yaw_rate: Annotated[float, typer.Option(help="Largest yaw rate [rad/s].")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Maximum speed [m/s].")] = 0.6,
+    yaw_rate: Annotated[float, typer.Option(help="Maximum yaw rate [rad/s].")] = 1.0,
     log: Annotated[
-        Path | None, typer.Option(help="For the model: drive it, and write this log (.csv, .mcap).", show_default=False)
+        Path | None,
+        typer.Option(help="For a model: log of the drive on --plant (.csv, .mcap).", show_default=False),
     ] = None,
-    plant: Annotated[str, typer.Option(help="With --log: the robot, as for simulate.")] = "mujoco",
-    seed: Annotated[int, typer.Option(min=0, help="For the model: of the search, and of the noise.")] = 0,
+    plant: Annotated[str, typer.Option(help="With --log: plant, as for simulate.")] = "mujoco",
+    seed: Annotated[int, typer.Option(min=0, help="For a model: seed of the search and of the noise.")] = 0,
 ) -> None:
-    """Write a trajectory that is worth learning from, for `simulate --trajectory` and the node.
+    """Write an excitation trajectory for identification, for `simulate --trajectory` and the node.
 
-    For slip it separates the slip's terms. For the model it contains the most information about gains, lags and dead
-    times: of held moves and of sums of sines the ones with the largest information (D-optimal), and how well these will
-    be known.
+    A slip trajectory separates the terms of the slip law. A model trajectory maximises the information about gains,
+    lags and dead times (D-optimal design) over piecewise-constant twists and sums of sines; the command prints the
+    expected accuracy of these parameters.
     """
-    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415 - --help does not need it
 
     if purpose not in (_SLIP, _MODEL):
         raise ConfigError(f"--for {purpose}: give {_SLIP} or {_MODEL}")
     others = {"--side": side} if purpose == _MODEL else {"CONFIG": config, "--inside": inside, "--log": log}
     unsuitable = [name for name, value in others.items() if value is not None]
     if unsuitable:
-        raise ConfigError(f"{unsuitable[0]} does not go with --for {purpose}; leave it out")
+        raise ConfigError(f"{unsuitable[0]} is not an option of --for {purpose}; omit it")
     if purpose == _SLIP:
         from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, write_slip_drive  # noqa: PLC0415
 
@@ -75,7 +76,7 @@ def excite(
         echo(write_slip_drive(out, segments))
         return
     if inside is None:
-        raise ConfigError(f"--for {_MODEL} needs --inside, the room in metres, such as --inside 4x3")
+        raise ConfigError(f"--for {_MODEL} needs --inside, the length and width of the room [m], such as --inside 4x3")
     from diffdrive_mpc_extras.excitation.excite import excite_into  # noqa: PLC0415
     from diffdrive_mpc_extras.excitation.model_excitation import Room  # noqa: PLC0415
 

@@ -1,8 +1,8 @@
-"""Fisher information on a velocity model that a drive will give, from its commands alone.
+"""Expected Fisher information of a drive about a velocity model, from the commands only.
 
-The information is J' J / noise^2, J the derivatives of the readings by the parameters of an SM as `identify` moves them
-(Ljung, System Identification, 2nd edition, 1999, section 9.4, with white noise). The other unknowns of `identify`, the
-second time constant, the gyro's bias and the state before the drive, are free here, too.
+The information is J' J / noise^2. J are the derivatives of the readings with respect to the parameters of an SM, as in
+`identify` (Ljung, System Identification, 2nd edition, 1999, section 9.4, with white noise). The other unknowns of
+`identify` are free as well: the second time constant, the gyro bias and the state before the drive.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 TOLD = ("gain", "lag", "dead_time")
-"""Names for each channel: steady-state gain [-], sum of both time constants [s], dead time [s]."""
+"""Parameters of each channel: steady-state gain [-], sum of both time constants [s], dead time [s]."""
 
-# Of the logarithm of the second time constant, which many drives do not show: it is known to a factor of e.
+# Prior standard deviation of the logarithm of the second time constant, which many drives do not determine.
 _SHORT_DEVIATION = 1.0
 
 
@@ -32,10 +32,10 @@ class DriveInformation:
     Parameters
     ----------
     model
-        Model of the robot. Of each channel the two poles with its gain, its mean delay and the second moment
-        of its answer stand for it, so MBM and SSM will do.
+        Model of the robot, of any linear structure. Each channel is replaced by two poles with the same gain, mean
+        delay and second moment of the impulse response.
     noise
-        (2,) white noise of v of the encoders [m/s] and of the gyro [rad/s], a reading.
+        (2,) standard deviation of the white noise of one reading: v from the encoders [m/s] and gyro [rad/s].
     """
 
     def __init__(self, model: VelocityModel, noise: ArrayLike) -> None:
@@ -48,21 +48,23 @@ class DriveInformation:
             self._points.append(np.array([*_nearest_two_poles(model, row), *rest]))
 
     def parameters(self, commands: FloatArray, dt: float) -> ParameterEstimate:
-        """Return `TOLD` of v and of omega with covariance (6, 6), from commands (K, 2) sent every `dt` [s] from rest.
+        """Return the parameters `TOLD` of both channels with covariance (6, 6), for commands (K, 2) every `dt` [s].
+
+        The drive starts at rest.
 
         Raises
         ------
         ValueError
-            If a command is not finite, or there are too few.
+            If a command is not finite, or there are too few commands.
         """
         return join_estimates(
             [self._channel(row, commands[:, [row]], dt).renamed(name) for row, name in enumerate(CHANNELS)]
         )
 
     def log_determinant(self, commands: FloatArray, dt: float) -> float:
-        """Return that of the information on `TOLD` of both channels, which is maximised (D-optimality).
+        """Return the log-determinant of the information on `TOLD`, the criterion of D-optimality.
 
-        Its size depends on units; the difference between two drives does not.
+        The value depends on the units; the difference between two drives does not.
         """
         sign, logarithm = np.linalg.slogdet(self.parameters(commands, dt).covariance)
         return -float(logarithm) if sign > 0 else -np.inf
@@ -77,7 +79,7 @@ class DriveInformation:
         slopes = OutputErrorProblem(layout, [drive], [np.full(outputs.shape, 1 / self._noise[row])]).jacobian(point)
         information = slopes.T @ slopes
         information[2, 2] += _SHORT_DEVIATION**-2
-        # A channel that never moves contains no information: a value at rounding level keeps the matrix invertible.
+        # The information of a channel at rest is zero: a value at rounding level keeps the matrix invertible.
         scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny ** 0.25))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         estimate = ParameterEstimate(layout.names, point, inverse)
@@ -85,7 +87,7 @@ class DriveInformation:
 
 
 def _nearest_two_poles(model: VelocityModel, row: int) -> FloatArray:
-    """Return (3,) logarithms of gain, lag and short of gain / (1 + lag s + lag short s^2), from moments of a channel.
+    """Return (3,) logarithms of gain, lag and short of gain / (1 + lag s + lag short s^2) with a channel's moments.
 
     G(s) / G(0) = 1 - lag s + (lag^2 - lag short) s^2 - ..., and G(s) = C (s - A)^-1 B = -sum C A^-(k+1) B s^k.
     """

@@ -1,4 +1,4 @@
-"""A drive that determines a model: found by a search, then driven on the controller's robot and on a plant."""
+"""Excitation drive for the identification of a model: search, simulation on the expected robot, and log on a plant."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ _LATE = "lag and dead time"
 
 @dataclass(frozen=True)
 class Excitation:
-    """A drive and its expected information.
+    """Excitation drive and its expected information.
 
     Attributes
     ----------
     case
-        The controller, in the fence of the room; its trajectory and its plant are still to be named.
+        Controller with the room as fence; `on` sets trajectory and plant.
     room
         Room of the drive.
     drive
-        The twists of the reference.
+        Twists of the reference.
     expected
-        Parameters of the configuration, and their expected uncertainty after the drive.
+        Model parameters of the configuration, with their expected uncertainty after an identification from the drive.
     """
 
     case: Case
@@ -60,27 +60,27 @@ class Excitation:
     expected: ParameterEstimate
 
     def write(self, path: Path) -> None:
-        """Write the trajectory file; raises ConfigError if it cannot be written."""
+        """Write the trajectory file; raise ConfigError if it cannot be written."""
         write_model_drive(path, self.drive, model_excitation_settings().tick)
 
     def on(self, plant: str, seed: int, trajectory: Path) -> Case:
-        """Build the case of the written trajectory on a plant, in the fence."""
+        """Build the case of a trajectory file on a plant, with the room as fence."""
         return replace(self.case, plant=plant, seed=seed, trajectory=str(trajectory))
 
     def lines(self, out: Path) -> list[str]:
-        """Describe the result, and the values for the configuration of the node."""
+        """Describe the result and the fence settings of the node's configuration."""
         seconds = len(self.drive.twists) * model_excitation_settings().tick
         least_worth = min(self.drive.worth.values())
         better = np.exp((max(self.drive.worth.values()) - least_worth) / (2 * len(CHANNELS) * len(TOLD)))
         return [
-            f"{out}: {self.drive.family}, {seconds:.0f} s. With the other family deviations are {better:.2f} times as "
-            "large, in the geometric mean.",
-            "For the node: the robot begins in the middle of the room, its length ahead; its configuration has",
+            f"{out}: {self.drive.family}, {seconds:.0f} s. Standard deviations from the other family are {better:.2f} "
+            "times as large (geometric mean).",
+            "For the node: start the robot in the middle of the room, heading along its length; configuration:",
             f"fence: {{enabled: true, length: {self.room.length:g}, width: {self.room.width:g}, frame: start}}",
         ]
 
     def table(self) -> Table:
-        """Tabulate the expected accuracy of the parameters."""
+        """Return a table of the expected accuracy of the parameters."""
         shown = self.expected.derived(
             [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
@@ -92,12 +92,12 @@ class Excitation:
             cells = (number(scale * float(value), digits) for value in numbers)
             rows.append((channel, f"{parameter.replace('_', ' ')} [{unit}]", *cells))
         return Table(
-            "What the drive will tell",
-            ("channel", "parameter", "believed", "standard deviation"),
+            "Expected accuracy of the identified parameters",
+            ("channel", "parameter", "expected value", "standard deviation"),
             tuple(rows),
             2,
-            f"From the first {100 * identification_settings().fit_share:.0f} % of the rows, as `identify` takes them, "
-            "and the noise of encoders and gyro in the configuration.",
+            f"From the first {100 * identification_settings().fit_share:.0f} % of the rows, which `identify` fits, and "
+            "the configured noise of encoders and gyro.",
         )
 
 
@@ -116,31 +116,31 @@ def excite_model(
     Parameters
     ----------
     config
-        Configuration of the controller that drives it: a file, or the shipped one of a model.
+        Configuration of the controller: a file, or the name of a model with a shipped configuration.
     room
-        Room of the drive; it begins in the middle, the length straight ahead.
+        Room of the drive, which starts in the middle and heads along the length.
     seconds
         Duration of the drive [s].
     speed, yaw_rate
-        Largest ones [m/s, rad/s].
+        Maximum speed [m/s] and yaw rate [rad/s].
     seed
-        Seed of the search and of the noise on the assumed robot.
+        Seed of the search and of the noise in the simulation.
     on_drive
-        Called with how many drives were tried, and of how many.
+        Progress callback with the number of evaluated drives and the total number.
 
     Raises
     ------
     models.checked_yaml.ConfigError, models.velocity_model.ModelError
-        If there is no such configuration, its model is not linear, the robot cannot drive so fast, or room or time do
-        not suffice.
+        If the configuration does not exist, its model is not linear, the speed or yaw rate exceeds the limits, or room
+        or time do not suffice.
     """
     case = in_room(config, room)
     loaded = controller_config(case.model, case.config)
     margin = model_excitation_settings().margin
     if loaded.fence.margin >= margin:
         raise ConfigError(
-            f"fence.margin = {loaded.fence.margin:g} m: the drive stays {margin:g} m inside its room, so the fence "
-            "would stop it; give less"
+            f"fence.margin = {loaded.fence.margin:g} m: the drive keeps {margin:g} m from the edges of the room, so the"
+            f" fence would stop it; give less than {margin:g} m"
         )
     model = _believed(loaded)
     estimator = loaded.estimator
@@ -176,16 +176,16 @@ def excite_into(
     seed: int = 0,
     **options: float,
 ) -> Excitation:
-    """Write the drive, and its log on a plant where requested, and print its expected information.
+    """Write the drive and, if requested, its log on a plant; print the expected information.
 
-    The arguments are those of `excite_model`.
+    The options are those of `excite_model`.
 
-    Raises ConfigError if a file cannot be written, or the robot did not keep to its room: then there is no log.
+    Raises ConfigError if a file cannot be written, or if the robot leaves the room; no log is written then.
     """
     console = output_console()
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        with ProgressBar("looking for the drive", lines=True) as bar:
+        with ProgressBar("searching for the drive", lines=True) as bar:
             excitation = excite_model(config, room, seed=seed, on_drive=bar.show, **options)
             drive = excitation.on(plant, seed, out)
             if log is not None:
@@ -203,7 +203,7 @@ def excite_into(
 
 
 def in_room(config: str, room: Room) -> Case:
-    """Build the controller of a configuration in the fence of a room; raise ConfigError if there is none."""
+    """Build the case of a configuration with a room as fence; raise ConfigError if the configuration does not exist."""
     case = case_of(config)
     fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
     changes = tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items())
@@ -213,27 +213,29 @@ def in_room(config: str, room: Room) -> Case:
 def driven(
     case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
 ) -> Run:
-    """Run a case along a trajectory file; raise ConfigError if it or the plant is unusable."""
+    """Simulate a case along a trajectory file; raise ConfigError if the file or the plant is invalid."""
     limits = controller_config(case.model, case.config, case.overrides)
     parts = make_controller(case), build_plant(case), load_trajectory(trajectory, limits)
     return simulate(*parts, keep_plans=keep_plans, on_tick=on_tick)
 
 
 def check_drive(run: Run, room: Room) -> None:
-    """Raise ConfigError where a run did not come to its end, or the robot left the room."""
+    """Raise ConfigError if a run ended early, the robot left the room, or the controller stopped."""
     if run.ended:
-        raise ConfigError(f"the drive broke off after {run.time[-1]:.1f} s: {run.ended}")
+        raise ConfigError(f"the drive ended early, after {run.time[-1]:.1f} s: {run.ended}")
     half = 0.5 * np.array([room.length, room.width])
     out = np.flatnonzero((np.abs(run.true_pose[:, :2]) > half).any(axis=1))
     if out.size:
-        raise ConfigError(f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed")
+        raise ConfigError(
+            f"the robot left the room after {run.time[out[0]]:.1f} s; give a larger room, or a lower --speed"
+        )
     stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
     if stood is not None:
-        raise ConfigError(f"the controller stopped during the drive ({stood}); give a larger room, or less --speed")
+        raise ConfigError(f"the controller stopped during the drive ({stood}); give a larger room, or a lower --speed")
 
 
 def case_of(config: str) -> Case:
-    """Build the case with this configuration: a file, or the shipped one of a model; raise ConfigError without one."""
+    """Build the case of a configuration file or of a shipped model; raise ConfigError if neither exists."""
     if is_shipped(config):
         load_config(config)
         return Case(model=config)
@@ -246,7 +248,7 @@ def _believed(config: ControllerConfig) -> VelocityModel:
 
 
 def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> TrajectoryLimits:
-    """Compute limits of the reference: a share of the command limits is left to tracking, as for scaled paths."""
+    """Compute the limits of the reference; tracking needs the rest of the command limits, as for scaled paths."""
     settings, limits = load_settings(), config.limits
     for name, wanted, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
         most = settings.reach_share * getattr(limits, name)
@@ -254,8 +256,8 @@ def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> Trajecto
             option = "--speed" if name == "v" else "--yaw-rate"
             limit = getattr(limits, name)
             raise ConfigError(
-                f"{option} {wanted:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is "
-                "for tracking"
+                f"{option} {wanted:g}: with limits.{name} = {limit:g} {unit}, give at most {most:g} {unit}; tracking "
+                "needs the rest"
             )
     slew = model_excitation_settings().slew_share
     return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)

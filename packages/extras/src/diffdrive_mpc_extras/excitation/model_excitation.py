@@ -1,10 +1,9 @@
-"""A drive with the most information about a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
+"""Excitation drive with the most information about a velocity model, for `diffdrive-mpc excite --for model`.
 
-Two families of twists over time: moves that are held, and sums of sines. In each, the drive with the most information
-is searched by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359;
-`scipy.optimize`); the better of the two is the drive. The measure of information is a function of the commands:
-see `excitation.drive_information`. Every member of a family is inside the room and the limits by its construction, so
-the search has no constraints.
+There are two families of twists over time: piecewise-constant twists, and sums of sines. Differential evolution (Storn,
+Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`) maximises the information in each family;
+the better result is the drive. The information is a function of the commands, see `excitation.drive_information`. All
+members of a family stay inside the room and the limits by construction, so the search has no constraints.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 
 Worth = Callable[[FloatArray], float]
-"""Worth of twists (K, 2), one a tick: higher is better."""
+"""Objective of the search, a function of twists (K, 2), one per tick; it is maximised."""
 
-# A twist that changes by less than this from one tick to the next, m/s and rad/s, is the same.
+# Lower bound of the normalisation of sums of sines.
 _SAME = 1e-9
 
 
@@ -52,41 +51,41 @@ class ModelExcitationSettings(StrictModel):
 
 @cache
 def model_excitation_settings() -> ModelExcitationSettings:
-    """Read the settings; raises ConfigError on a mistake in them."""
+    """Read the settings; raise ConfigError if they are invalid."""
     return load_checked(ModelExcitationSettings, Path(__file__).with_suffix(".yaml"))
 
 
 @dataclass(frozen=True)
 class Room:
-    """A rectangle; the robot begins in its middle, its length straight ahead.
+    """Rectangular room; the robot starts in the middle and heads along the length.
 
     Attributes
     ----------
     length, width
-        [m].
+        Dimensions [m].
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no room to drive.
+        If the room is too small to drive in.
     """
 
     length: float
     width: float
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the dimensions."""
         settings = model_excitation_settings()
         least = 2 * (settings.margin + settings.least_reach)
         if not (math.isfinite(self.length) and math.isfinite(self.width) and min(self.length, self.width) >= least):
             raise ConfigError(
-                f"a room of {self.length:g} by {self.width:g} m: a path that stays {settings.margin:g} m inside needs "
-                f"{least:g} m each way"
+                f"a room of {self.length:g} by {self.width:g} m: with {settings.margin:g} m distance from the edges, "
+                f"length and width must be at least {least:g} m"
             )
 
     @classmethod
     def read(cls, text: str) -> Room:
-        """Read `4x3`, length and width [m]; raises ValueError for anything else."""
+        """Parse length and width [m], such as `4x3`; raise ValueError for other text."""
         length, _, width = text.replace(",", "x").partition("x")
         try:
             numbers = float(length), float(width)
@@ -96,7 +95,7 @@ class Room:
 
     @property
     def reach(self) -> FloatArray:
-        """(2,) how far the path may go from the middle, along and across [m]."""
+        """(2,) maximum distance of the path from the middle, along length and width [m]."""
         return 0.5 * np.array([self.length, self.width]) - model_excitation_settings().margin
 
 
@@ -109,9 +108,9 @@ class ModelDrive:
     family
         "steps" or "multi-sine".
     twists
-        (K, 2) v [m/s] and omega [rad/s], each for `tick`; the robot comes from rest and ends at rest.
+        (K, 2) v [m/s] and omega [rad/s], one per `tick`; the robot starts and ends at rest.
     worth
-        Value of the best drive of each family.
+        Objective of the best drive of each family.
     """
 
     family: str
@@ -120,25 +119,25 @@ class ModelDrive:
 
 
 def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth: Worth, seed: int = 0) -> ModelDrive:
-    """Search for the twists with the highest value.
+    """Search for the twists that maximise `worth`.
 
     Parameters
     ----------
     room
-        Room of the drive, from its middle.
+        Room of the drive, which starts in the middle.
     seconds
         Duration of the drive [s].
     limits
-        Speeds and accelerations of it.
+        Maximum speeds and accelerations of the drive.
     worth
-        Function to maximise.
+        Objective function.
     seed
-        Seed of the search; the same seed finds the same drive.
+        Seed of the search; the result is reproducible.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the time is too short, or no drive of either family contains information.
+        If the duration is out of range, or no drive of either family contains information.
     """
     settings = model_excitation_settings()
     least = 2 * settings.holds[1] + 2 * settings.calm
@@ -173,7 +172,7 @@ def path_of(twists: FloatArray, tick: float) -> FloatArray:
 
 
 def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
-    """Write a trajectory file that `load_trajectory` reads; raises ConfigError if it cannot be written."""
+    """Write a trajectory file that `load_trajectory` reads; raise ConfigError if it cannot be written."""
     lines = [
         "# Written by `diffdrive-mpc excite --for model`. v [m/s], omega [rad/s], duration [s].",
         f"name: model excitation, {drive.family}",
@@ -188,13 +187,13 @@ def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
 
 
 def _held(twists: FloatArray) -> list[tuple[tuple[float, float], int]]:
-    """Return twists and the number of ticks for which they hold."""
+    """Group equal consecutive twists; return each twist with its number of ticks."""
     rows = [tuple(map(float, np.round(row, 4))) for row in twists]
     return [((row[0], row[1]), len(list(group))) for row, group in itertools.groupby(rows)]
 
 
 def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
-    """Search the best member of the family; return its twists."""
+    """Search for the best member of the family and return its twists."""
     from scipy import optimize  # noqa: PLC0415 - loads slowly
 
     settings = model_excitation_settings()
@@ -217,7 +216,7 @@ def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
 
 
 class _Sines:
-    """Sums of sines in v and omega, which swell from rest; v is made smaller until the path fits the room."""
+    """Sums of sines in v and omega, faded in and out; v is scaled down if the path does not fit the room."""
 
     def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
         settings = model_excitation_settings()
@@ -237,14 +236,14 @@ class _Sines:
         rows = np.sum(amplitude[..., None] * np.sin(angle + 2 * np.pi * phase[..., None]), axis=1) * self._swell
         steps = np.abs(np.diff(np.pad(rows, ((0, 0), (1, 1))))).max(axis=1) / (self._slope * self._tick)
         rows /= np.maximum(np.maximum(np.abs(rows).max(axis=1) / self._most, steps), _SAME)[:, None]
-        # The headings do not change with v, so the path shrinks as v does.
+        # The headings do not depend on v, so the path scales with v.
         share = float((np.abs(path_of(rows.T, self._tick)[:, :2]) / self._reach).max())
         rows[0] /= max(share, 1.0)
         return np.ascontiguousarray(rows.T)
 
 
 class _Steps:
-    """Moves that are held, with ramps between them; each goes forwards or backwards as the room allows."""
+    """Piecewise-constant twists with ramps between them; the signs are chosen so that the path stays in the room."""
 
     def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
         settings = model_excitation_settings()
@@ -277,23 +276,23 @@ class _Steps:
         return np.vstack(rows)
 
     def _move(self, pose: FloatArray, twist: FloatArray, level: FloatArray, ticks: int, stop: int) -> FloatArray:
-        """Return twists of the first variant of a move that lets the robot stop inside."""
+        """Return the twists of the first sign variant after which the robot can stop inside the room."""
         v, omega = level
         for target in ((v, omega), (-v, omega), (v, -omega), (-v, -omega)):
             move = self._ramp(twist, np.array(target), ticks)
             way = self._way(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
             if (np.abs(way[:, :2]) <= self._reach).all():
                 return move
-        # Slowing down is always inside the room: the steps before ensure it.
+        # Braking stays inside the room: the previous moves ensure this.
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
 
     def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:
-        """Drive from one twist to another within the accelerations, and hold it: (ticks, 2)."""
+        """Build a ramp (ticks, 2) from `twist` to `target` within the acceleration limits, which ends at the target."""
         steps = np.arange(1, ticks + 1)[:, None] * self._step
         return np.asarray(twist + np.clip(target - twist, -steps, steps))
 
     def _way(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
-        """Integrate twists (K, 2) from `pose`."""
+        """Integrate twists (K, 2) from `pose` to (K + 1, 3) poses."""
         path = path_of(twists, self._tick)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         points = pose[:2] + path[:, :2] @ np.array([[c, s], [-s, c]])

@@ -1,4 +1,4 @@
-"""A drive that separates the slip terms, inside a square: for `diffdrive-mpc excite --for slip`."""
+"""Excitation drive that separates the slip terms, inside a square, for `diffdrive-mpc excite --for slip`."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment
 
 SPEEDS = (1 / 3, 2 / 3, 1.0)
-"""Shares of the largest speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""
+"""Fractions of the maximum speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""
 YAW_RATES = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the largest yaw rate; theirs go left and right in turn, from straight ahead to a radius of 0.56 m."""
+"""Fractions of the maximum yaw rate; Ordonez et al. alternate left and right, from straight to a radius of 0.56 m."""
 
-# A reversal costs time and contains no information: its value must exceed the alternative by this factor.
+# A reversal takes time and contains no information: its value must exceed the alternative by this factor.
 _REVERSAL = 1.1
 
 
 def slip_excitation(
     side: float, seconds: float, speed: float, yaw_rate: float, hold: float = 2.5, margin: float = 0.3
 ) -> list[Segment]:
-    """Design twists, each held, that identify nine slip terms best, for a robot in the middle of a square.
+    """Design piecewise-constant twists with the most information about the nine slip coefficients, inside a square.
 
-    All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so the information of
-    a drive about them is the matrix M of their products, summed over time. The next twist is the one that lets det M
-    grow most (a greedy D-optimal design), among those that stay inside and from whose end one can go on.
+    Each row of the slip law has the terms v, w and v w (see `models.slip_laws.polynomial_twist`). The information of a
+    drive is the matrix M of the products of these terms, integrated over time. Each step appends the twist that
+    increases det M most (a greedy D-optimal design), among the twists that stay inside and that another twist can
+    follow. The robot starts in the middle of the square.
 
     Parameters
     ----------
@@ -41,16 +42,16 @@ def slip_excitation(
     seconds
         Approximate duration of the drive [s].
     speed, yaw_rate
-        Largest ones [m/s, rad/s].
+        Maximum speed [m/s] and yaw rate [rad/s].
     hold
         Duration of each twist [s].
     margin
-        Least distance of the robot's centre from the square's edge [m].
+        Minimum distance of the robot's centre from the edges of the square [m].
 
     Raises
     ------
     ValueError
-        If a number is not positive, or the square too small to turn round in.
+        If an argument is not positive, the duration is too long, or the square is too small to turn in.
     """
     for name, value in (("side", side), ("time", seconds), ("speed", speed), ("yaw rate", yaw_rate)):
         if not (math.isfinite(value) and value > 0):
@@ -58,7 +59,7 @@ def slip_excitation(
     longest = load_settings().longest_excitation
     if seconds > longest:
         raise ValueError(f"time {seconds:g} s: give at most {longest:g} s; drive it several times for more")
-    # Both directions of travel: a robot that reverses stays in small squares, and determines the same terms.
+    # Reverse motion determines the same terms and lets the robot stay in small squares.
     twists = [
         np.array([sign * share * speed, turn * yaw_rate])
         for sign, share, turn in itertools.product((1, -1), SPEEDS, YAW_RATES)
@@ -66,7 +67,7 @@ def slip_excitation(
     reach, pose = 0.5 * side - margin, np.array([0.0, 0.0, math.pi / 4])
     if reach < 0.5 * speed * hold:
         raise ValueError(
-            f"side {side} m: at {speed} m/s for {hold} s a robot that stays {margin} m inside cannot drive there; give "
+            f"side {side} m: too small for {speed} m/s over {hold} s at {margin} m from the edges; give "
             f"{2 * (margin + 0.5 * speed * hold):.1f} m or more, or a lower speed"
         )
     information, chosen = 1e-3 * np.eye(3), list[Segment]()
@@ -84,7 +85,9 @@ def slip_excitation(
             if gain > most:
                 best, most = (twist, end, z), gain
         if best is None:
-            raise ValueError(f"side {side} m: no way on at {pose[0]:.1f}, {pose[1]:.1f} m; give a larger one")
+            raise ValueError(
+                f"side {side} m: no twist stays inside at {pose[0]:.1f}, {pose[1]:.1f} m; use a longer side"
+            )
         twist, pose, z = best
         information = information + hold * np.outer(z, z)
         chosen.append(Segment(v=float(twist[0]), omega=float(twist[1]), duration=hold))
@@ -92,7 +95,7 @@ def slip_excitation(
 
 
 def told_apart(segments: Sequence[Segment]) -> float:
-    """Compute the maximum absolute correlation of the terms v, omega and v omega over a drive: 1 hides one."""
+    """Compute the maximum absolute correlation of the terms v, omega and v omega over a drive; 1: not separable."""
     terms = np.array([[segment.v, segment.omega, segment.v * segment.omega] for segment in segments])
     weights = np.array([segment.duration for segment in segments])
     products = (terms * weights[:, None]).T @ terms
@@ -101,7 +104,7 @@ def told_apart(segments: Sequence[Segment]) -> float:
 
 
 def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
-    """Write a trajectory file that `load_trajectory` reads, and return a sentence about it.
+    """Write a trajectory file that `load_trajectory` reads, and return its description.
 
     Raises ConfigError if the file cannot be written.
     """
@@ -114,13 +117,12 @@ def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
     with whole_file(path) as draft:
         draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")
     return (
-        f"{path}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without the time to "
-        "change between them. Terms in v, omega and v omega: the two least apart correlate by "
-        f"{told_apart(segments):.2f} (1: not apart)."
+        f"{path}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without transitions. "
+        f"Maximum correlation of the terms v, omega and v omega: {told_apart(segments):.2f} (1: not separable)."
     )
 
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:
-    """Compute the end of `twist`; None if it is outside the square."""
+    """Compute the end of `twist`; None if its path leaves the square."""
     way = integrate_pose(pose, twist[0], twist[1], np.linspace(0.0, hold, 11)[1:])
     return way[-1] if np.abs(way[:, :2]).max() <= reach else None

@@ -1,1 +1,1 @@
-"""The controller as C99 for a microcontroller: the core's sources with the sizes and constants of a configuration."""
+"""Export of the controller as C99: the sources of the core with the sizes and constants of one configuration."""

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc export`: the controller as a C99 library for a microcontroller."""
+"""`diffdrive-mpc export`: export the controller as a C99 library for a microcontroller."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ def export(
     settings: Settings = None,
     trajectory: Annotated[
         str,
-        typer.Option(help="What the table holds: a shipped name such as circle, or the path of a file."),
+        typer.Option(help="Exported trajectory: a shipped name such as circle, or the path of a file."),
     ] = "circle",
-    precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
-    emulated: Annotated[
-        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
+    precision: Annotated[str, typer.Option(help="Floating-point type: double or float.")] = "double",
+    run_emulation: Annotated[
+        bool,
+        typer.Option("--emulate", help="Run the controller on QEMU's STM32F4 and count the instructions per step."),
     ] = False,
 ) -> None:
-    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and print their sizes."""
-    from diffdrive_mpc_extras.export.report import export_library  # noqa: PLC0415 - --help does without it
+    """Write estimator, prediction, QP solver and failure ladder as C99 without memory allocation; print the sizes."""
+    from diffdrive_mpc_extras.export.report import export_library  # noqa: PLC0415 - --help does not need it
 
     export_library(
         out,
@@ -36,7 +37,7 @@ def export(
         settings=settings or [],
         trajectory=trajectory,
         precision=precision,
-        emulated=emulated,
+        run_emulation=run_emulation,
     )
 
 

@@ -1,4 +1,4 @@
-"""Cost and tracking of one closed loop on the emulated microcontroller."""
+"""Closed loop with an exported controller on QEMU's STM32F4, over its serial line, with counted instructions."""
 
 from __future__ import annotations
 
@@ -23,20 +23,17 @@ from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.sim import make_plant, simulate
 
-# An exported controller on QEMU's STM32F4, in closed loop over its serial line, with its instructions counted.
-
-
 MACHINE = "netduinoplus2"
-"""QEMU's name of a board with an STM32F405, a Cortex-M4F."""
+"""QEMU machine with an STM32F405, a Cortex-M4F."""
 _EMULATOR = "qemu-system-arm"
 _OPTIONS = f"-M {MACHINE} -nographic -monitor none -serial stdio -icount shift=0,sleep=off".split()
 MODES = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.FINISHED)
-"""In the order of `ddmpc_mode`."""
+"""Modes in the order of the C enumeration `ddmpc_mode`."""
 REPLY_BYTES = 9 * 8
 
 
 class Reply(NamedTuple):
-    """Reply for one tick; `cycles` counts those of its step, if the other side counts."""
+    """Reply for one tick; `cycles` are those of the step, or 0 if the program does not count them."""
 
     command: FloatArray
     mode: Mode
@@ -48,42 +45,44 @@ class Reply(NamedTuple):
     cycles: float
 
 
-def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, *, anew: bool = False) -> bytes:
-    """Encode the tick at `t` [s]; `anew` starts the reference there."""
-    numbers = [t, float(anew), 0.0 if hold is None else 1.0 + hold.failure]
-    numbers += [0.0, 0.0, 0.0] if measurement.sent is None else [1.0, *measurement.sent]
-    numbers += _stamped(measurement.pose, 3)
-    numbers += _stamped(measurement.wheel_twist, 2)
-    numbers += _stamped(measurement.yaw_rate, 1)
-    return np.array(numbers, dtype="<f8").tobytes()
+def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, *, restart: bool = False) -> bytes:
+    """Encode the request of the tick at `t` [s]; `restart` starts the reference at `t`."""
+    frame = [t, float(restart), 0.0 if hold is None else 1.0 + hold.failure]
+    frame += [0.0, 0.0, 0.0] if measurement.sent is None else [1.0, *measurement.sent]
+    frame += _stamped_values(measurement.pose, 3)
+    frame += _stamped_values(measurement.wheel_twist, 2)
+    frame += _stamped_values(measurement.yaw_rate, 1)
+    return np.array(frame, dtype="<f8").tobytes()
 
 
 def read_reply(data: bytes) -> Reply:
-    """Undo the changes of the other end."""
+    """Decode the reply of the program."""
     v, omega, mode, *counts, cycles = np.frombuffer(data, dtype="<f8").tolist()
     reasons, status, iterations, soft, operations = map(int, counts)
     return Reply(np.array([v, omega]), MODES[int(mode)], reasons, status, iterations, soft, operations, cycles)
 
 
-def _stamped(stamped: Stamped | None, size: int) -> list[float]:
+def _stamped_values(stamped: Stamped | None, size: int) -> list[float]:
     if stamped is None:
         return [0.0] * (3 + size + size * size)
-    known = stamped.covariance is not None
-    covariance = stamped.covariance if known else np.zeros(size * size)
-    return [1.0, stamped.time, *_flat(stamped.value), float(known), *_flat(covariance)]
+    has_covariance = stamped.covariance is not None
+    covariance = stamped.covariance if has_covariance else np.zeros(size * size)
+    return [1.0, stamped.time, *_flatten(stamped.value), float(has_covariance), *_flatten(covariance)]
 
 
-def _flat(values: ArrayLike | None) -> list[float]:
+def _flatten(values: ArrayLike | None) -> list[float]:
     return np.ravel(np.asarray(values, dtype=float)).tolist()
 
 
 class EmulatedController:
-    """Drives the program in `image`; satisfies `models.interface.TrackingController`. The reference is its own table.
+    """Exported controller on the emulated board; satisfies `models.interface.TrackingController`.
+
+    The reference is the exported trajectory.
 
     Parameters
     ----------
     image
-        The linked STM32F4 program.
+        Linked STM32F4 program.
 
     Raises ConfigError if QEMU is not installed, or the program does not reply.
     """
@@ -98,71 +97,71 @@ class EmulatedController:
             stderr=subprocess.DEVNULL,
         )
         self.replies: list[Reply] = []
-        """Of every tick since the last start; `cycles` are instructions."""
-        self._anew = True
+        """Reply of each tick since the last start; `cycles` are converted to instructions."""
+        self._needs_restart = True
         greeting = self._read(8)
-        self._per_tick = 1e6 / float(memoryview(greeting).cast("d")[0])
+        self._instructions_per_cycle = 1e6 / float(memoryview(greeting).cast("d")[0])
 
     def __enter__(self) -> EmulatedController:
-        """Return the controller itself."""
+        """Return the controller."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the emulator."""
+        """Terminate the emulator."""
         self._process.kill()
         self._process.communicate()
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Start anew at the next tick, whose time is that of the start."""
+        """Start the exported trajectory at the next tick; both arguments are ignored."""
         del reference, t0
-        self._anew, self.replies = True, []
+        self._needs_restart, self.replies = True, []
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
-        """Decide the command for the tick at `t` [s]; raises ConfigError if the program does not reply."""
-        began = time.perf_counter()
+        """Return the command for the tick at `t` [s]; raise ConfigError if the program does not reply."""
+        start = time.perf_counter()
         assert self._process.stdin is not None
-        self._process.stdin.write(request_bytes(t, measurement, anew=self._anew))
+        self._process.stdin.write(request_bytes(t, measurement, restart=self._needs_restart))
         self._process.stdin.flush()
-        self._anew = False
+        self._needs_restart = False
         reply = read_reply(self._read(REPLY_BYTES))
-        self.replies.append(reply._replace(cycles=reply.cycles * self._per_tick))
-        return PeerStep(reply.command, reply.mode, "", time.perf_counter() - began)
+        self.replies.append(reply._replace(cycles=reply.cycles * self._instructions_per_cycle))
+        return PeerStep(reply.command, reply.mode, "", time.perf_counter() - start)
 
     def _read(self, count: int) -> bytes:
         assert self._process.stdout is not None
         data = self._process.stdout.read(count)
         if len(data) < count:
-            raise ConfigError(f"--emulate: the program on {_EMULATOR} does not answer")
+            raise ConfigError(f"--emulate: the program on {_EMULATOR} stopped without a reply; report this as a bug")
         return data
 
 
 _PLANT, _SEED = "mujoco", 0
-# Reference for the commands: the same problem, solved to convergence.
+# Solver settings of the Python controller for comparison: solve to convergence.
 _EXACT = {"solver.tolerance": 1e-9, "solver.max_iterations": 100_000}
 
 
 @dataclass(frozen=True)
 class Emulation:
-    """One drive along the whole reference, with the default sensors.
+    """Result of one drive along the whole reference, with the default sensors.
 
     Attributes
     ----------
     steps
-        Ticks.
+        Number of ticks.
     instructions
-        (steps,) of each step.
+        (steps,) instructions of each step.
     iterations
-        (steps,) of the active set; 0 where no limit is active.
+        (steps,) active-set iterations of each step; 0 if no limit is active.
     operations
-        The most of one step, counted as `mpc.solver.report.SolverReport.operations`.
+        Maximum operations of a step, counted as `mpc.solver.report.SolverReport.operations`.
     modes
         Number of steps in each mode of the controller.
     position_rmse
-        Against the true pose [m].
+        RMSE of the true position [m].
     difference
-        Largest difference of a command to that of the Python controller for the same measurements [m/s, rad/s].
+        Maximum difference from a command of the Python controller for the same measurements [m/s, rad/s].
     """
 
     steps: int
@@ -196,18 +195,18 @@ class Emulation:
 def emulate(
     image: Path, config: ControllerConfig, reference: Reference, on_tick: Callable[[int, int], None]
 ) -> Emulation:
-    """Drive the MuJoCo robot along `reference` with the program `image`, and the Python controller beside it.
+    """Drive the MuJoCo robot with the program `image`, and compare the commands with those of the Python controller.
 
-    Raises ConfigError if QEMU is not installed.
+    Raises ConfigError if QEMU is not installed, or the program does not reply.
     """
     plant = make_plant(_PLANT, surface="default", sensors="default", seed=_SEED, sample_time=config.sample_time)
     with EmulatedController(image) as controller:
         run = simulate(controller, plant, reference, on_tick=on_tick)
         replies = controller.replies
-    beside = Controller(replace_values(config, {"reentry.enabled": False, **_EXACT}))
-    beside.start(reference, 0.0)
+    exact = Controller(replace_values(config, {"reentry.enabled": False, **_EXACT}))
+    exact.start(reference, 0.0)
     commands = [
-        beside.step(float(t), measurement).command for t, measurement in zip(run.time, run.measurements, strict=True)
+        exact.step(float(t), measurement).command for t, measurement in zip(run.time, run.measurements, strict=True)
     ]
     return Emulation(
         steps=len(replies),

@@ -1,4 +1,4 @@
-"""Write the folder of an exported controller."""
+"""Folder of an exported controller: sources of the core, generated C, examples and build files."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ core_sources.require(1)
 _SOURCES = Path(__file__).parent / "sources"
 
 FOLDERS, FILES = ("ddmpc", "examples", "stm32f4"), ("CMakeLists.txt",)
-"""Names of the written files and functions."""
+"""Names of the folders and files of an export."""
 
 
 class Precision(StrEnum):
-    """Number type of the exported controller."""
+    """Floating-point type of the exported controller."""
 
     DOUBLE = "double"
     FLOAT = "float"
@@ -38,7 +38,7 @@ class Precision(StrEnum):
 
 @dataclass(frozen=True)
 class ExportedLibrary:
-    """Exported files.
+    """Description of an exported controller.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class ExportedLibrary:
     states
         Order of the model.
     terms
-        Names of the user's functions.
+        Names of the user-defined cost terms and constraints.
     operations_bound
-        Operations of the active set that no tick exceeds; `SolverReport.operations` says what they are.
+        Maximum number of active-set operations per tick; see `SolverReport.operations`.
     """
 
     model: str
@@ -69,59 +69,59 @@ def export_controller(
 ) -> ExportedLibrary:
     """Write the controller of `config` as a C99 library into `folder`, with `reference` in closed form.
 
-    The sources are those that Python compiles for itself; sizes become macros, and numbers constants.
+    The sources are those of the Python controller; sizes become macros, and parameters become constants.
 
     Parameters
     ----------
     config, model, terms
-        Arguments as of `Controller`; weights and limits become constants. There is no re-entry, and no backend.
+        Arguments of `Controller`; weights and limits become constants. Re-entry and backends are not exported.
     reference
-        Trajectory for the table and the examples; the application may track any other.
+        Trajectory for the table and the examples; an application may track other trajectories.
     folder
-        An existing folder; files of the same names are replaced.
+        Existing folder; files of the same names are replaced.
     precision
-        Number type; instants are double in both.
+        Floating-point type; times are always double.
 
     Raises
     ------
     models.checked_yaml.ConfigError, models.velocity_model.ModelError, ValueError
-        If the controller cannot be built, the reference is too fast for its limits, or the configuration wants a
-        backend at every tick.
+        If the controller cannot be built, the reference exceeds the limits, or the configuration requires a backend or
+        free space.
     """
     _check(config.solver)
     if free_space_of(config).is_enabled:
         raise ConfigError(
-            "expert.free_space.enabled: an exported controller sees no surroundings; set it to false, and keep the "
-            "robot clear of things by other means"
+            "expert.free_space.enabled: an exported controller does not support obstacle avoidance; set it to false, "
+            "and avoid collisions by other means"
         )
-    chosen = chosen_model(config, model)
+    velocity_model = chosen_model(config, model)
     config = prepare_config(config)
-    everything = all_terms(config.terms, (*terms, *feature_terms(config)))
-    # Off its path an exported controller chases the reference, or brakes.
-    alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
-    problem = build_problem(alone, chosen, everything)
+    terms = all_terms(config.terms, (*terms, *feature_terms(config)))
+    # An exported controller has no re-entry: away from the path, it follows the reference directly or brakes.
+    config = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
+    problem = build_problem(config, velocity_model, terms)
     check_speeds(reference, config.limits, config.sample_time)
-    functions = generated_functions(chosen, everything)
+    functions = generated_functions(velocity_model, terms)
     texts = {
         **core_texts(),
-        SIZES: sizes_text(problem, single=precision is Precision.FLOAT),
+        SIZES: sizes_text(problem, is_single=precision is Precision.FLOAT),
         "constants.c": constants_text(problem, functions.stem if functions else None),
         **trajectory_texts(reference, config.sample_time),
     }
     if functions:
         texts |= {f"{functions.stem}.c": functions.source, f"{functions.stem}.h": functions.header}
     shutil.copytree(_SOURCES / "project", folder, dirs_exist_ok=True)
-    ours = folder / "ddmpc"
-    shutil.copytree(_SOURCES / "controller", ours, dirs_exist_ok=True)
+    source_folder = folder / "ddmpc"
+    shutil.copytree(_SOURCES / "controller", source_folder, dirs_exist_ok=True)
     for name, text in texts.items():
-        (ours / name).write_text(text, encoding="utf-8")
-    names = tuple(term.name for term in everything)
-    return ExportedLibrary(chosen.name, problem.model.order, names, operations_bound(problem))
+        (source_folder / name).write_text(text, encoding="utf-8")
+    names = tuple(term.name for term in terms)
+    return ExportedLibrary(velocity_model.name, problem.model.order, names, operations_bound(problem))
 
 
 def _check(solver: Solver) -> None:
     if solver.method != "auto" or solver.active_set_iterations == 0:
         raise ConfigError(
             f"solver.method = {solver.method}, solver.active_set_iterations = {solver.active_set_iterations}: an "
-            "exported controller has neither OSQP nor DAQP; set solver.method to auto and leave it iterations"
+            "exported controller has neither OSQP nor DAQP; set solver.method to auto and active_set_iterations above 0"
         )

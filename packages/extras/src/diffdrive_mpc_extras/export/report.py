@@ -1,4 +1,4 @@
-"""Write an exported controller and its report for the command line."""
+"""Export of a controller with README, static sizes and report, for the command line."""
 
 from __future__ import annotations
 
@@ -27,15 +27,12 @@ from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, expor
 
 
 def readme(facts: Mapping[str, object], tables: Sequence[Table]) -> str:
-    """Return the README of an export that `facts` describe, with the tables of the measurements."""
+    """Return the README of an export from its `facts` and the tables of the measurements."""
     text = Path(__file__).with_name("sources").joinpath("readme.md").read_text(encoding="utf-8")
     return text.format(**facts) + "\n".join(table.markdown() for table in tables)
 
 
-# Size of an exported controller, where a compiler is available.
-
-
-# As in stm32f4/toolchain.cmake and stm32f4/stm32f4.ld of the exported folder.
+# Options of stm32f4/toolchain.cmake and stm32f4/stm32f4.ld in the exported folder.
 _CORTEX_M4 = [
     *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffp-contract=fast", "-fno-math-errno"),
     *("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-nostartfiles"),
@@ -44,7 +41,7 @@ _CORTEX_M4 = [
 _STACK = ".stack"
 
 TARGETS = {"STM32F4 program": "arm-none-eabi-gcc", "host example": "gcc"}
-"""Programs of an exported folder, and the compiler that each needs."""
+"""Programs of an exported folder, with their compilers."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +55,11 @@ class Size:
     compiler
         Name of the compiler.
     flash
-        Code, constants and initial values.
+        Size of code, constants and initial values.
     ram
-        Variables, the stack that is set aside included.
+        Size of the variables, including the reserved stack.
     stack
-        Size of that stack; 0 where the system provides it.
+        Size of the reserved stack; 0 if the operating system provides the stack.
     """
 
     target: str
@@ -73,24 +70,24 @@ class Size:
 
     def as_json(self) -> dict[str, object]:
         """Convert to JSON values for export.json."""
-        named = asdict(self)
-        return {key if isinstance(value, str) else f"{key}_bytes": value for key, value in named.items()}
+        fields = asdict(self)
+        return {key if isinstance(value, str) else f"{key}_bytes": value for key, value in fields.items()}
 
 
 def link_stm32f4(folder: Path, program: Path) -> bool:
-    """Link the STM32F4 program of an exported `folder`; False if the memory does not hold it.
+    """Link the STM32F4 program of an exported `folder`; return False if it exceeds the memory.
 
-    Raises ConfigError if the compiler is not installed, or does not take the sources.
+    Raises ConfigError if the compiler is not installed or rejects the sources.
     """
     return _link("STM32F4 program", folder, program)
 
 
 def measure_sizes(folder: Path) -> list[Size]:
-    """Build the programs of an exported `folder` with each compiler that is installed, with its binutils.
+    """Build each program of an exported `folder` whose compiler and binutils are installed; return the sizes.
 
-    Raises ConfigError if a compiler does not take the sources.
+    Raises ConfigError if a compiler rejects the sources.
     """
-    installed = [target for target, gcc in TARGETS.items() if shutil.which(gcc) and shutil.which(_sizer(gcc))]
+    installed = [target for target, gcc in TARGETS.items() if shutil.which(gcc) and shutil.which(_size_command(gcc))]
     sizes = [_size(target, folder) for target in installed]
     return [size for size in sizes if size is not None]
 
@@ -101,38 +98,38 @@ def _size(target: str, folder: Path) -> Size | None:
         program = Path(scratch) / "program"
         if not _link(target, folder, program):
             return None
-        sizer = [_sizer(compiler), "-A", str(program)]
-        listed = subprocess.run(sizer, capture_output=True, text=True, check=True).stdout
-    lines = [words for line in listed.splitlines() if len(words := line.split()) == 3 and words[1].isdigit()]
-    sections = {name: int(size) for name, size, _ in lines}
-    data, zero, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
-    constant = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
-    return Size(target, compiler, constant + data, data + zero + stack, stack)
+        command = [_size_command(compiler), "-A", str(program)]
+        listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    rows = [cells for line in listing.splitlines() if len(cells := line.split()) == 3 and cells[1].isdigit()]
+    sections = {name: int(size) for name, size, _ in rows}
+    data, bss, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
+    constants = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
+    return Size(target, compiler, constants + data, data + bss + stack, stack)
 
 
-def _sizer(compiler: str) -> str:
-    """Return the program of binutils that lists the sections of a file linked by `compiler`."""
+def _size_command(compiler: str) -> str:
+    """Return the binutils program `size` that belongs to `compiler`."""
     return compiler.removesuffix("gcc") + "size"
 
 
 def _link(target: str, folder: Path, program: Path) -> bool:
-    """Compile and link; False if the memory of the target does not hold it."""
-    compiler, place = TARGETS[target], folder / "stm32f4"
+    """Compile and link `program`; return False if it exceeds the memory of the target."""
+    compiler, target_folder = TARGETS[target], folder / "stm32f4"
     if shutil.which(compiler) is None:
         raise ConfigError(f"{target}: {compiler} was not found; install it")
     if compiler == "gcc":
         options, main = [], [folder / "examples" / "main.c"]
     else:
-        options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
+        options, main = [*_CORTEX_M4, "-T", str(target_folder / "stm32f4.ld")], sorted(target_folder.glob("*.c"))
     sources = [*main, *sorted((folder / "ddmpc").glob("*.c"))]
     flags = ["-std=c99", "-O2", *options, f"-I{folder / 'ddmpc'}"]
     command = [compiler, *flags, *map(str, sources), "-lm", "-o", str(program)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode and "overflowed" in done.stderr:
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode and "overflowed" in result.stderr:
         return False
-    if done.returncode:
-        lines = done.stderr.splitlines()
-        reason = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
+    if result.returncode:
+        lines = result.stderr.splitlines()
+        reason = next((line for line in lines if "error: " in line), lines[-1] if lines else "no error message")
         raise ConfigError(f"{target}: {compiler} failed: {reason.rpartition('error: ')[2]}")
     return True
 
@@ -148,13 +145,13 @@ def export_library(
     settings: Sequence[str],
     trajectory: str,
     precision: str,
-    emulated: bool,
+    run_emulation: bool,
 ) -> None:
-    """Export a controller into `out`, and print its sizes; parameters as the command's options.
+    """Export a controller into the folder `out` and print its sizes; the parameters are the options of the command.
 
-    Raises ConfigError, ValueError or OSError if a name, a value or `out` cannot be used; then `out` keeps what it held.
+    Raises ConfigError, ValueError or OSError if a name, a value or `out` is invalid; `out` is unchanged then.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     if precision not in list(Precision):
         raise ConfigError(f"--precision '{precision}': give double or float")
     name = chosen_model(model, config)
@@ -178,12 +175,12 @@ def export_library(
             "operations_bound": exported.operations_bound,
             "sizes": [size.as_json() for size in sizes],
         }
-        if emulated:
+        if run_emulation:
             facts["emulation"] = _emulate(folder, values, reference, bar)
-        tables = [size_table(sizes), *([emulation_table(facts["emulation"])] if emulated else [])]
+        tables = [size_table(sizes), *([emulation_table(facts["emulation"])] if run_emulation else [])]
         (folder / README).write_text(readme(facts, tables), encoding="utf-8")
         report = {
-            "meta": describe_run(time.perf_counter() - began),
+            "meta": describe_run(time.perf_counter() - start),
             **facts,
             "config": {**values.model_dump(mode="json"), "model": label(name)},
         }
@@ -198,33 +195,33 @@ def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: 
     with TemporaryDirectory() as scratch:
         image = Path(scratch) / "program.elf"
         if not link_stm32f4(folder, image):
-            raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
+            raise ConfigError("--emulate: too large for an STM32F4; use --precision float or a shorter horizon")
         bar.start_stage("emulating", 1)
         return emulate(image, config, reference, bar.show).as_json()
 
 
 def emulation_table(facts: Mapping[str, Any]) -> Table:
-    """Return the numbers of instructions of a step on the emulated microcontroller."""
+    """Return a table of the instructions per step on the emulated microcontroller."""
     counts = {name: f"{facts[f'instructions_{name}']:,}" for name in ("p50", "p95", "p99", "max")}
     cells = {"machine": str(facts["machine"]), "steps": str(facts["steps"]), **counts}
     cells["iterations"] = str(facts["iterations_max"])
     cells["position RMSE [m]"] = number(facts["position_rmse_m"])
-    cells["to Python"] = f"{facts['command_difference_max']:.1e}"
+    cells["command difference"] = f"{facts['command_difference_max']:.1e}"
     note = (
-        "Over one drive of the MuJoCo robot; `iterations`: the most of one step; `to Python`: the largest difference "
-        "of a command [m/s, rad/s]."
+        "One drive of the MuJoCo robot. `iterations`: maximum per step; `command difference`: maximum difference from "
+        "the Python controller [m/s, rad/s]."
     )
-    return Table("Instructions of a step", tuple(cells), (tuple(cells.values()),), note=note)
+    return Table("Instructions per step", tuple(cells), (tuple(cells.values()),), note=note)
 
 
 def size_table(sizes: Sequence[Size]) -> Table:
-    """Tabulate the static sizes that the linker reserves; nothing is allocated later."""
+    """Return a table of the static sizes; the program allocates no further memory."""
     rows = [(size.target, size.compiler, f"{size.flash:,}", f"{size.ram:,}", f"{size.stack:,}") for size in sizes]
     missing = [name for name in TARGETS if name not in [size.target for size in sizes]]
     return Table(
         "Static sizes",
-        ("program", "compiler", "flash [bytes]", "RAM [bytes]", "of it stack [bytes]"),
+        ("program", "compiler", "flash [bytes]", "RAM with stack [bytes]", "stack [bytes]"),
         tuple(rows),
         text_columns=2,
-        note="; ".join(f"{name}: too large for it, or {TARGETS[name]} is not installed" for name in missing),
+        note="; ".join(f"{name}: too large, or {TARGETS[name]} is not installed" for name in missing),
     )

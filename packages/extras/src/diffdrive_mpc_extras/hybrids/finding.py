@@ -1,4 +1,4 @@
-"""A linear model with a network for its residuals, from records."""
+"""Identification of a hybrid from records: train a network for the residuals of the linear model."""
 
 from __future__ import annotations
 
@@ -26,28 +26,34 @@ from diffdrive_mpc_extras.hybrids.hybrid_model import (
     HybridModel,
     correction_content,
     hybrid_model,
-    hybrid_of,
+    model_from_file,
     write_hybrid,
 )
-from diffdrive_mpc_extras.hybrids.training import TrainingRun, hybrid_settings, runs_of, silent, trained
+from diffdrive_mpc_extras.hybrids.training import (
+    TrainingRun,
+    hybrid_settings,
+    train_corrections,
+    training_runs,
+    zero_correction,
+)
 
 _NAME = "hybrid"
 
 
 @dataclass(frozen=True)
-class FoundHybrid:
-    """A hybrid as `identification.fit.predictor.Predictor`.
+class HybridPredictor:
+    """Identified hybrid, as `identification.fit.predictor.Predictor`.
 
     Attributes
     ----------
     identified
-        The identified linear model.
+        Identified linear model.
     correction
-        The network.
+        Network and gate.
     dt
         Sample time [s].
     decay
-        The penalty that predicted held-out blocks best; None where no network did better than the linear model.
+        Penalty with the smallest error on held-out blocks; None if no network is better than the linear model.
     """
 
     identified: IdentifiedModel
@@ -60,51 +66,52 @@ class FoundHybrid:
 
     @property
     def method(self) -> str:
-        """See `Predictor`."""
+        """Description of the identification."""
         s = hybrid_settings()
-        choice = "no network did better" if self.decay is None else f"L2 {self.decay:g} chosen on held-out blocks"
+        choice = "no network was better" if self.decay is None else f"L2 {self.decay:g} chosen on held-out blocks"
         return (
-            f"{self.identified.method}; on its states a network of {s.units} x tanh, least squares on free runs "
-            f"(L-BFGS), {choice}; in full at {s.full:.0%} of the rows and silent at {s.reach:g} times their distance; "
-            f"seed {s.seed}"
+            f"{self.identified.method}; network of {s.units} x tanh on its states, least squares on free runs (L-BFGS),"
+            f" {choice}; gate 1 for {s.full:.0%} of the rows and 0 from {s.reach:g} times their distance; seed {s.seed}"
         )
 
     @property
     def offset(self) -> FloatArray:
-        """See `Predictor`."""
+        """(2,) offsets of the readings of v [m/s] and omega [rad/s]."""
         return self.identified.offset
 
     @property
     def states(self) -> int:
-        """See `Predictor`."""
+        """Order of the model."""
         return self.identified.model.order
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """See `Predictor`."""
+        """Doubts about the model; not empty if no network improves the prediction."""
         if self.decay is not None:
             return ()
-        words = "no network predicts held-out blocks better than the linear model: it is silent"
-        return (Doubt("network left out", words),)
+        reason = "no network predicts held-out blocks better than the linear model: its output is zero"
+        return (Doubt("network left out", reason),)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """Simulate as `Predictor` describes."""
+        """Simulate the readings of v [m/s] and omega [rad/s] (K, 2) of each record from its commands."""
         model = hybrid_model(_NAME, self.identified.model.discretise(self.dt), self.correction)
         experiments = twist_experiments(records, yaw)
-        runs = runs_of(model.linear, self.identified.system, join_experiments(experiments))
+        runs = training_runs(model.linear, self.identified.system, join_experiments(experiments))
         return split_rows([run.simulate(model) + self.offset for run in runs], experiments)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> HybridModel | None:
-        """Refit as `Predictor` describes: another network on the same linear model; None without a network."""
+        """Train a network on other records with the same linear model; return None if this hybrid has no network."""
         if self.decay is None:
             return None
         linear = self.identified.model.discretise(self.dt)
-        runs = runs_of(linear, self.identified.system, join_experiments(twist_experiments(_part(records), yaw)))
-        (network,) = trained(linear, runs, (self.decay,), hybrid_settings())
-        return hybrid_model(f"{self.structure} of the data held out", linear, network)
+        runs = training_runs(
+            linear, self.identified.system, join_experiments(twist_experiments(_select_rows(records), yaw))
+        )
+        (network,) = train_corrections(linear, runs, (self.decay,), hybrid_settings())
+        return hybrid_model(f"{self.structure} of the held-out data", linear, network)
 
     def content(self, fields: Mapping[str, Any]) -> HybridFile:
-        """Build the content as `Predictor` describes."""
+        """Build the content of the parameter file."""
         provenance = {
             "origin": "identified",
             "source": fields["provenance"]["source"],
@@ -120,55 +127,55 @@ class FoundHybrid:
         )
 
     def model(self, content: HybridFile) -> HybridModel:
-        """Build the model as `Predictor` describes."""
-        return hybrid_of(content)
+        """Build the model from the content of a parameter file."""
+        return model_from_file(content)
 
     def write(self, path: Path, content: HybridFile) -> None:
-        """Write the files as `Predictor` describes."""
+        """Write the parameter file."""
         write_hybrid(path, content)
 
 
-def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
-    """Train a network on the residuals of the linear model on the training records: of long ones a part, as effects.
+def find_hybrid(data: LogData, fitted: Fitted) -> HybridPredictor:
+    """Train a network on the residuals of the linear model in the training records.
 
-    The penalty of its weights is chosen on blocks of these records, each predicted by a network trained without it; the
-    linear model is that of all of them.
+    Long records are shortened to their most informative rows, as for effects. The penalty of the weights is chosen by
+    cross-validation on blocks of these records; the linear model is fitted to all blocks.
 
     Raises
     ------
     models.errors.MissingPackageError
         If JAX is not installed.
     ValueError
-        If the records are too short to hold blocks out.
+        If the records are too short for held-out blocks.
     """
     identified, dt, settings = fitted.identified, data.train[0].dt, hybrid_settings()
     linear, system = identified.model.discretise(dt), identified.system
-    experiments = join_experiments(twist_experiments(_part(data.train), identified.yaw))
+    experiments = join_experiments(twist_experiments(_select_rows(data.train), identified.yaw))
     gains = []
     for rest, block in blocks(experiments):
-        held_out = runs_of(linear, system, extract(experiments, block))
-        networks = trained(linear, runs_of(linear, system, extract(experiments, rest)), settings.decays, settings)
-        gains.append([_log_power(linear, network, held_out) for network in networks])
+        held_out, training = (training_runs(linear, system, extract(experiments, part)) for part in (block, rest))
+        networks = train_corrections(linear, training, settings.decays, settings)
+        gains.append([_log_error_ratio(linear, network, held_out) for network in networks])
     scores = np.mean(gains, axis=0)
-    runs, best = runs_of(linear, system, experiments), int(np.argmin(scores))
+    runs, best = training_runs(linear, system, experiments), int(np.argmin(scores))
     if scores[best] > np.log1p(-settings.min_gain):
-        return FoundHybrid(identified, silent(runs, settings), dt, None)
-    networks = trained(linear, runs, settings.decays[: best + 1], settings)
-    return FoundHybrid(identified, networks[-1], dt, settings.decays[best])
+        return HybridPredictor(identified, zero_correction(runs, settings), dt, None)
+    networks = train_corrections(linear, runs, settings.decays[: best + 1], settings)
+    return HybridPredictor(identified, networks[-1], dt, settings.decays[best])
 
 
-def _part(records: Sequence[Record]) -> list[Record]:
+def _select_rows(records: Sequence[Record]) -> list[Record]:
     return most_informative(records, identification_settings().most_rows["effects"])
 
 
-def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
-    """Compute the logarithm of the squared errors over those of the linear model, mean over v and omega."""
+def _log_error_ratio(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
+    """Compute the logarithm of the squared error relative to the linear model's, averaged over v and omega."""
     try:
         model = hybrid_model(_NAME, linear, correction)
-    except ModelError:  # a model that cannot be a robot is not chosen
+    except ModelError:  # never select a model that is not plausible for a robot
         return float("inf")
-    errors, alone = (
+    errors, linear_errors = (
         np.concatenate([(predicted - run.outputs) * run.counts for run, predicted in zip(runs, rows, strict=True)])
         for rows in ([run.simulate(model) for run in runs], [run.states @ linear.C.T for run in runs])
     )
-    return float(np.mean(np.log((errors**2).sum(axis=0) / (alone**2).sum(axis=0))))
+    return float(np.mean(np.log((errors**2).sum(axis=0) / (linear_errors**2).sum(axis=0))))

@@ -1,4 +1,4 @@
-"""A linear model with a small network for its residuals, as the velocity model of controller and plants."""
+"""Hybrid velocity model: a linear model with a small network for its residuals."""
 
 from __future__ import annotations
 
@@ -21,43 +21,41 @@ from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.structures.model_file import Finite, FunctionFile, SmFile, build_model, write_parameters
 from diffdrive_mpc.models.velocity_model import ModelError
 
-# Output of the network of a hybrid, and its weight, for any library: CasADi or JAX.
-
 
 def network(m: Any, z: Any, inward: Any, outward: Any) -> Any:  # noqa: ANN401 - arrays and symbols of any library
-    """Evaluate one layer (n,) of tanh without offsets: it is odd, so it is zero at rest, and symmetric in direction.
+    """Evaluate a layer of tanh units and a linear output layer, (n,), both without offsets.
 
-    z (f,) features, inward (f, units), outward (units, n).
+    The function is odd, so it is zero at rest and symmetric in direction. `m` is the array library (CasADi or JAX), z
+    (f,) are the features, inward (f, units) and outward (units, n) the weights.
     """
     return outward.T @ m.tanh(inward.T @ z)
 
 
 def gate(m: Any, z: Any, shape: Any, full: float, least: float) -> Any:  # noqa: ANN401
-    """Compute the gate: 1 if the squared distance z' shape z is at most `full`, exactly 0 from `least` on.
+    """Compute the gate: 1 if the squared distance z' shape z is at most `full`, 0 if it is at least `least`.
 
-    `shape` (f, f) is the inverse covariance of the features of the data, so that this is Mahalanobis' distance from
-    rest. Its slope is continuous.
+    The distance is the Mahalanobis distance from rest; `shape` (f, f) is the inverse covariance of the features in the
+    training data. The derivative of the gate is continuous.
     """
-    past = (z.T @ shape @ z - full) / (least - full)
-    share = m.fmin(m.fmax(past, 0.0), 1.0)
-    return 1.0 - share**2 * (3.0 - 2.0 * share)
+    fraction = (z.T @ shape @ z - full) / (least - full)
+    clipped = m.fmin(m.fmax(fraction, 0.0), 1.0)
+    return 1.0 - clipped**2 * (3.0 - 2.0 * clipped)
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """A network on n states and two commands, and its weight.
+    """Network on n states and two commands, with its gate.
 
     Attributes
     ----------
     scale
-        (n + 2,) usual size of the states and of v_ref [m/s], omega_ref [rad/s]; features are these over their size.
+        (n + 2,) RMS of the states, v_ref [m/s] and omega_ref [rad/s]; features are these values divided by `scale`.
     inward, outward
-        (n + 2, units), (units, n) weights; its output is added to the states in units of their size.
+        (n + 2, units), (units, n) weights; the output, multiplied by `scale`, is added to the states.
     shape
-        (n + 2, n + 2) inverse covariance of the features in the data.
+        (n + 2, n + 2) inverse covariance of the features in the training data.
     full, least
-        Squared distances from rest by that shape: up to the first the network counts in full, from the second on not
-        at all [-].
+        Squared Mahalanobis distances from rest: the gate is 1 up to `full` and 0 from `least` [-].
     """
 
     scale: FloatArray
@@ -70,17 +68,17 @@ class Correction:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HybridModel(NonlinearModel):
-    """A `NonlinearModel` whose states are those of its linear model; make it with `hybrid_model`.
+    """`NonlinearModel` with the states of its linear model; build it with `hybrid_model`.
 
-    x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1] + size gate(z) network(z), z being the features of x[k] and
-    u[k - delay]. Where the gate is 0 a step is that of the linear model.
+    x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1] + scale gate(z) network(z); z are the features of x[k] and
+    u[k - delay]. If the gate is 0, the step is that of the linear model.
 
     Attributes
     ----------
     linear
-        The linear model.
+        Linear model.
     correction
-        The network and its weight.
+        Network and gate.
     """
 
     linear: DiscreteModel = field(kw_only=True)
@@ -88,19 +86,19 @@ class HybridModel(NonlinearModel):
 
     @property
     def structure(self) -> str:
-        """Name of its kind for tables and files."""
+        """Name of the structure in tables and files."""
         return "hybrid"
 
 
 def hybrid_model(
     name: str, linear: DiscreteModel, correction: Correction, provenance: Mapping[str, object] | None = None
 ) -> HybridModel:
-    """Build the velocity model of a linear model and a network.
+    """Build the velocity model from a linear model and a correction.
 
     Raises
     ------
     ModelError
-        If shapes do not agree, or as `NonlinearModel`.
+        If the shapes do not match, or `NonlinearModel` raises it.
     """
     n, memory, c = linear.order, linear.memory, correction
     units = c.outward.shape[0]
@@ -111,12 +109,12 @@ def hybrid_model(
             raise ModelError(f"model '{name}': {role} has shape {shape}, expected {expected}; train it again")
     x, window = ca.SX.sym("x", n), ca.SX.sym("window", 2 * (memory + 1))
     recent, older = (
-        ca.vertcat(*(window[2 * (memory - int(linear.delay[row]) - late) + row] for row in (0, 1))) for late in (0, 1)
+        ca.vertcat(*(window[2 * (memory - int(linear.delay[row]) - age) + row] for row in (0, 1))) for age in (0, 1)
     )
     z = ca.vertcat(x, recent) / ca.DM(c.scale)
-    says = network(ca, z, ca.DM(c.inward), ca.DM(c.outward)) * gate(ca, z, ca.DM(c.shape), c.full, c.least)
-    after = ca.DM(linear.A) @ x + ca.DM(linear.B0) @ recent + ca.DM(linear.B1) @ older + ca.DM(c.scale[:n]) * says
-    step = ca.Function("step", [x, window], [after], ["x", "window"], ["after"])
+    change = network(ca, z, ca.DM(c.inward), ca.DM(c.outward)) * gate(ca, z, ca.DM(c.shape), c.full, c.least)
+    next_x = ca.DM(linear.A) @ x + ca.DM(linear.B0) @ recent + ca.DM(linear.B1) @ older + ca.DM(c.scale[:n]) * change
+    step = ca.Function("step", [x, window], [next_x], ["x", "window"], ["after"])
     output = ca.Function("output", [x], [ca.DM(linear.C) @ x], ["x"], ["y"])
     return HybridModel(
         name,
@@ -130,38 +128,35 @@ def hybrid_model(
     )
 
 
-# Parameter files of hybrids: the whole file of the linear model within, and the few weights of the network.
-
-
 _HEAD = (
-    "A linear model and a network on what it leaves. Features: states, v_ref [m/s] and omega_ref [rad/s] over scale."
+    "A linear model and a network for its residuals. Features: states, v_ref [m/s] and omega_ref [rad/s] over scale."
 )
 _Row = Annotated[list[Finite], Field(max_length=file_limits().units)]
 Rows = Annotated[list[_Row], Field(min_length=1, max_length=file_limits().units)]
 
 
 class CorrectionContent(StrictModel):
-    """The network, and its weight; see `hybrid_model.Correction`."""
+    """Network and gate in a parameter file; see `hybrid_model.Correction`."""
 
-    scale: list[Positive] = Field(description="usual size of each state, of v_ref and of omega_ref")
+    scale: list[Positive] = Field(description="RMS of each state, of v_ref [m/s] and of omega_ref [rad/s]")
     inward: Rows = Field(description="weights from features to units [-]")
     outward: Rows = Field(description="weights from units to states [-]")
-    shape: Rows = Field(description="inverse covariance of the features in the data [-]")
-    full: Positive = Field(description="squared distance up to which the network counts in full [-]")
-    least: Positive = Field(description="squared distance from which on it does not count [-]")
+    shape: Rows = Field(description="inverse covariance of the features in the training data [-]")
+    full: Positive = Field(description="maximum squared distance at which the gate is 1 [-]")
+    least: Positive = Field(description="minimum squared distance at which the gate is 0 [-]")
 
     @model_validator(mode="after")
-    def _ordered(self) -> CorrectionContent:
+    def _check_consistency(self) -> CorrectionContent:
         if not self.least > self.full:
             raise ValueError(f"least {self.least} must be greater than full {self.full}; train it again")
         for name in ("inward", "outward", "shape"):
             if len({len(row) for row in getattr(self, name)}) > 1:
-                raise ValueError(f"{name} has rows of different length; train it again")
+                raise ValueError(f"{name} has rows of different lengths; train it again")
         return self
 
     @property
     def arrays(self) -> Correction:
-        """The same as arrays."""
+        """Correction with arrays."""
         return Correction(
             np.array(self.scale),
             np.array(self.inward),
@@ -180,30 +175,30 @@ class HybridFile(FunctionFile):
     correction: CorrectionContent
 
 
-def load_hybrid(path: Path, data: Any) -> HybridModel:  # noqa: ANN401 - what a YAML file may hold
+def load_hybrid(path: Path, data: Any) -> HybridModel:  # noqa: ANN401 - content of a YAML file
     """Load the model of the parameter file at `path` with the content `data`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake.
+        If the content is invalid.
     models.velocity_model.ModelError
-        If it cannot be a robot's.
+        If the model is not plausible for a robot.
     """
-    return hybrid_of(check(HybridFile, data, str(path)))
+    return model_from_file(check(HybridFile, data, str(path)))
 
 
-def hybrid_of(content: HybridFile) -> HybridModel:
-    """Build the model of a parameter file; raise ModelError if it cannot be a robot's."""
+def model_from_file(content: HybridFile) -> HybridModel:
+    """Build the model of a parameter file; raise ModelError if the model is not plausible for a robot."""
     linear = build_model(content.linear).discretise(content.sample_time)
     return hybrid_model(content.name, linear, content.correction.arrays, content.origins)
 
 
 def correction_content(correction: Correction) -> dict[str, Any]:
-    """Convert a correction to its content in a file."""
+    """Convert a correction to the content of a file, with rounded values."""
     return {name: rounded(getattr(correction, name)) for name in CorrectionContent.model_fields}
 
 
 def write_hybrid(path: Path, content: HybridFile) -> None:
-    """Write a parameter file; raises OSError where that cannot be done."""
+    """Write a parameter file; raise OSError if the file cannot be written."""
     write_parameters(path, _HEAD, content)

@@ -1,1 +1,1 @@
-"""Comparison of identified model structures on logs."""
+"""Comparison of identified model kinds on logs."""

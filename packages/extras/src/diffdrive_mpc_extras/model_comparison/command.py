@@ -1,4 +1,4 @@
-"""`diffdrive-mpc models compare`: every kind of model from one log, cross-validated."""
+"""`diffdrive-mpc models compare`: cross-validated comparison of model kinds on a log."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from diffdrive_mpc.app.command_line.one_line_errors import INTERRUPTED
 from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.app.commands.options import Mapping
 
-_TWO_MINUTES = 120.0
+_MINUTES_FROM = 120.0  # remaining time from which minutes are printed [s]
 
 
 def compare(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags, all of one robot.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags of one robot.")],
     mapping: Mapping = None,
     kinds: Annotated[
         str,
         typer.Option(
             metavar="LIST",
-            help="Kinds to compare, with commas between, or all.",
+            help="Model kinds to compare, separated by commas, or all.",
             show_default="all but hybrid and lstm",
         ),
     ] = "",
-    parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,
+    parts: Annotated[int, typer.Option(min=2, help="Number of parts of the log for the cross-validation.")] = 3,
 ) -> None:
-    """Identify every kind of model from a log, cross-validated, and select the one that it supports."""
+    """Identify several kinds of model from a log, compare them by cross-validation, and recommend one."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.table import rich_table  # noqa: PLC0415
     from diffdrive_mpc.models.identification.log_data import read_data  # noqa: PLC0415
@@ -48,35 +48,35 @@ def compare(
             on_findings=lambda _: None,
             most_rows=settings.most_rows["effects"],
         )
-        chosen = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
-        begun, so_far = time.monotonic(), list[ModelComparison]()
+        names = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
+        start, comparisons = time.monotonic(), list[ModelComparison]()
 
         def show_progress(text: str, share: float) -> None:
-            left = (time.monotonic() - begun) * (1.0 - share) / share if share else math.nan
-            bar.start_stage(f"{text}, {remaining(left)}", 100, round(100 * share))
+            seconds = (time.monotonic() - start) * (1.0 - share) / share if share else math.nan
+            bar.start_stage(f"{text}, {format_remaining(seconds)}", 100, round(100 * share))
 
         def show_score(comparison: ModelComparison) -> None:
-            so_far.append(comparison)
+            comparisons.append(comparison)
             echo(comparison.line(comparison.scores[-1]), err=True)
 
-        interrupted = False
+        is_interrupted = False
         try:
-            compare_models(data, chosen, parts, show_progress, show_score)
+            compare_models(data, names, parts, show_progress, show_score)
         except KeyboardInterrupt:
-            interrupted = True
-    if so_far:
-        output_console().print(rich_table(so_far[-1].table()))
-        echo(so_far[-1].sentence())
-    if interrupted:
-        echo("interrupted: kinds that are not in the table were not compared", err=True)
+            is_interrupted = True
+    if comparisons:
+        output_console().print(rich_table(comparisons[-1].table()))
+        echo(comparisons[-1].sentence())
+    if is_interrupted:
+        echo("interrupted: the table lacks the kinds that were not finished", err=True)
         raise typer.Exit(INTERRUPTED)
 
 
-def remaining(seconds: float) -> str:
-    """Format the remaining time [s] in words; NaN if it is unknown."""
+def format_remaining(seconds: float) -> str:
+    """Format the remaining time [s]; NaN if it is unknown."""
     if not math.isfinite(seconds):
-        return "time left not known yet"
-    return f"about {seconds:.0f} s left" if seconds < _TWO_MINUTES else f"about {seconds / 60:.0f} min left"
+        return "remaining time unknown"
+    return f"about {seconds:.0f} s left" if seconds < _MINUTES_FROM else f"about {seconds / 60:.0f} min left"
 
 
 COMPARE = PluggedCommand("Commands", compare, "Example: diffdrive-mpc models compare drive.csv --mapping mine.yaml")

@@ -1,1 +1,1 @@
-"""Velocity models that are networks on past commands: architecture, file, evaluation, training."""
+"""Velocity models that are recurrent networks on past commands: architecture, file, evaluation, training."""

@@ -1,4 +1,4 @@
-"""A network on past commands from records."""
+"""Identification of a network on past commands from records."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, split_rows, twist_experiments
-from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, windows_of
+from diffdrive_mpc_extras.networks.network import Architecture, Network, split_windows, windows_of
 from diffdrive_mpc_extras.networks.network_model import (
     NetworkFile,
     NetworkModel,
@@ -28,7 +28,7 @@ from diffdrive_mpc_extras.networks.training import TrainingSettings, method, tra
 
 @dataclass(frozen=True)
 class TrainedNetwork:
-    """A network as `identification.fit.predictor.Predictor`, and how it was trained in words."""
+    """Trained network, as `identification.fit.predictor.Predictor`, with a description of its training."""
 
     network: Network
     method: str
@@ -40,26 +40,26 @@ class TrainedNetwork:
 
     @property
     def offset(self) -> FloatArray:
-        """See `Predictor`."""
-        return self.network.at_rest
+        """(2,) output at rest: sensor bias of v [m/s] and omega [rad/s] according to the model."""
+        return self.network.rest_output
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """Simulate as `Predictor` describes."""
+        """Simulate the readings of v [m/s] and omega [rad/s] (K, 2) of each record from its commands."""
         return simulate_records(self.network, records, yaw)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> None:
-        """Return None as `Predictor` describes: the held-out part is too short for training."""
+        """Return None: the held-out part is too short for training."""
 
     def content(self, fields: Mapping[str, Any]) -> NetworkFile:
-        """Build the content as `Predictor` describes."""
+        """Build the content of the parameter file."""
         return network_content(self.network, **fields)
 
     def model(self, content: NetworkFile) -> NetworkModel:
-        """Build the model as `Predictor` describes."""
+        """Build the model from the content of a parameter file."""
         return network_model(content.name, self.network, content.sample_time, content.provenance.model_dump())
 
     def write(self, path: Path, content: NetworkFile) -> None:
-        """Write the files as `Predictor` describes, with the weights next to them."""
+        """Write the parameter file and the weights."""
         write_network(path, self.network, content)
 
 
@@ -67,41 +67,41 @@ def find_network(
     data: LogData,
     fitted: Fitted,
     settings: TrainingSettings | None = None,
-    on_look: Callable[[int], None] | None = None,
+    on_validation: Callable[[int], None] | None = None,
 ) -> TrainedNetwork:
-    """Train a network on the training records, whose last part in time tells when to stop.
+    """Train a network on the training records; their last part serves as validation part.
 
     Parameters
     ----------
     data
-        The records.
+        Records of the log.
     fitted
         Linear model and data of the same records.
     settings
-        By default the shipped ones.
-    on_look
-        Called with the steps done, now and then.
+        Settings of the training, by default the shipped settings.
+    on_validation
+        Callback with the number of steps at each validation.
 
     Raises
     ------
     models.errors.MissingPackageError
-        If the package for training is not installed.
+        If JAX or Optax are not installed.
     ValueError
-        If the records are too few.
+        If the records are too short.
     """
-    chosen, kind, yaw = settings or training_settings(), Architecture(), fitted.identified.yaw
-    first, second, _ = chosen.shares
+    settings, architecture, yaw = settings or training_settings(), Architecture(), fitted.identified.yaw
+    first, second, _ = settings.shares
     shares = (first / (first + second), second / (first + second))
-    chosen = chosen.model_copy(update={"shares": shares})
-    windows = windows_of(join_experiments(twist_experiments(data.train, yaw)), kind.window)
-    training, validation = divided(windows, shares)
-    on_step = (lambda steps, _: on_look(steps)) if on_look else None
-    training_result = train(kind, training, validation, chosen, on_step)
-    return TrainedNetwork(training_result.network, method(kind, chosen, training_result))
+    settings = settings.model_copy(update={"shares": shares})
+    windows = windows_of(join_experiments(twist_experiments(data.train, yaw)), architecture.window)
+    training, validation = split_windows(windows, shares)
+    on_step = (lambda steps, _: on_validation(steps)) if on_validation else None
+    training_result = train(architecture, training, validation, settings, on_step)
+    return TrainedNetwork(training_result.network, method(architecture, settings, training_result))
 
 
 def simulate_records(network: Network, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-    """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands; the first one is held before them."""
+    """Simulate v [m/s] and omega [rad/s] (K, 2) of each record, with the first command repeated before the record."""
     experiments, window = twist_experiments(records, yaw), network.architecture.window
     runs = join_experiments(experiments)
     rows = [network.simulate(run.inputs, np.tile(run.inputs[0], (window, 1))) for run in runs]

@@ -1,4 +1,4 @@
-"""A network on past commands as the velocity model of controller and plants."""
+"""Velocity model that is a recurrent network on past commands, and its parameter file."""
 
 from __future__ import annotations
 
@@ -26,62 +26,61 @@ from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.models.nonlinear_model import CompiledStep, NonlinearModel
 from diffdrive_mpc.models.structures.model_file import FunctionFile, write_parameters
 from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc_extras.networks.network import Architecture, Network, packed, work
+from diffdrive_mpc_extras.networks.network import Architecture, Network, pack_parameters, work_size
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NetworkModel(NonlinearModel):
-    """A `NonlinearModel` whose state is the network's last output; make it with `network_model`.
+    """`NonlinearModel` whose state is the last output of a network; build it with `network_model`.
 
-    A network does not rest under commands of zero by itself, so its output for them is subtracted from every output.
+    The output of a network is not exactly zero at zero commands; this output at rest is subtracted from each output.
 
     Attributes
     ----------
     network
-        The network, which the core evaluates without compiling anything (`mpc/core/network.c`).
+        Network; the core evaluates it without compilation (`mpc/core/network.c`).
     """
 
     network: Network = field(kw_only=True)
 
     @property
     def structure(self) -> str:
-        """Name of its kind for tables and files."""
+        """Name of the structure in tables and files."""
         return "lstm"
 
     @property
     def compiled_step(self) -> CompiledStep:
-        """See `NonlinearModel`; raises ModelError if it is a network of a kind that the core does not have."""
-        kind = self.network.architecture
-        if (kind.layers, kind.activation) != (1, "tanh"):
+        """Compiled step, as in `NonlinearModel`; raises ModelError if the core does not support the architecture."""
+        architecture = self.network.architecture
+        if (architecture.layers, architecture.activation) != (1, "tanh"):
             raise ModelError(
-                f"model '{self.name}': {kind.layers} layers with {kind.activation}; the core has networks of one layer "
-                "with tanh: train one of those to drive with"
+                f"model '{self.name}': {architecture.layers} layers with {architecture.activation}; the core supports "
+                "one layer with tanh only: train such a network"
             )
-        return CompiledStep("ddmpc_network_step", "ddmpc_network_output", packed(self.network), work(self.network))
+        parameters, size = pack_parameters(self.network), work_size(self.network)
+        return CompiledStep("ddmpc_network_step", "ddmpc_network_output", parameters, size)
 
     @property
     def details(self) -> tuple[tuple[str, str], ...]:
-        """See `NonlinearModel`."""
-        kind = self.network.architecture
-        words = (
-            f"{kind.window} commands, {kind.layers} x LSTM of {kind.units}, dense {kind.dense} with {kind.activation}"
-        )
-        return (("network", f"{words}: {kind.parameters} parameters"),)
+        """Description of the architecture, as in `NonlinearModel`."""
+        a = self.network.architecture
+        layers = f"{a.window} commands, {a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}"
+        return (("network", f"{layers}: {a.parameters} parameters"),)
 
     @cached_property
     def _jacobians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        # By its graph of matrices: written out in numbers it would be a hundred thousand operations.
+        # Use matrix operations (MX): the scalar graph (SX) has about a hundred thousand operations.
         window = ca.MX.sym("window", 2 * (self.memory + 1))
-        by_window = ca.Function("by", [window], [ca.jacobian(self.step(ca.MX(2, 1), window), window)])
-        return np.zeros((2, 2)), by_window(0).full().reshape(2, self.memory + 1, 2), np.eye(2)
+        jacobian = ca.Function("by", [window], [ca.jacobian(self.step(ca.MX(2, 1), window), window)])
+        return np.zeros((2, 2)), jacobian(0).full().reshape(2, self.memory + 1, 2), np.eye(2)
 
     def simulate(
         self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
     ) -> FloatArray:
-        """Free run from commands alone; as `NonlinearModel.simulate`, all windows at once."""
+        """Simulate a free run as `NonlinearModel.simulate`, with all windows evaluated at once."""
         before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
-        # The sample 0 is the state's own; values before the past do not affect the others.
-        outputs = self.network.simulate(commands, np.vstack([np.zeros((1, 2)), before])) - self.network.at_rest
+        # The state is the output at sample 0; commands before the past do not affect the other samples.
+        outputs = self.network.simulate(commands, np.vstack([np.zeros((1, 2)), before])) - self.network.rest_output
         outputs[:1] = 0.0 if state is None else np.asarray(state, dtype=float)
         return outputs
 
@@ -89,18 +88,18 @@ class NetworkModel(NonlinearModel):
 def network_model(
     name: str, network: Network, dt: float, provenance: Mapping[str, object] | None = None
 ) -> NetworkModel:
-    """Build the velocity model of a network for samples `dt` [s] apart.
+    """Build the velocity model of a network with sample time `dt` [s].
 
     Raises
     ------
     ModelError
-        As `NonlinearModel`.
+        If `NonlinearModel` raises it.
     """
     x, window = ca.SX.sym("x", 2), ca.MX.sym("window", 2 * network.architecture.window)
     step = ca.Function(
         "step",
         [ca.MX.sym("x", 2), window],
-        [_graph(network, window) - ca.DM(network.at_rest)],
+        [_graph(network, window) - ca.DM(network.rest_output)],
         ["x", "window"],
         ["after"],
     )
@@ -110,7 +109,7 @@ def network_model(
 
 
 def _graph(network: Network, window: ca.MX) -> ca.MX:
-    """Build the output (2) of a network for a window (2 W)."""
+    """Build the symbolic output (2) of a network for a window (2 W)."""
     architecture, w = network.architecture, {name: ca.DM(value.T) for name, value in network.weights.items()}
     inputs = ca.vertsplit(window, 2)
     for layer in range(architecture.layers):
@@ -118,27 +117,25 @@ def _graph(network: Network, window: ca.MX) -> ca.MX:
         offset = ca.DM(network.weights[f"gate_offset_{layer}"])
         for t, layer_input in enumerate(inputs):
             sums = w[f"input_{layer}"] @ layer_input + w[f"recurrent_{layer}"] @ out + offset
-            enter, keep, candidate, leave = ca.vertsplit(sums, architecture.units)
-            cell = next_cell(enter, keep, candidate, cell, ca.tanh)
-            out = inputs[t] = hidden(leave, cell, ca.tanh)
+            input_gate, forget_gate, candidate, output_gate = ca.vertsplit(sums, architecture.units)
+            cell = next_cell(input_gate, forget_gate, candidate, cell, ca.tanh)
+            out = inputs[t] = hidden(output_gate, cell, ca.tanh)
     dense = w["dense"] @ inputs[-1] + ca.DM(network.weights["dense_offset"])
     dense = ca.tanh(dense) if architecture.activation == "tanh" else ca.fmax(dense, 0)
     return w["output"] @ dense + ca.DM(network.weights["output_offset"])
 
 
-# Parameter files of networks: YAML that says what they are and where they come from, and weights beside it.
-
-
-_HEAD = "A network on past commands; its weights lie in the file that it names. Times [s]."
-_FIRST_DAY = (1980, 1, 1, 0, 0, 0)
-_DOUBLE = 8
-"""Bytes of a number at most."""
-_NPY_HEADER = 10_000
-"""Bytes of an array's header at most; NumPy reads no longer one, either."""
+_HEAD = "Network on past commands; the file `weights` contains its weights. Times [s]."
+# Constant date of the archive entries, which makes the bytes of the archive reproducible.
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+_MAX_ITEM_SIZE = 8
+"""Maximum size of an array element [bytes]."""
+_MAX_NPY_HEADER = 10_000
+"""Maximum size of an array's header [bytes], as in NumPy."""
 _ENCRYPTED = 1
-"""Bit of an archive's entry."""
-_SHOWN = 10
-"""Names that a message lists."""
+"""Flag bit of an encrypted archive entry."""
+_MAX_NAMES = 10
+"""Maximum number of names in a message."""
 
 
 class NetworkFile(FunctionFile):
@@ -146,77 +143,79 @@ class NetworkFile(FunctionFile):
 
     structure: Literal["lstm"]
     architecture: Architecture
-    weights: str = Field(description="name of the file with the weights, beside this one")
-    sha256: str = Field(description="of that file")
+    weights: str = Field(description="name of the file with the weights, in the folder of this file")
+    sha256: str = Field(description="SHA-256 digest of the file with the weights")
 
     @field_validator("weights")
     @classmethod
-    def _beside(cls, name: str) -> str:
-        """Check that the name is that of a file in the same folder: a log may hold this text."""
+    def _check_folder(cls, name: str) -> str:
+        """Check that the name has no folder: the text may come from an untrusted log."""
         if Path(name).name != name:
-            raise ValueError("give the name of a file beside this one, without its folder")
+            raise ValueError("give the name of a file in the folder of this file, without a folder")
         return name
 
 
-def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what a YAML file may hold
+def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - content of a YAML file
     """Load the model of the network's parameter file at `path` with the content `data`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake, or the weights are missing, damaged or of another network.
+        If the content is invalid, or the weights are missing, damaged or of another network.
     models.velocity_model.ModelError
-        If it cannot be a robot's.
+        If the model is not plausible for a robot.
     """
     content = check(NetworkFile, data, str(path))
-    place = path.parent / content.weights
-    largest = _DOUBLE * content.architecture.parameters + file_limits().weights_spare
+    weights_path = path.parent / content.weights
+    max_size = _MAX_ITEM_SIZE * content.architecture.parameters + file_limits().weights_spare
     try:
-        packed = read_input(place, largest)
+        archive = read_input(weights_path, max_size)
     except OSError as error:
         remedy = "train the network again" if error.errno == errno.EFBIG else "keep both files together"
-        raise ConfigError(f"{path}: weights: {place} cannot be read ({error.strerror or error}); {remedy}") from error
-    if hashlib.sha256(packed).hexdigest() != content.sha256:
-        raise ConfigError(f"{path}: sha256: {place} is not the file that was written with it; train the network again")
+        reason = error.strerror or error
+        raise ConfigError(f"{path}: weights: {weights_path} cannot be read ({reason}); {remedy}") from error
+    if hashlib.sha256(archive).hexdigest() != content.sha256:
+        raise ConfigError(f"{path}: sha256: {weights_path} has another digest; train the network again")
     try:
-        network = Network(content.architecture, _unpacked(packed, content.architecture.shapes))
-    except Exception as error:  # zipfile, zlib and NumPy have many for damaged bytes
-        words = " ".join(str(error).split()).removesuffix("; train the network again") or type(error).__name__
-        raise ConfigError(f"{path}: weights: {place}: {words}; train the network again") from error
+        network = Network(content.architecture, _read_weights(archive, content.architecture.shapes))
+    except Exception as error:  # zipfile, zlib and NumPy raise many kinds for damaged data
+        reason = " ".join(str(error).split()).removesuffix("; train the network again") or type(error).__name__
+        raise ConfigError(f"{path}: weights: {weights_path}: {reason}; train the network again") from error
     return network_model(content.name, network, content.sample_time, content.origins)
 
 
-def _unpacked(packed: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, FloatArray]:
-    """Unpack the arrays of an npz archive, which must contain numbers in these shapes and nothing else.
+def _read_weights(data: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, FloatArray]:
+    """Read the arrays of an npz archive, which must contain exactly the arrays of `shapes`.
 
-    NumPy would allocate and unpack the declared size: here sizes are counted from its directory first.
+    The sizes are checked before anything is decompressed; `numpy.load` would allocate the declared sizes.
     """
-    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
-        odd = set(shapes) ^ set(entries)
-        if odd:
-            raise ValueError(f"arrays {', '.join(sorted(odd)[:_SHOWN])} are missing or unknown")
-        return {name: _array(archive, entries[name], name, shape) for name, shape in shapes.items()}
+        mismatch = set(shapes) ^ set(entries)
+        if mismatch:
+            raise ValueError(f"arrays {', '.join(sorted(mismatch)[:_MAX_NAMES])} are missing or unknown")
+        return {name: _read_array(archive, entries[name], name, shape) for name, shape in shapes.items()}
 
 
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, shape: tuple[int, ...]) -> FloatArray:
-    """Read one array of an archive; never unpack more than its shape needs."""
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, shape: tuple[int, ...]) -> FloatArray:
+    """Read one array of an archive; never decompress more than the size of its shape."""
     count = math.prod(shape)
     if entry.flag_bits & _ENCRYPTED:
         raise ValueError(f"{name} is encrypted")
-    if entry.file_size > _DOUBLE * count + _NPY_HEADER:
-        raise ValueError(f"{name} unpacks to {entry.file_size:,} bytes, its shape {shape} takes {_DOUBLE * count:,}")
+    if entry.file_size > _MAX_ITEM_SIZE * count + _MAX_NPY_HEADER:
+        limit = _MAX_ITEM_SIZE * count
+        raise ValueError(f"{name} has {entry.file_size:,} bytes, at most {limit:,} expected for shape {shape}")
     with archive.open(entry) as file:
         version = np.lib.format.read_magic(file)
         if version != (1, 0):
-            raise ValueError(f"{name} is of version {version} of NumPy's format, expected (1, 0)")
-        stated, fortran, kind = np.lib.format.read_array_header_1_0(file)
-        if stated != shape or kind.kind != "f" or kind.itemsize > _DOUBLE:
-            raise ValueError(f"{name} holds {kind} in shape {stated}, expected floating-point numbers in {shape}")
-        content = file.read(kind.itemsize * count)
-    if len(content) != kind.itemsize * count:
-        raise ValueError(f"{name} holds {len(content):,} bytes, its shape {shape} takes {kind.itemsize * count:,}")
-    return np.frombuffer(content, dtype=kind).reshape(shape, order="F" if fortran else "C")
+            raise ValueError(f"{name} has version {version} of NumPy's format, expected (1, 0)")
+        header_shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(file)
+        if header_shape != shape or dtype.kind != "f" or dtype.itemsize > _MAX_ITEM_SIZE:
+            raise ValueError(f"{name} has {dtype} in shape {header_shape}, expected floating-point numbers in {shape}")
+        content = file.read(dtype.itemsize * count)
+    if len(content) != dtype.itemsize * count:
+        raise ValueError(f"{name} has {len(content):,} bytes, expected {dtype.itemsize * count:,} for shape {shape}")
+    return np.frombuffer(content, dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
 def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: ANN401 - fields of NetworkFile
@@ -225,15 +224,15 @@ def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: AN
     Raises
     ------
     pydantic.ValidationError
-        If a field is missing or wrong.
+        If a field is missing or invalid.
     """
-    digest = hashlib.sha256(_packed(network)).hexdigest()
-    kind = {"structure": "lstm", "architecture": network.architecture, "weights": "", "sha256": digest}
-    return NetworkFile.model_validate({**kind, **fields})
+    digest = hashlib.sha256(_archive_bytes(network)).hexdigest()
+    own_fields = {"structure": "lstm", "architecture": network.architecture, "weights": "", "sha256": digest}
+    return NetworkFile.model_validate({**own_fields, **fields})
 
 
 def write_network(path: Path, network: Network, content: NetworkFile) -> None:
-    """Write `content` to `path`, and the weights beside it; the same bytes each time.
+    """Write `content` to `path`, and the weights to the same folder; the bytes are reproducible.
 
     Raises
     ------
@@ -241,16 +240,16 @@ def write_network(path: Path, network: Network, content: NetworkFile) -> None:
         If a file cannot be written.
     """
     weights = path.with_suffix(".npz")
-    weights.write_bytes(_packed(network))
+    weights.write_bytes(_archive_bytes(network))
     write_parameters(path, _HEAD, content, architecture=network.architecture.model_dump(), weights=weights.name)
 
 
-def _packed(network: Network) -> bytes:
-    """Pack the weights as an npz archive in single precision, without a date."""
-    whole = io.BytesIO()
-    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+def _archive_bytes(network: Network) -> bytes:
+    """Return the weights as an npz archive in single precision, with a constant date."""
+    output = io.BytesIO()
+    with zipfile.ZipFile(output, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, value in network.weights.items():
             buffer = io.BytesIO()
             np.save(buffer, value.astype(np.float32), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _FIRST_DAY), buffer.getvalue())
-    return whole.getvalue()
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _ZIP_DATE), buffer.getvalue())
+    return output.getvalue()

@@ -1,4 +1,4 @@
-"""Training a network with JAX and Optax, which the extra `learn` installs; nothing else needs them."""
+"""Training of a network, with JAX and Optax from the extra `learn`."""
 
 from __future__ import annotations
 
@@ -17,31 +17,28 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc_extras.networks.network import Architecture, Network, Windows
 
-# How networks are trained, read from `training.yaml`.
-
-
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 
 
 class TrainingSettings(StrictModel):
-    """The numbers of a training; where they come from stands in the file."""
+    """Settings of the training; `training.yaml` contains the values and their sources."""
 
-    optimiser: Literal["adam", "rmsprop"] = Field(description="Adam, or RMSProp")
-    batch: Count = Field(description="windows in a step")
-    decay: float = Field(ge=0, description="L2 regularisation of weights")
-    dropout: float = Field(ge=0, lt=1, description="of what the last recurrent layer says")
-    validation_every: Count = Field(description="steps between two looks at the validation part")
-    patience: Count = Field(description="looks without improvement until it stops")
-    shares: tuple[Share, Share, Share] = Field(description="training, validation, test, in this order in time")
-    rate: float = Field(gt=0, description="of the optimiser")
-    most_epochs: Count
-    seed: int = Field(ge=0)
+    optimiser: Literal["adam", "rmsprop"] = Field(description="optimiser: Adam or RMSProp")
+    batch: Count = Field(description="number of windows per step")
+    decay: float = Field(ge=0, description="factor of the L2 regularisation of the weights")
+    dropout: float = Field(ge=0, lt=1, description="dropout rate of the output of the last recurrent layer")
+    validation_every: Count = Field(description="number of steps between two validations")
+    patience: Count = Field(description="number of validations without improvement after which the training stops")
+    shares: tuple[Share, Share, Share] = Field(description="shares of training, validation and test, in temporal order")
+    rate: float = Field(gt=0, description="learning rate of the optimiser")
+    max_epochs: Count = Field(description="maximum number of epochs")
+    seed: int = Field(ge=0, description="seed of weights, batches and dropout")
 
 
 @cache
 def training_settings() -> TrainingSettings:
-    """Load the shipped settings; raise ConfigError for a mistake in their file."""
+    """Load the shipped settings; raise ConfigError if the file is invalid."""
     return load_checked(TrainingSettings, Path(__file__).parent / "training.yaml")
 
 
@@ -56,13 +53,13 @@ class Training:
     Attributes
     ----------
     network
-        Network at the smallest error on the validation part.
+        Network with the smallest validation loss.
     steps
-        Number of steps in all, and until the best look.
+        Total number of steps.
     best_step
-        Steps until the best look.
+        Number of steps until the smallest validation loss.
     losses
-        (looks,) half the squared errors of the validation part, summed over both outputs, mean over windows.
+        (validations,) validation losses: half the squared error, summed over both outputs, averaged over windows.
     """
 
     network: Network
@@ -76,12 +73,12 @@ def train(
     training: Windows,
     validation: Windows,
     settings: TrainingSettings | None = None,
-    on_look: Callable[[int, float], None] | None = None,
+    on_validation: Callable[[int, float], None] | None = None,
 ) -> Training:
-    """Train a network until it no longer improves on `validation`.
+    """Train a network until the loss on `validation` no longer improves.
 
-    The loss is that of P1's software: half the squared error, summed over both outputs, mean over the batch, with half
-    of `decay` times the squared weights. The same seed gives the same weights, bit for bit, on the same machine.
+    The loss is that of P1's software: half the squared error, summed over both outputs and averaged over the batch,
+    plus half of `decay` times the squared weights. The weights are reproducible by seed, bit for bit, on one machine.
 
     Parameters
     ----------
@@ -90,41 +87,42 @@ def train(
     training, validation
         Windows of the architecture's length.
     settings
-        By default the shipped ones.
-    on_look
-        Called with steps and loss at each look at the validation part.
+        Settings of the training, by default the shipped settings.
+    on_validation
+        Callback with the number of steps and the validation loss.
 
     Raises
     ------
     models.errors.MissingPackageError
         If JAX or Optax are not installed.
     ValueError
-        If there are fewer windows than a few batches.
+        If there are too few windows.
     """
-    jax, _ = _libraries()
+    jax, _ = _import_libraries()
     s = settings or training_settings()
-    every = s.batch * s.validation_every
-    if len(training) < every or not len(validation):
+    chunk = s.batch * s.validation_every
+    if len(training) < chunk or not len(validation):
         raise ValueError(
-            f"{len(training)} windows to train with and {len(validation)} to validate; a network needs {every} or "
-            "more: give a longer log"
+            f"{len(training)} windows for training and {len(validation)} for validation; training needs at least "
+            f"{chunk}: give a longer log"
         )
     random = np.random.default_rng(s.seed)
-    parameters = {name: jax.numpy.asarray(value, "float32") for name, value in _start(architecture, random).items()}
-    rule, run, look = _compiled(architecture, s.optimiser, s.rate, s.dropout, s.decay)
-    state, key = rule.init(parameters), jax.random.PRNGKey(s.seed)
-    inputs, wanted = training.commands.astype("float32"), training.twists.astype("float32")
-    held = validation.commands.astype("float32"), validation.twists.astype("float32")
-    best, losses = parameters, [float(look(parameters, *held))]
-    for count in range(s.most_epochs * (len(training) // every)):
-        if count % (len(training) // every) == 0:
+    weights = _initial_weights(architecture, random)
+    parameters = {name: jax.numpy.asarray(value, "float32") for name, value in weights.items()}
+    optimiser, run, loss = _compile(architecture, s.optimiser, s.rate, s.dropout, s.decay)
+    state, key = optimiser.init(parameters), jax.random.PRNGKey(s.seed)
+    inputs, targets = training.commands.astype("float32"), training.twists.astype("float32")
+    held_out = validation.commands.astype("float32"), validation.twists.astype("float32")
+    best, losses = parameters, [float(loss(parameters, *held_out))]
+    for count in range(s.max_epochs * (len(training) // chunk)):
+        if count % (len(training) // chunk) == 0:
             order = random.permutation(len(training))
-        place = count % (len(training) // every) * every
-        rows = order[place : place + every].reshape(s.validation_every, s.batch)
-        parameters, state, key = run(parameters, state, key, inputs[rows], wanted[rows])
-        losses.append(float(look(parameters, *held)))
-        if on_look:
-            on_look(s.validation_every * (count + 1), losses[-1])
+        first = count % (len(training) // chunk) * chunk
+        rows = order[first : first + chunk].reshape(s.validation_every, s.batch)
+        parameters, state, key = run(parameters, state, key, inputs[rows], targets[rows])
+        losses.append(float(loss(parameters, *held_out)))
+        if on_validation:
+            on_validation(s.validation_every * (count + 1), losses[-1])
         if losses[-1] < min(losses[:-1]):
             best = parameters
         if len(losses) - 1 - int(np.argmin(losses)) >= s.patience:
@@ -135,25 +133,24 @@ def train(
 
 
 def method(architecture: Architecture, settings: TrainingSettings, training: Training) -> str:
-    """Describe the training of a network, for its file."""
+    """Describe the training of a network, for the provenance in its file."""
     s, a = settings, architecture
     shares = ", ".join(f"{share:.0%}" for share in s.shares)
     return (
         f"{s.optimiser} at {s.rate:g} with L2 {s.decay:g}, batches of {s.batch}, dropout {s.dropout:g}; validation "
         f"every {s.validation_every} steps, best of {training.steps} steps at {training.best_step}, "
         f"patience {s.patience}; "
-        f"parts of {shares} in this order in time, of which the first trains and the second stops; seed {s.seed}; "
-        f"window {a.window}, {a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} "
-        "parameters"
+        f"shares of training, validation and test {shares}, in temporal order; seed {s.seed}; window {a.window}, "
+        f"{a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} parameters"
     )
 
 
 def check_installed() -> None:
-    """Raise MissingPackageError if JAX or Optax are not installed, before anything long begins."""
-    _libraries()
+    """Raise MissingPackageError if JAX or Optax are not installed."""
+    _import_libraries()
 
 
-def _libraries() -> tuple[Any, Any]:
+def _import_libraries() -> tuple[Any, Any]:
     try:
         import jax  # noqa: PLC0415 - only training needs it
         import optax  # noqa: PLC0415
@@ -164,63 +161,63 @@ def _libraries() -> tuple[Any, Any]:
     return jax, optax
 
 
-def _start(architecture: Architecture, random: np.random.Generator) -> dict[str, FloatArray]:
-    """Draw initial weights: Glorot's uniform ones, recurrent ones orthogonal, and gates that preserve the cell."""
-    start: dict[str, FloatArray] = {}
+def _initial_weights(architecture: Architecture, random: np.random.Generator) -> dict[str, FloatArray]:
+    """Draw initial weights: Glorot uniform; recurrent weights are orthogonal, offsets of the forget gates are 1."""
+    weights: dict[str, FloatArray] = {}
     for name, shape in architecture.shapes.items():
         if len(shape) == 1:
-            start[name] = np.zeros(shape)
+            weights[name] = np.zeros(shape)
             if name.startswith("gate_offset"):
-                start[name][architecture.units : 2 * architecture.units] = 1.0
+                weights[name][architecture.units : 2 * architecture.units] = 1.0
         elif name.startswith("recurrent"):
             blocks = [np.linalg.qr(random.normal(size=(shape[0], shape[0])))[0] for _ in range(4)]
-            start[name] = np.hstack(blocks)
+            weights[name] = np.hstack(blocks)
         else:
             width = shape[1] // 4 if name.startswith("input") else shape[1]
-            start[name] = random.uniform(-1, 1, shape) * np.sqrt(6.0 / (shape[0] + width))
-    return start
+            weights[name] = random.uniform(-1, 1, shape) * np.sqrt(6.0 / (shape[0] + width))
+    return weights
 
 
 @cache
-def _compiled(
+def _compile(
     architecture: Architecture, optimiser: str, rate: float, dropout: float, decay: float
 ) -> tuple[Any, Callable[..., Any], Callable[..., Any]]:
-    """Compile the optimiser's rule, some steps of training at once, and the loss on held-out windows."""
-    jax, optax = _libraries()
+    """Return the optimiser, a compiled function of several training steps, and the compiled validation loss."""
+    jax, optax = _import_libraries()
     rule = optax.adam(rate) if optimiser == "adam" else optax.rmsprop(rate)
     jnp = jax.numpy
 
-    def says(p: Parameters, windows: Any, key: Any) -> Any:  # noqa: ANN401 - arrays of JAX
+    def evaluate(p: Parameters, windows: Any, key: Any) -> Any:  # noqa: ANN401 - arrays of JAX
         rows = jnp.swapaxes(windows, 0, 1)
         zero = jnp.zeros((windows.shape[0], architecture.units), "float32")
         for layer in range(architecture.layers):
             recurrent = p[f"recurrent_{layer}"]
 
-            def advance(carried: Any, layer_input: Any, recurrent: Any = recurrent) -> Any:  # noqa: ANN401
-                out, cell = carried
-                enter, keep, candidate, leave = jnp.split(layer_input + out @ recurrent, 4, axis=1)
-                cell = next_cell(enter, keep, candidate, cell, jnp.tanh)
-                out = hidden(leave, cell, jnp.tanh)
+            def advance(carry: Any, layer_input: Any, recurrent: Any = recurrent) -> Any:  # noqa: ANN401
+                out, cell = carry
+                input_gate, forget_gate, candidate, output_gate = jnp.split(layer_input + out @ recurrent, 4, axis=1)
+                cell = next_cell(input_gate, forget_gate, candidate, cell, jnp.tanh)
+                out = hidden(output_gate, cell, jnp.tanh)
                 return (out, cell), out
 
             sums = rows @ p[f"input_{layer}"] + p[f"gate_offset_{layer}"]
             (last, _), rows = jax.lax.scan(advance, (zero, zero), sums)
         if key is not None and dropout:
-            keep = jax.random.bernoulli(key, 1 - dropout, last.shape)
-            last = jnp.where(keep, last / (1 - dropout), 0.0)
+            mask = jax.random.bernoulli(key, 1 - dropout, last.shape)
+            last = jnp.where(mask, last / (1 - dropout), 0.0)
         dense = last @ p["dense"] + p["dense_offset"]
         dense = jnp.tanh(dense) if architecture.activation == "tanh" else jnp.maximum(dense, 0.0)
         return dense @ p["output"] + p["output_offset"]
 
     def error(p: Parameters, windows: Any, twists: Any, key: Any = None) -> Any:  # noqa: ANN401
-        return 0.5 * jnp.mean(jnp.sum((says(p, windows, key) - twists) ** 2, axis=1))
+        return 0.5 * jnp.mean(jnp.sum((evaluate(p, windows, key) - twists) ** 2, axis=1))
 
     def loss(p: Parameters, windows: Any, twists: Any, key: Any) -> Any:  # noqa: ANN401
         squares = [jnp.sum(p[name] ** 2) for name in p if name.startswith(_WEIGHTS) and not name.endswith("_offset")]
         return error(p, windows, twists, key) + 0.5 * decay * sum(squares)
 
-    def step(carried: Any, batch: Any) -> Any:  # noqa: ANN401
-        p, state, key = carried
+    def step(carry: Any, batch: Any) -> Any:  # noqa: ANN401
+        p, state, key = carry
         key, dropout_key = jax.random.split(key)
         change, state = rule.update(jax.grad(loss)(p, *batch, dropout_key), state)
         return (optax.apply_updates(p, change), state, key), None

@@ -1,1 +1,1 @@
-"""Tracking controllers that avoid obstacles or sample trajectories, for comparison in the bench."""
+"""Tracking controllers for comparison in the bench: Kanayama, MPPI, regulated pure pursuit, and obstacle avoidance."""

@@ -1,9 +1,9 @@
-"""Model-predictive path integral control: many random plans, averaged by how well they go.
+"""Model-predictive path integral control (MPPI): average of random plans, weighted by their costs.
 
 Source: G. Williams, P. Drews, B. Goldfain, J. Rehg, E. Theodorou, "Information-theoretic model predictive control",
-IEEE Transactions on Robotics 2018. The plan is the deviation from the reference's twist; each twist follows its command
-with a first-order lag, the pose moves along it. Cost, smoothness and a plan that is shifted from tick to tick as users
-of Nav2's MPPI know them.
+IEEE Transactions on Robotics 2018. The plan is the deviation from the reference twist. The twist follows the commands
+with a first-order lag, and is integrated to poses. As in Nav2's MPPI, the cost has a smoothness term, and the plan is
+shifted at each tick.
 """
 
 from __future__ import annotations
@@ -21,98 +21,96 @@ from diffdrive_mpc.models.pose import ahead_and_left
 
 Floats32 = NDArray[np.float32]
 SAMPLES, STEPS = 1000, 25
-"""Number of ticks of the plans; docs/edge/edge.md has their computing times."""
+"""Number of sampled plans and number of ticks of a plan; docs/edge/edge.md has the computing times."""
 _SEED = 0
 
 
 class MppiGains(Gains):
     """Tuned gains; costs are relative to the temperature, which is 1."""
 
-    position: AboveZero = Field(description="squared distance from the reference, each step [1/m^2]")
-    across: NotNegative = Field(description="the same again for the part across the path [1/m^2]")
-    heading: NotNegative = Field(description="squared heading error, each step [1/rad^2]")
-    smoothness: NotNegative = Field(description="squared increment over the noise's deviation, each step [-]")
+    position: AboveZero = Field(description="weight of the squared position error in each step [1/m^2]")
+    across: NotNegative = Field(description="additional weight of the squared lateral error in each step [1/m^2]")
+    heading: NotNegative = Field(description="weight of the squared heading error in each step [1/rad^2]")
+    smoothness: NotNegative = Field(description="weight of squared command increments, normalised by the noise [-]")
     v_noise: AboveZero = Field(description="standard deviation of v among the plans [m/s]")
     omega_noise: AboveZero = Field(description="standard deviation of omega among the plans [rad/s]")
 
 
 class MppiLaw:
-    """Seeded: the same measurements give the same commands."""
+    """MPPI law with a constant seed: the same measurements give the same commands."""
 
     gains = MppiGains
 
     def __init__(self, gains: MppiGains, robot: Delayed, samples: int = SAMPLES, steps: int = STEPS) -> None:
         self._gains, self._dt, self._samples, self._steps = gains, robot.sample_time, samples, steps
         self._noise = np.array([gains.v_noise, gains.omega_noise], dtype=np.float32)
-        self._most = np.array([robot.limits.v, robot.limits.omega], dtype=np.float32)
+        self._limits = np.array([robot.limits.v, robot.limits.omega], dtype=np.float32)
         self._lag = robot.time_constant
         decay = np.exp(-robot.sample_time / robot.time_constant)
         ends = np.arange(steps + 1)
-        since = ends[:, None] - 1 - ends[None, :-1]
-        # Twist at the ends of all steps: the decayed first one, and the contribution of every command since.
-        self._left = (decay[:, None] ** ends).astype(np.float32)
-        response = (1 - decay)[:, None, None] * np.where(since >= 0, decay[:, None, None] ** np.maximum(since, 0), 0.0)
+        age = ends[:, None] - 1 - ends[None, :-1]
+        # The twist at the end of a step is the decayed initial twist plus the contributions of all previous commands.
+        self._initial_response = (decay[:, None] ** ends).astype(np.float32)
+        response = (1 - decay)[:, None, None] * np.where(age >= 0, decay[:, None, None] ** np.maximum(age, 0), 0.0)
         self._response = response.transpose(0, 2, 1).astype(np.float32)
 
     def start(self, reference: Reference) -> None:
-        """Start to track `reference`."""
+        """Start tracking `reference`."""
         self._reference, self._random = reference, np.random.default_rng(_SEED)
         self._plan = np.zeros((2, self._steps), dtype=np.float32)
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
+        """Compute the desired v [m/s] and omega [rad/s] (2,)."""
         dt = self._dt
-        ahead = self._reference.sample(sight.time + dt * np.arange(1, self._steps + 1))
-        wanted = self._feed_forward(sight)
+        reference = self._reference.sample(sight.time + dt * np.arange(1, self._steps + 1))
+        feed_forward = self._feed_forward(sight)
         noise = self._random.standard_normal((2, self._samples, self._steps), dtype=np.float32)
         noise *= self._noise[:, None, None]
         noise[:, 0] = 0.0
-        most = self._most[:, None, None]
-        commands = np.clip((wanted + self._plan)[:, None] + noise, -most, most)
-        cost = self._cost(sight, ahead.pose, commands, wanted)
+        limits = self._limits[:, None, None]
+        commands = np.clip((feed_forward + self._plan)[:, None] + noise, -limits, limits)
+        cost = self._cost(sight, reference.pose, commands, feed_forward)
         weights = np.exp(cost.min() - cost)
         weights /= weights.sum()
-        best = np.einsum("s,csk->ck", weights, commands)
-        self._plan = np.column_stack([(best - wanted)[:, 1:], np.zeros(2, dtype=np.float32)])
-        return np.asarray(best[:, 0], dtype=float)
+        mean = np.einsum("s,csk->ck", weights, commands)
+        self._plan = np.column_stack([(mean - feed_forward)[:, 1:], np.zeros(2, dtype=np.float32)])
+        return np.asarray(mean[:, 0], dtype=float)
 
     def _feed_forward(self, sight: LawInput) -> Floats32:
-        """Compute commands (2, N) without a deviation: the reference's twist, one lag ahead."""
+        """Compute the feed-forward commands (2, N): the reference twist, advanced by the lags."""
         times = sight.time + self._dt * np.arange(self._steps)
-        later = self._reference.sample(np.concatenate([times + lag for lag in self._lag])).twist
-        wanted = np.stack([later[: self._steps, 0], later[self._steps :, 1]]).astype(np.float32)
-        wanted[:, 0] = sight.feed_forward
-        return wanted
+        twist = self._reference.sample(np.concatenate([times + lag for lag in self._lag])).twist
+        feed_forward = np.stack([twist[: self._steps, 0], twist[self._steps :, 1]]).astype(np.float32)
+        feed_forward[:, 0] = sight.feed_forward
+        return feed_forward
 
-    def _cost(self, sight: LawInput, reference: FloatArray, commands: Floats32, wanted: Floats32) -> Floats32:
-        """Compute the cost (S,) of each plan."""
+    def _cost(self, sight: LawInput, reference: FloatArray, commands: Floats32, feed_forward: Floats32) -> Floats32:
+        """Compute the cost (S,) of the plans."""
         gains, dt = self._gains, np.float32(self._dt)
-        first = sight.motion.twist.astype(np.float32)
-        twist = commands @ self._response + (first[:, None] * self._left)[:, None]
+        initial = sight.motion.twist.astype(np.float32)
+        twist = commands @ self._response + (initial[:, None] * self._initial_response)[:, None]
         v, omega = 0.5 * (twist[:, :, 1:] + twist[:, :, :-1])
-        turned = np.cumsum(omega * dt, axis=1)
-        # In the robot's frame of now, in which single precision is plenty.
-        middle = turned - 0.5 * dt * omega
+        rotation = np.cumsum(omega * dt, axis=1)
+        # Poses relative to the current pose; single precision is sufficient in this frame.
+        middle = rotation - 0.5 * dt * omega
         x, y = np.cumsum(v * np.cos(middle) * dt, axis=1), np.cumsum(v * np.sin(middle) * dt, axis=1)
-        present, heading = sight.motion.pose, sight.motion.pose[2]
-        goal_x, goal_y = (
-            offset.astype(np.float32) for offset in ahead_and_left(reference[:, :2] - present[:2], heading)
-        )
+        position, heading = sight.motion.pose[:2], sight.motion.pose[2]
+        goal_x, goal_y = (offset.astype(np.float32) for offset in ahead_and_left(reference[:, :2] - position, heading))
         unwrapped = reference[:, 2] + 2 * np.pi * np.round((sight.reference[2] - reference[0, 2]) / (2 * np.pi))
         goal = (unwrapped - heading).astype(np.float32)
         dx, dy = x - goal_x, y - goal_y
         across = dy * np.cos(goal) - dx * np.sin(goal)
-        pose = gains.position * (dx * dx + dy * dy) + gains.across * across * across
-        pose += gains.heading * (turned - goal) ** 2
-        deviation = (commands - wanted[:, None]) / self._noise[:, None, None]
-        steps = np.diff(deviation, axis=2)
-        cost = pose.sum(axis=1) + gains.smoothness * (steps * steps).sum(axis=(0, 2))
-        beside = self._beside(sight, x, y, turned)
-        return np.asarray(cost if beside is None else cost + beside, dtype=np.float32)
+        pose_cost = gains.position * (dx * dx + dy * dy) + gains.across * across * across
+        pose_cost += gains.heading * (rotation - goal) ** 2
+        deviation = (commands - feed_forward[:, None]) / self._noise[:, None, None]
+        increments = np.diff(deviation, axis=2)
+        cost = pose_cost.sum(axis=1) + gains.smoothness * (increments * increments).sum(axis=(0, 2))
+        additional = self._additional_cost(sight, x, y, rotation)
+        return np.asarray(cost if additional is None else cost + additional, dtype=np.float32)
 
-    def _beside(self, sight: LawInput, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
-        """Compute the additional cost (S,) of a plan by its poses (S, N) in the present frame of the robot, if any."""
-        del sight, x, y, turned
+    def _additional_cost(self, sight: LawInput, x: Floats32, y: Floats32, rotation: Floats32) -> Floats32 | None:
+        """Compute an additional cost (S,) from poses (S, N) relative to the current pose; None if there is no cost."""
+        del sight, x, y, rotation
         return None
 
 

@@ -1,8 +1,8 @@
-"""Peers in a world: pursuit with the collision stop of Nav2, and MPPI with the seen obstacles in its cost.
+"""Peers with obstacle avoidance: pursuit with Nav2's collision stop, and MPPI with detected obstacles in its cost.
 
-Both receive the data of our controller (`worlds.sight.Observation`): the same grid, the same persons. Both assume that
-persons stand still at the place where they were seen, as in a costmap. Nav2's paths have no times: the reference's
-clock waits here for a robot that lags.
+Both receive the obstacle data of this project's controller (`worlds.sight.Observation`): grid and persons. Both assume that
+persons stand still at their detected positions, as in a costmap. Nav2's paths have no times; here the reference time
+waits for a lagging robot.
 """
 
 from __future__ import annotations
@@ -28,40 +28,40 @@ from diffdrive_mpc_extras.worlds.passage import outline_points
 from diffdrive_mpc_extras.worlds.shapes import Shapes
 from diffdrive_mpc_extras.worlds.sight import OCCUPIED, Observation
 
-_FAR = 10.0
-"""Distance where nothing has been seen [m]."""
-_FINE = 0.025
-"""Cells that shapes are drawn into [m]."""
-_PACES = 200
+_NO_OBSTACLE = 10.0
+"""Distance in areas without obstacles [m]."""
+_CELL_SIZE = 0.025
+"""Cell size of the grid for shapes [m]."""
+_SPEED_SAMPLES = 200
 _HALF_SIDE = 2.5
-"""Half side of the square around the robot in which obstacles are drawn [m]."""
+"""Half the side length of the grid for shapes, which is centred at the robot [m]."""
 
 
 class StoppingPursuit(StrictModel):
-    """Regulated pure pursuit with a collision stop."""
+    """Settings of regulated pure pursuit with a collision stop."""
 
-    wait: AboveZero = Field(description="lag along the path from which the reference's clock slows down [m]")
-    gains: PursuitGains = Field(description="of the law")
-    time_before_collision: AboveZero = Field(description="how far ahead the command is projected [s]")
-    step: AboveZero = Field(description="between two poses that are checked [m]")
+    wait: AboveZero = Field(description="longitudinal lag from which the reference time slows down [m]")
+    gains: PursuitGains = Field(description="gains of the law")
+    time_before_collision: AboveZero = Field(description="horizon of the collision check [s]")
+    step: AboveZero = Field(description="distance between two checked poses [m]")
 
 
 class GridMppi(StrictModel):
-    """MPPI with a grid."""
+    """Settings of MPPI with a grid."""
 
-    wait: AboveZero = Field(description="lag along the path from which the reference's clock slows down [m]")
-    samples: Annotated[int, Field(ge=1)] = Field(description="plans")
-    steps: Annotated[int, Field(ge=2)] = Field(description="of a plan")
-    ticks: Annotated[int, Field(ge=1)] = Field(description="of a step")
-    collision: AboveZero = Field(description="cost of a step that touches something")
-    pace: AboveZero = Field(description="fastest over the reference's fastest")
-    repulsion: AboveZero = Field(description="cost of a step at zero distance")
-    reach: AboveZero = Field(description="over which that falls off [m]")
-    gains: MppiGains = Field(description="of the law")
+    wait: AboveZero = Field(description="longitudinal lag from which the reference time slows down [m]")
+    samples: Annotated[int, Field(ge=1)] = Field(description="number of sampled plans")
+    steps: Annotated[int, Field(ge=2)] = Field(description="number of steps of a plan")
+    ticks: Annotated[int, Field(ge=1)] = Field(description="number of ticks of a step")
+    collision: AboveZero = Field(description="cost of a step with a collision [-]")
+    pace: AboveZero = Field(description="maximum speed over the maximum speed of the reference [-]")
+    repulsion: AboveZero = Field(description="cost of a step at zero distance [-]")
+    reach: AboveZero = Field(description="decay length of the repulsion [m]")
+    gains: MppiGains = Field(description="gains of the law")
 
 
 class SeeingSettings(StrictModel):
-    """Everything in `seeing.yaml`."""
+    """Settings in `seeing.yaml`."""
 
     outline: tuple[float, float] = Field(description="length and width of the robot [m]")
     rpp: StoppingPursuit
@@ -70,19 +70,19 @@ class SeeingSettings(StrictModel):
 
 @cache
 def seeing_settings() -> SeeingSettings:
-    """Load the shipped settings."""
+    """Load the shipped settings; raise ConfigError if the file is invalid."""
     return load_checked(SeeingSettings, Path(__file__).parent / "seeing.yaml")
 
 
 class SeenDistanceField:
-    """Distance to the nearest thing that was seen, looked up cell by cell.
+    """Grid of distances to the nearest detected obstacle.
 
     Parameters
     ----------
     obstacles
-        Obstacles of the last look.
+        Latest detected obstacles.
     position
-        (2,) of the robot [m]: shapes are drawn into a square around it.
+        (2,) position of the robot [m], the centre of the grid if `obstacles` has no grid.
     """
 
     def __init__(self, obstacles: Observation, position: FloatArray) -> None:
@@ -90,13 +90,13 @@ class SeenDistanceField:
         if obstacles.grid is not None:
             self._resolution, self._origin = obstacles.grid.resolution, np.array(obstacles.grid.origin[:2])
             occupied = obstacles.grid.cells >= OCCUPIED // 2
-            # To the near side of a cell, not to its middle.
+            # Measure distances to the edge of an occupied cell instead of its centre.
             field = distance_transform_edt(~occupied) * self._resolution - 0.5 * self._resolution
-            self._field = np.where(occupied, 0.0, field) if occupied.any() else np.full(occupied.shape, _FAR)
+            self._field = np.where(occupied, 0.0, field) if occupied.any() else np.full(occupied.shape, _NO_OBSTACLE)
         else:
-            count = round(2 * _HALF_SIDE / _FINE)
-            self._resolution, self._origin = _FINE, position - _HALF_SIDE
-            self._field = np.full((count, count), _FAR)
+            count = round(2 * _HALF_SIDE / _CELL_SIZE)
+            self._resolution, self._origin = _CELL_SIZE, position - _HALF_SIDE
+            self._field = np.full((count, count), _NO_OBSTACLE)
         shapes = Shapes(obstacles.polygons, discs)
         if len(discs) or obstacles.polygons:
             rows, columns = self._field.shape
@@ -104,50 +104,50 @@ class SeenDistanceField:
             y = self._origin[1] + self._resolution * (np.arange(rows) + 0.5)
             points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
             self._field = np.minimum(self._field, shapes.distance(points).reshape(rows, columns))
-        self._field = np.pad(self._field, 1, constant_values=_FAR).astype(np.float32)
-        self._most = np.array(self._field.shape)[::-1] - 1
+        self._field = np.pad(self._field, 1, constant_values=_NO_OBSTACLE).astype(np.float32)
+        self._max_index = np.array(self._field.shape)[::-1] - 1
 
     def distances(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats32:
-        """Return the distance [m] at points in the frame of the poses, of their shape; far away outside the field."""
-        column = np.clip(((x - self._origin[0]) / self._resolution + 1).astype(np.int32), 0, self._most[0])
-        row = np.clip(((y - self._origin[1]) / self._resolution + 1).astype(np.int32), 0, self._most[1])
+        """Return distances [m], in the shape of x and y [m] in the frame of the poses; 10 m outside the grid."""
+        column = np.clip(((x - self._origin[0]) / self._resolution + 1).astype(np.int32), 0, self._max_index[0])
+        row = np.clip(((y - self._origin[1]) / self._resolution + 1).astype(np.int32), 0, self._max_index[1])
         distances: Floats32 = self._field[row, column]
         return distances
 
 
 class SeeingPeer(TrackingPeer):
-    """A tracking peer whose reference waits, and that keeps what was seen for its law."""
+    """Tracking peer with a reference time that waits for the robot, and with the latest obstacles for its law."""
 
     def __init__(self, law: Law, lead: float, wait: float) -> None:
         super().__init__(law, lead, side_slip=True, config=load_config(MODEL))
         self._wait = wait
-        self._look: Observation | None = None
-        self._around: SeenDistanceField | None = None
+        self._new_obstacles: Observation | None = None
+        self._distance_field: SeenDistanceField | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Start as every tracking peer, without obstacles."""
+        """Start tracking `reference`, whose time 0 is `t0` [s], without obstacles."""
         super().start(reference, t0)
         self._progress, self._last_time = 0.0, t0
-        self._look, self._around = None, None
+        self._new_obstacles, self._distance_field = None, None
 
     def set_obstacles(self, obstacles: Observation, /) -> None:
-        """Store the received data of a look."""
-        self._look = obstacles
+        """Store the latest detected obstacles."""
+        self._new_obstacles = obstacles
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        passed, self._last_time = t - self._last_time, t
+        elapsed, self._last_time = t - self._last_time, t
         if estimate is None or self._reference is None:
             return self._progress
-        if self._look is not None:
-            self._around, self._look = SeenDistanceField(self._look, estimate.pose[:2]), None
+        if self._new_obstacles is not None:
+            self._distance_field, self._new_obstacles = SeenDistanceField(self._new_obstacles, estimate.pose[:2]), None
         pose = self._reference.sample([self._progress]).pose[0]
         lag = float(ahead_and_left(pose - estimate.pose, pose[2])[0])
-        self._progress += passed * float(np.clip(2.0 - lag / self._wait, 0.0, 1.0))
+        self._progress += elapsed * float(np.clip(2.0 - lag / self._wait, 0.0, 1.0))
         return self._progress
 
 
 class PursuitThatStops(SeeingPeer):
-    """Regulated pure pursuit; where its command, held on, would touch something seen, it stops."""
+    """Regulated pure pursuit that stops if the robot would hit a detected obstacle at a constant command."""
 
     def __init__(self) -> None:
         settings = seeing_settings()
@@ -156,7 +156,7 @@ class PursuitThatStops(SeeingPeer):
         self._stop, self._outline = settings.rpp, outline_points(settings.outline)
 
     def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
-        if self._around is None:
+        if self._distance_field is None:
             return twist, ""
         v, omega = twist
         reach = max(abs(v), abs(omega) * float(np.hypot(*self._outline.T).max())) * self._stop.time_before_collision
@@ -165,52 +165,53 @@ class PursuitThatStops(SeeingPeer):
         c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         x = poses[:, :1] + c * self._outline[:, 0] - s * self._outline[:, 1]
         y = poses[:, 1:2] + s * self._outline[:, 0] + c * self._outline[:, 1]
-        touching = (self._around.distances(x, y) <= 0).any(axis=1)
-        if not touching.any():
+        is_collision = (self._distance_field.distances(x, y) <= 0).any(axis=1)
+        if not is_collision.any():
             return twist, ""
-        return np.zeros(2), f"its command would touch something in {times[int(np.argmax(touching))]:.1f} s"
+        return np.zeros(2), f"the command would cause a collision in {times[int(np.argmax(is_collision))]:.1f} s"
 
 
 class GridMppiLaw(MppiLaw):
-    """MPPI whose plans cost by how near the robot, four discs, comes to what was seen."""
+    """MPPI with an additional cost of the distance between the robot, as four discs, and detected obstacles."""
 
     def __init__(self, settings: GridMppi, robot: Delayed, outline: tuple[float, float]) -> None:
-        slower = Delayed(robot.sample_time * settings.ticks, robot.time_constant, robot.limits)
-        super().__init__(settings.gains, slower, settings.samples, settings.steps)
+        coarse_robot = Delayed(robot.sample_time * settings.ticks, robot.time_constant, robot.limits)
+        super().__init__(settings.gains, coarse_robot, settings.samples, settings.steps)
         self._settings = settings
-        self.around: SeenDistanceField | None = None
+        self.distance_field: SeenDistanceField | None = None
         quarter = 0.25 * np.array(outline)
         self._discs = quarter * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
         self._radius = float(np.hypot(*quarter))
-        self._waited, self._kept = 0, np.zeros(2)
+        self._tick, self._command = 0, np.zeros(2)
         self._robot_v = robot.limits.v
 
     def start(self, reference: Reference) -> None:
-        """Start to track `reference`."""
+        """Start tracking `reference`."""
         super().start(reference)
-        self._waited, self._kept, self.around = 0, np.zeros(2), None
-        # As Nav2's vx_max, which is the speed that is wanted: else it rushes through narrow places.
-        pace = np.abs(reference.sample(np.linspace(0.0, reference.duration, _PACES)).twist[:, 0]).max()
-        self._most[0] = min(self._robot_v, self._settings.pace * pace)
+        self._tick, self._command, self.distance_field = 0, np.zeros(2), None
+        # Limit the speed relative to the reference, as with Nav2's vx_max, to avoid high speeds in narrow places.
+        speed = np.abs(reference.sample(np.linspace(0.0, reference.duration, _SPEED_SAMPLES)).twist[:, 0]).max()
+        self._limits[0] = min(self._robot_v, self._settings.pace * speed)
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """Compute the wanted v [m/s] and omega [rad/s] (2,), with a new plan at intervals."""
-        if self._waited == 0:
-            self._kept = super().decide(sight)
-        self._waited = (self._waited + 1) % self._settings.ticks
-        return self._kept
+        """Compute the desired v [m/s] and omega [rad/s] (2,); compute a new plan once per step."""
+        if self._tick == 0:
+            self._command = super().decide(sight)
+        self._tick = (self._tick + 1) % self._settings.ticks
+        return self._command
 
-    def _beside(self, sight: LawInput, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
-        if self.around is None:
+    def _additional_cost(self, sight: LawInput, x: Floats32, y: Floats32, rotation: Floats32) -> Floats32 | None:
+        if self.distance_field is None:
             return None
-        here_x, here_y, heading = sight.motion.pose
+        robot_x, robot_y, heading = sight.motion.pose
         c, s = np.float32(np.cos(heading)), np.float32(np.sin(heading))
-        theta = turned + np.float32(heading)
+        theta = rotation + np.float32(heading)
         cos, sin = np.cos(theta), np.sin(theta)
-        middle_x, middle_y = np.float32(here_x) + c * x - s * y, np.float32(here_y) + s * x + c * y
-        gap = np.full(x.shape, _FAR, dtype=np.float32)
+        middle_x, middle_y = np.float32(robot_x) + c * x - s * y, np.float32(robot_y) + s * x + c * y
+        gap = np.full(x.shape, _NO_OBSTACLE, dtype=np.float32)
         for ahead, left in self._discs.astype(np.float32):
-            distance = self.around.distances(middle_x + ahead * cos - left * sin, middle_y + ahead * sin + left * cos)
+            disc_x, disc_y = middle_x + ahead * cos - left * sin, middle_y + ahead * sin + left * cos
+            distance = self.distance_field.distances(disc_x, disc_y)
             np.minimum(gap, distance - np.float32(self._radius), out=gap)
         settings = self._settings
         cost = np.where(gap <= 0, settings.collision, settings.repulsion * np.exp(-np.maximum(gap, 0) / settings.reach))
@@ -218,7 +219,7 @@ class GridMppiLaw(MppiLaw):
 
 
 class MppiWithGrid(SeeingPeer):
-    """MPPI with the seen obstacles in its cost."""
+    """MPPI with detected obstacles in its cost."""
 
     def __init__(self) -> None:
         settings = seeing_settings()
@@ -228,5 +229,5 @@ class MppiWithGrid(SeeingPeer):
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
         progress = super()._since_start(t, estimate)
-        self._grid_law.around = self._around
+        self._grid_law.distance_field = self._distance_field
         return progress

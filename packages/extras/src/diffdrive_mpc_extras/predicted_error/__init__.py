@@ -1,4 +1,4 @@
-"""Prediction of the tracking error of a reference before it is driven."""
+"""Prediction of the tracking error of a reference before the drive."""
 
 from typing import TYPE_CHECKING
 
@@ -8,9 +8,9 @@ if TYPE_CHECKING:
     from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError as PredictedError
     from diffdrive_mpc_extras.predicted_error.predicted_error import predict_error as predict_error
 
-_HOMES = {"PredictedError": "predicted_error", "predict_error": "predicted_error"}
+_MODULES = {"PredictedError": "predicted_error", "predict_error": "predicted_error"}
 
-if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
-    __all__ = list(_HOMES)
-# Lazy: `diffdrive-mpc --help` imports this package for the help of its command.
-__getattr__ = on_first_use(__name__, _HOMES)
+if not TYPE_CHECKING:  # type checkers use the imports above
+    __all__ = list(_MODULES)
+# Import lazily: `diffdrive-mpc --help` imports this package.
+__getattr__ = on_first_use(__name__, _MODULES)

@@ -1,4 +1,4 @@
-"""The calibration of the predicted error: coefficients, quantiles, and which drives they come from."""
+"""Calibration of the predicted error: features, coefficients, quantiles and populations of drives."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Failure
 
 FEATURES = {
-    "floor": "noise of sensors and floor",
+    "floor": "noise of sensors and surface",
     "pose_age": "late or rare poses",
     "speed": "speed and lag",
     "turning": "curvature at speed",
     "acceleration": "change of speed and lag",
     "yaw_acceleration": "change of curvature and lag",
-    "first_turns": "first turns (slip is still learned)",
-    "wheel_speed": "wheels near their top speed",
+    "first_turns": "first turns (slip is not learned yet)",
+    "wheel_speed": "wheels near the maximum speed",
     "pose_age_at_speed": "late or rare poses at speed",
 }
-"""By name what a report calls them; lag is that of the model with its dead time. The error grows with each.
+"""Features with their descriptions in reports. The lag is that of the model, dead time included.
 
-Turns driven before a place make `first_turns` smaller there: slip is learned from them."""
+The error increases with each feature. Earlier turns reduce `first_turns`, because slip is learned in them."""
 _BEFORE, _AFTER = 1.0, 0.3
-"""Features are means from so long before a place to after it [s]: an error outlasts its cause; look-ahead is early."""
-_LEARNED = 1.0
-"""The effect of what is not yet learned decays with the angle that was turned [rad]."""
+"""Averaging window before and after a place [s]: errors outlast their causes, and the plan looks ahead."""
+_LEARNING_ANGLE = 1.0
+"""Turned angle over which the error from unlearned slip decays to 1/e [rad]."""
 _FREE_SHARE = 0.6
-"""Share of the top speed of wheels from which on it counts."""
-_USUAL_AGE = Failure().max_pose_age
-"""Pose age above which poses count as late [s]."""
+"""Fraction of the maximum wheel speed above which `wheel_speed` is positive [-]."""
+_DEFAULT_POSE_AGE = Failure().max_pose_age
+"""Default maximum pose age; a longer maximum in a configuration increases `pose_age` [s]."""
 
 
 def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: FloatArray) -> FloatArray:
@@ -48,20 +48,20 @@ def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: F
     dt
         Time between two samples [s].
     config
-        Tracks, wheel speeds and pose ages that it states.
+        Configuration with track, wheel speed and pose age.
     lag
         (2,) mean delay of both channels of the model, dead time included [s].
 
     Returns
     -------
     FloatArray
-        (n, len(FEATURES)), none negative, in the order of `FEATURES`.
+        (n, len(FEATURES)) values, not negative, in the order of `FEATURES`.
     """
     v, omega = np.abs(twist).T
     dv, domega = np.abs(np.gradient(twist, dt, axis=0)).T
-    turned = np.cumsum(omega) * dt
-    share = (v + omega * config.wheels.track / 2) / config.limits.wheel_speed
-    age = max(config.failure.max_pose_age - _USUAL_AGE, 0.0)
+    angle = np.cumsum(omega) * dt
+    wheel_share = (v + omega * config.wheels.track / 2) / config.limits.wheel_speed
+    age = max(config.failure.max_pose_age - _DEFAULT_POSE_AGE, 0.0)
     values = {
         "floor": np.ones_like(v),
         "pose_age": np.full_like(v, age),
@@ -69,18 +69,18 @@ def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: F
         "turning": omega,
         "acceleration": lag[0] * dv,
         "yaw_acceleration": lag[1] * v * domega,
-        "first_turns": v * omega * np.exp(-turned / _LEARNED),
-        "wheel_speed": np.maximum(share - _FREE_SHARE, 0.0),
+        "first_turns": v * omega * np.exp(-angle / _LEARNING_ANGLE),
+        "wheel_speed": np.maximum(wheel_share - _FREE_SHARE, 0.0),
         "pose_age_at_speed": age * v,
     }
-    return _around(np.column_stack([values[name] for name in FEATURES]), dt)
+    return _moving_average(np.column_stack([values[name] for name in FEATURES]), dt)
 
 
-def _around(values: FloatArray, dt: float) -> FloatArray:
-    """Average the columns from `_BEFORE` to `_AFTER` each row; repeat the first and last rows beyond the ends."""
+def _moving_average(values: FloatArray, dt: float) -> FloatArray:
+    """Average the columns from `_BEFORE` to `_AFTER` each row, with the first and last rows repeated at the ends."""
     before, after = round(_BEFORE / dt), round(_AFTER / dt)
-    longer = np.pad(values, ((before + 1, after), (0, 0)), mode="edge")
-    sums = np.cumsum(longer, axis=0)
+    padded = np.pad(values, ((before + 1, after), (0, 0)), mode="edge")
+    sums = np.cumsum(padded, axis=0)
     return np.asarray((sums[before + after + 1 :] - sums[: -(before + after + 1)]) / (before + after + 1))
 
 
@@ -88,30 +88,30 @@ Direction = Literal["lateral", "along"]
 _FILE = Path(__file__).with_name("calibration.yaml")
 
 
-def _sorted(values: tuple[float, float]) -> tuple[float, float]:
+def _check_order(values: tuple[float, float]) -> tuple[float, float]:
     if values[0] >= values[1]:
         raise ValueError("give the smaller value before the larger one")
     return values
 
 
-CalibratedRange = Annotated[tuple[Positive, Positive], AfterValidator(_sorted)]
+CalibratedRange = Annotated[tuple[Positive, Positive], AfterValidator(_check_order)]
 
 
 class ErrorScale(StrictModel):
-    """The scale of |error| as a sum over features, and by which factors of it drives stay inside."""
+    """Scale of |error| as a weighted sum of features, and factors of the scale that give the tubes."""
 
-    coefficients: dict[str, NotNegative] = Field(description="error for each unit of a feature [m]")
-    at_each_place: Positive = Field(description="factor inside which the stated share of drives is at a place [-]")
-    everywhere: Positive = Field(description="factor inside which that share of drives is all the way [-]")
+    coefficients: dict[str, NotNegative] = Field(description="error per unit of a feature [m]")
+    at_each_place: Positive = Field(description="factor of the tube that contains the stated share at each place [-]")
+    everywhere: Positive = Field(description="factor of the tube that contains the stated share of whole drives [-]")
 
     @field_validator("coefficients")
     @classmethod
-    def _known(cls, values: dict[str, float]) -> dict[str, float]:
+    def _check_features(cls, values: dict[str, float]) -> dict[str, float]:
         unknown = sorted(values.keys() - FEATURES.keys())
         if unknown:
             raise ValueError(f"unknown feature '{unknown[0]}'; known: {', '.join(FEATURES)}")
         if not values.get("floor"):
-            raise ValueError("floor has to be above zero: a robot that stands has an error, too")
+            raise ValueError("floor must be above zero: a robot at rest has an error")
         return values
 
     @property
@@ -121,43 +121,43 @@ class ErrorScale(StrictModel):
 
 
 class ErrorPopulation(StrictModel):
-    """A population of robots, floors and sensors, and the errors that its drives had."""
+    """Population of robots, surfaces and sensors, with the errors of its drives."""
 
-    description: str = Field(min_length=1, description="which drives")
-    drives: dict[Literal["fit", "calibration"], Annotated[int, Field(ge=1)]] = Field(description="how many")
-    lateral: ErrorScale = Field(description="distance from the path")
-    along: ErrorScale = Field(description="ahead of the reference or behind it, along the path")
+    description: str = Field(min_length=1, description="description of the drives")
+    drives: dict[Literal["fit", "calibration"], Annotated[int, Field(ge=1)]] = Field(description="number of drives")
+    lateral: ErrorScale = Field(description="scale of the lateral error")
+    along: ErrorScale = Field(description="scale of the longitudinal error")
 
 
 class CalibratedRanges(StrictModel):
-    """For which paths and models the tubes were calibrated, from the least to the largest value."""
+    """Ranges (minimum, maximum) of the paths and models of the calibration; values above them give a warning."""
 
-    v: CalibratedRange = Field(description="top speed of a path; a warning is given above it, not below [m/s]")
-    omega: CalibratedRange = Field(description="top yaw rate of a path; a warning is given above it, not below [rad/s]")
-    lag_v: CalibratedRange = Field(description="dead time plus lag of v of the model; a warning is given above it [s]")
-    lag_omega: CalibratedRange = Field(description="the same of omega [s]")
+    v: CalibratedRange = Field(description="maximum speed of a path [m/s]")
+    omega: CalibratedRange = Field(description="maximum yaw rate of a path [rad/s]")
+    lag_v: CalibratedRange = Field(description="dead time plus lag of v in the model [s]")
+    lag_omega: CalibratedRange = Field(description="dead time plus lag of omega in the model [s]")
 
 
 class ErrorCalibration(StrictModel):
     """Calibration of the predicted error."""
 
     level: Annotated[float, Field(gt=0.5, lt=1.0)] = Field(description="share of drives inside a tube [-]")
-    provenance: str = Field(min_length=1, description="how it was made")
-    calibrated: CalibratedRanges = Field(description="for which paths and models it holds")
-    populations: dict[str, ErrorPopulation] = Field(min_length=1, description="by name")
+    provenance: str = Field(min_length=1, description="source of the calibration")
+    calibrated: CalibratedRanges = Field(description="ranges of the paths and models of the calibration")
+    populations: dict[str, ErrorPopulation] = Field(min_length=1, description="populations by name")
 
     def population(self, name: str) -> ErrorPopulation:
-        """Return the population with a name; raise ConfigError if there is none."""
+        """Return the population with this name; raise ConfigError if it does not exist."""
         if name not in self.populations:
             raise ConfigError(f"unknown population '{name}': give {' or '.join(self.populations)}")
         return self.populations[name]
 
 
 def load_calibration(path: str | Path | None = None) -> ErrorCalibration:
-    """Read a calibration, by default the shipped one; raises ConfigError when the file has a mistake."""
-    return _shipped() if path is None else load_checked(ErrorCalibration, Path(path))
+    """Load a calibration, by default the shipped calibration; raise ConfigError if the file is invalid."""
+    return _load_shipped() if path is None else load_checked(ErrorCalibration, Path(path))
 
 
 @cache
-def _shipped() -> ErrorCalibration:
+def _load_shipped() -> ErrorCalibration:
     return load_checked(ErrorCalibration, _FILE)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc predict-error`: the tracking error of a trajectory before it is driven."""
+"""`diffdrive-mpc predict-error`: predict the tracking error of a trajectory before the drive."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ def predict_error(
     *,
     config: Annotated[
         str,
-        typer.Option(help="Configuration: the path of a file, or mbm, sm, ssm."),
+        typer.Option(help="Configuration: path of a file, or mbm, sm, ssm."),
     ] = "ssm",
     trajectory: Annotated[str, typer.Option(help="Name or path of the trajectory.")],
     plant: Annotated[
         str | None,
         typer.Option(
-            help="Robot that is driven in simulation, as for simulate.",
-            show_default="twin or identified robot in the folder of the configuration",
+            help="Simulated plant, as for simulate.",
+            show_default="twin or identified robot next to the configuration",
         ),
     ] = None,
-    draws: Annotated[int, typer.Option(min=20, help="Simulated drives.")] = 60,
+    draws: Annotated[int, typer.Option(min=20, help="Number of simulated drives.")] = 60,
     learn_from: Annotated[
         list[Path] | None,
-        typer.Option(metavar="LOG", help="MCAP log of a drive of the robot, 19 or more: they scale the tubes."),
+        typer.Option(metavar="LOG", help="MCAP logs of at least 19 drives of the robot, which scale the tubes."),
     ] = None,
     population: Annotated[
         str | None,
-        typer.Option(metavar="drawn", help="Any robot of the market instead, if nothing is known of yours."),
+        typer.Option(metavar="drawn", help="Population of robots instead of the plant, for an unknown robot."),
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="With --population: a calibration of your own."),
+        typer.Option(metavar="FILE", help="With --population: calibration file."),
     ] = None,
     jobs: Jobs = None,
     out: Annotated[Path, out_option("predicted-error.png and predicted-error.csv")],
 ) -> None:
-    """Predict the tracking error of a trajectory before it is driven: tubes in which 95 % of drives stay.
+    """Predict the tracking error of a trajectory before the drive: tubes that contain 95 % of drives.
 
-    Drives of the robot itself are simulated, with the motion that its model left unexplained in the log.
+    The drives are simulated on the identified robot, including the residual motion that the model does not explain.
     """
-    from diffdrive_mpc_extras.predicted_error import report  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.predicted_error import report  # noqa: PLC0415 - --help does not need it
 
     if population is None and calibration is None:
         report.predict_robot_into(config, trajectory, plant, out, draws, jobs, learn_from or ())

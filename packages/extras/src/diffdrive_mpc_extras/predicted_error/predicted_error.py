@@ -1,4 +1,4 @@
-"""Tubes about a reference in which a stated share of drives stays, said before it is driven."""
+"""Predicted tubes around a reference that contain a stated share of drives."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from diffdrive_mpc_extras.predicted_error.calibration import (
     path_features,
 )
 
-_LONGEST = 7200.0
-"""Maximum duration of a reference [s]: memory grows by 20 kB for each second."""
-_ROUNDING = 5e-3
-"""Between samples the speed of a path that is timed at the bound swings a little beyond it [-]."""
+_MAX_DURATION = 7200.0
+"""Maximum duration of a reference [s]; a second needs 20 kB of memory."""
+_SPEED_TOLERANCE = 5e-3
+"""Tolerance of the maximum speed of a path, which may overshoot its bound slightly between samples [-]."""
 
 
 @dataclass(frozen=True)
 class ErrorTube:
-    """Half the width of a tube about the reference, to either side, in one direction.
+    """Half widths of the tubes around the reference in one direction.
 
     Attributes
     ----------
     at_each_place
-        (n,) the stated share of drives is inside at this place [m].
+        (n,) half width of the tube that contains the stated share of drives at each place [m].
     everywhere
-        (n,) that share of drives is inside all the way [m].
+        (n,) half width of the tube that contains the stated share of whole drives [m].
     shares
-        By feature (see `FEATURES`) its share (n,) of the width [-].
+        Contribution (n,) of each feature (see `FEATURES`) to the width [-].
     """
 
     at_each_place: FloatArray
@@ -48,22 +48,22 @@ class ErrorTube:
     shares: Mapping[str, FloatArray]
 
     def times(self, factor: float) -> ErrorTube:
-        """Return the tube with `factor` times its width."""
+        """Return the tube, widened by a factor."""
         return replace(self, at_each_place=factor * self.at_each_place, everywhere=factor * self.everywhere)
 
 
 @dataclass(frozen=True)
 class WidestPlace:
-    """Place of the maximum width of a tube.
+    """Widest place of a tube.
 
     Attributes
     ----------
     index
         Row of the prediction.
     reasons
-        Features by their share of the width there, the largest first.
+        Contributions of the features to the width at this place, in descending order [-].
     sentence
-        Place, width and reasons in words.
+        Sentence with place, width and reasons.
     """
 
     index: int
@@ -73,25 +73,24 @@ class WidestPlace:
 
 @dataclass(frozen=True)
 class PredictedError:
-    """The tracking error of a reference that was not driven yet, at n places of it.
+    """Predicted tracking error at n places of a reference.
 
     Attributes
     ----------
     reference
-        Its name.
+        Name of the reference.
     level
         Share of drives inside a tube [-].
     drives
-        Which drives, in words.
+        Description of the drives.
     time, arc_length
-        (n,) time [s] and distance [m] since the start.
+        (n,) time [s] and arc length [m] from the start.
     pose, twist
         (n, 3) x [m], y [m], theta [rad]; (n, 2) v [m/s], omega [rad/s] of the reference.
     lateral, along
-        Distance from the path; ahead of the reference or behind it along the path.
+        Tubes of the lateral and of the longitudinal error.
     warnings
-        Why the tubes may be too narrow, a sentence each: speeds of the path or delays of the model above those of the
-        calibration. Empty if nothing speaks against them.
+        Reasons why the tubes may be too narrow: speeds of the path or delays of the model above the calibrated range.
     """
 
     reference: str
@@ -106,27 +105,27 @@ class PredictedError:
     warnings: tuple[str, ...] = ()
 
     def widest(self, direction: Direction = "lateral") -> WidestPlace:
-        """Locate the widest place of the tube of a direction, with the reasons."""
+        """Return the widest place of the tube in a direction, with the reasons."""
         tube: ErrorTube = getattr(self, direction)
         index = int(np.argmax(tube.everywhere))
         shares = {name: float(share[index]) for name, share in tube.shares.items()}
         reasons = dict(sorted(shares.items(), key=lambda item: -item[1]))
-        why = ", ".join(
+        causes = ", ".join(
             f"{FEATURES[name]} {100 * share:.0f} %" for name, share in list(reasons.items())[:3] if share > 0
         )
         x, y, _ = self.pose[index]
         place = f"after {self.arc_length[index]:.2f} m ({self.time[index]:.2f} s; x {x:.2f} m, y {y:.2f} m)"
         width = f"{1e3 * tube.at_each_place[index]:.1f} mm there, {1e3 * tube.everywhere[index]:.1f} mm everywhere"
-        made = f"; made of {why}" if why else ""
-        return WidestPlace(index, reasons, f"{direction}: worst {place}: {width}{made}")
+        contributions = f"; contributions: {causes}" if causes else ""
+        return WidestPlace(index, reasons, f"{direction}: worst {place}: {width}{contributions}")
 
 
 def check_origin(model: VelocityModel | NonlinearModel) -> None:
-    """Raise ValueError for a model whose numbers nobody measured; one that does not say counts as identified."""
+    """Raise ValueError for a model with assumed parameters; a model without an origin counts as identified."""
     if model.provenance.get("origin") == "assumed":
         raise ValueError(
-            f"model '{model.name}': its provenance.origin is assumed, and errors are predicted for published or "
-            "identified; identify the model on this robot, or take a configuration whose model was identified"
+            f"model '{model.name}': its provenance.origin is assumed, and a prediction needs published or identified "
+            "parameters; identify the model on this robot, or use a configuration with an identified model"
         )
 
 
@@ -137,35 +136,37 @@ def predict_tubes(
     population: str,
     calibration: ErrorCalibration | None = None,
 ) -> PredictedError:
-    """Predict the tracking error of a checked reference; see `predict_error`, which checks it.
+    """Predict the tracking error of a reference that was already checked; `predict_error` checks it first.
 
     Parameters
     ----------
     reference
-        Finite, and within the limits.
+        Finite reference within the limits.
     config, lag
-        Of the controller and (2,) of its model [s].
+        Configuration of the controller, and lag (2,) of its model, dead time included [s].
     population
-        Of `calibration`, by default the shipped one.
+        Name of a population of the calibration.
+    calibration
+        Calibration, by default the shipped calibration.
 
     Raises
     ------
     ConfigError, ValueError
-        If there is no such population, or the reference lasts no time or longer than two hours.
+        If the population does not exist, or the duration of the reference is zero or above two hours.
     """
     calibration = calibration or load_calibration()
     drives = calibration.population(population)
-    if not 0.0 < reference.duration <= _LONGEST:
+    if not 0.0 < reference.duration <= _MAX_DURATION:
         raise ValueError(
-            f"reference '{reference.name}': it lasts {reference.duration:g} s; an error is predicted for more than 0 "
-            f"and at most {_LONGEST:g} s, so give it in parts"
+            f"reference '{reference.name}': the duration is {reference.duration:g} s, but must be above 0 and at most "
+            f"{_MAX_DURATION:g} s; split the reference"
         )
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(np.ceil(reference.duration / dt)) + 1)) * dt, dtype=np.float64)
     sample = reference.sample(time)
-    # Below the range of the calibration nothing is known of a faster robot: its tube is no narrower.
-    least = [calibration.calibrated.lag_v[0], calibration.calibrated.lag_omega[0]]
-    features = path_features(sample.twist, dt, config, np.maximum(lag, least))
+    # Below the calibrated range, use its minimum: the calibration does not justify narrower tubes.
+    min_lag = [calibration.calibrated.lag_v[0], calibration.calibrated.lag_omega[0]]
+    features = path_features(sample.twist, dt, config, np.maximum(lag, min_lag))
     return PredictedError(
         reference.name,
         calibration.level,
@@ -186,62 +187,60 @@ def predict_error(
     population: str = "drawn",
     calibration: str | Path | None = None,
 ) -> PredictedError:
-    """Predict the tracking error of a reference before it is driven; nothing of the controller changes.
+    """Predict the tracking error of a reference; the controller does not change.
 
     Parameters
     ----------
     controller
-        Controller that would drive it.
+        Controller of the planned drive.
     reference
         Trajectory, name or path, as for `Controller.start`.
     population
-        Drives that count: "drawn", robots of the market whose users know what the configuration says; or one of
-        `calibration`.
+        Name of a population of the calibration; "drawn" are robots of the market with user-supplied configurations.
     calibration
-        Calibration file that has the population; by default the shipped one.
+        Calibration file with the population, by default the shipped calibration.
 
     Returns
     -------
     PredictedError
-        Tubes in which 95 % of the drives stay at each place, and on the whole path; with `warnings` if the path is
-        faster, or the robot later, than those of the calibration.
+        Tubes that contain 95 % of the drives at each place, and 95 % of whole drives; with `warnings` if the path is
+        faster, or the delay of the robot longer, than in the calibration.
 
     Raises
     ------
     ArgumentError, ConfigError, ValueError
-        As `Controller.start`, and if there is no such population, the model's numbers are assumed, or the reference
-        lasts no time or over two hours.
+        As `Controller.start`; also if the population does not exist, the model parameters are assumed, or the duration
+        of the reference is zero or above two hours.
     """
     check_origin(controller.model)
-    checked = controller.checked_reference(reference)
-    calibrated = load_calibration(calibration)
-    lag = controller.model.lag
-    predicted = predict_tubes(checked, controller.config, lag, population, calibrated)
-    return replace(predicted, warnings=(*predicted.warnings, *_lag_warnings(lag, calibrated.calibrated)))
+    checked_reference = controller.checked_reference(reference)
+    loaded, lag = load_calibration(calibration), controller.model.lag
+    predicted = predict_tubes(checked_reference, controller.config, lag, population, loaded)
+    return replace(predicted, warnings=(*predicted.warnings, *_lag_warnings(lag, loaded.calibrated)))
 
 
 def _lag_warnings(lag: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:
     return tuple(
-        f"dead time plus lag of {channel} is {value:.3g} s, in the calibration {low:g} to {high:g} s: the tubes may be "
-        "too narrow"
+        f"dead time plus lag of {channel} is {value:.3g} s, the calibrated range is {low:g} to {high:g} s: the tubes "
+        "may be too narrow"
         for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True)
         if value > high
     )
 
 
 def _warnings(twist: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:
-    tops = np.abs(twist).max(axis=0)
-    rows = (("speed", tops[0], calibrated.v, "m/s"), ("yaw rate", tops[1], calibrated.omega, "rad/s"))
+    maxima = np.abs(twist).max(axis=0)
+    rows = (("speed", maxima[0], calibrated.v, "m/s"), ("yaw rate", maxima[1], calibrated.omega, "rad/s"))
     return tuple(
-        f"the path's {name} reaches {top:.3g} {unit}, paths of the calibration {low:g} to {high:g} {unit}: the tubes "
-        "may be too narrow"
-        for name, top, (low, high), unit in rows
-        if top > high * (1.0 + _ROUNDING)
+        f"the path's {name} reaches {maximum:.3g} {unit}, the calibrated range is {low:g} to {high:g} {unit}: the tubes"
+        " may be too narrow"
+        for name, maximum, (low, high), unit in rows
+        if maximum > high * (1.0 + _SPEED_TOLERANCE)
     )
 
 
 def _tube(features: FloatArray, scale: ErrorScale) -> ErrorTube:
-    parts = features * scale.row
-    whole = parts.sum(axis=1)
-    shares = {name: parts[:, i] / whole for i, name in enumerate(FEATURES) if scale.row[i] > 0.0}
-    return ErrorTube(scale.at_each_place * whole, scale.everywhere * whole, shares)
+    contributions = features * scale.row
+    total = contributions.sum(axis=1)
+    shares = {name: contributions[:, i] / total for i, name in enumerate(FEATURES) if scale.row[i] > 0.0}
+    return ErrorTube(scale.at_each_place * total, scale.everywhere * total, shares)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc predict-error`: the tracking error of a trajectory before it is driven, in numbers and a figure."""
+"""Report of `diffdrive-mpc predict-error`: table, figure and rows of a predicted tracking error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError,
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
 _DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
 _GREYS = ("0.85", "0.6")
-"""Greys of both tubes, distinct in print."""
+"""Grey levels of both tubes, distinguishable in print."""
 
 
 def predict_robot_into(
@@ -33,12 +33,12 @@ def predict_robot_into(
     jobs: int | None = None,
     logs: Sequence[Path] = (),
 ) -> PredictedError:
-    """Predict from simulated drives of the robot, by default of `own_plant`, and write as `write_prediction`.
+    """Predict the error from simulated drives on a plant, by default `own_plant`, and write it with `write_prediction`.
 
-    With `logs` of recorded drives the tubes are scaled by `learn_from`.
+    If `logs` of recorded drives are given, `learn_from` scales the tubes.
 
-    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, no plant belongs to the configuration,
-    or the trajectory cannot be driven; OSError if `out` cannot be written to.
+    Raises ConfigError or ValueError if a name is unknown, a file is invalid, no plant belongs to the configuration, or
+    the trajectory is not drivable; OSError if `out` is not writable.
     """
     checked_reference(config, trajectory)
     plant, jobs = plant or own_plant(config), jobs or available_cores()
@@ -52,19 +52,19 @@ def predict_robot_into(
 def predict_population_into(
     config: str, trajectory: str, population: str, out: Path, calibration: Path | None = None
 ) -> PredictedError:
-    """Predict for robots of a population, and write as `write_prediction`; raises as `predict_error` and OSError."""
+    """Predict the error for a population, and write it; errors as in `predict_error`, and OSError for `out`."""
     return write_prediction(predict_error(*checked_reference(config, trajectory), population, calibration), out)
 
 
 def checked_reference(config: str, trajectory: str) -> tuple[Controller, Reference]:
-    """Return controller and reference; raises ConfigError or ValueError if the path cannot be driven."""
+    """Return controller and reference; raise ConfigError or ValueError if the reference is not drivable."""
     loaded = load_config(config)
     controller = Controller(loaded)
     return controller, controller.checked_reference(load_trajectory(trajectory, loaded))
 
 
 def write_prediction(predicted: PredictedError, out: Path) -> PredictedError:
-    """Print the widths and where they are largest, and write figure and rows into `out`."""
+    """Print widths, widest places and warnings, and write figure and rows into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:
         write_rows(predicted, draft)
@@ -80,20 +80,20 @@ def write_prediction(predicted: PredictedError, out: Path) -> PredictedError:
 
 
 def table(predicted: PredictedError) -> Table:
-    """Tabulate mean and largest half width of each tube."""
+    """Return a table with mean and maximum half width of each tube."""
     rows = []
     for direction in _DIRECTIONS:
         tube = getattr(predicted, direction)
         widths = (tube.at_each_place, tube.everywhere)
-        rows.append((direction, *(millis(figure(width)) for width in widths for figure in (np.mean, np.max))))
-    columns = ("direction", "at each place, mean [mm]", "largest [mm]", "everywhere, mean [mm]", "largest [mm]")
+        rows.append((direction, *(millis(statistic(width)) for width in widths for statistic in (np.mean, np.max))))
+    columns = ("direction", "at each place, mean [mm]", "maximum [mm]", "everywhere, mean [mm]", "maximum [mm]")
     share = f"{100 * predicted.level:g} %"
-    note = f"{share} of drives are inside, to either side: at each place, or all the way. Drives: {predicted.drives}."
+    note = f"Half widths that contain {share} of drives: at each place, or everywhere. Drives: {predicted.drives}."
     return Table(f"Predicted error of '{predicted.reference}'", columns, tuple(rows), text_columns=1, note=note)
 
 
 def write_rows(predicted: PredictedError, path: Path) -> None:
-    """Write a row for each place, in SI units."""
+    """Write a CSV row for each place, in SI units."""
     head = "t,s,x,y,theta,v,omega,lateral,lateral_everywhere,along,along_everywhere"
     tubes = [width for tube in (predicted.lateral, predicted.along) for width in (tube.at_each_place, tube.everywhere)]
     columns = [predicted.time, predicted.arc_length, predicted.pose, predicted.twist, *tubes]
@@ -101,7 +101,7 @@ def write_rows(predicted: PredictedError, path: Path) -> None:
 
 
 def draw(predicted: PredictedError, path: Path) -> None:
-    """Draw the path with its worst places, both tubes along it, and speed and curvature below."""
+    """Draw the path with its widest places, both tubes, and the twist of the reference over the arc length."""
     from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, new_figure  # noqa: PLC0415 - loads slowly
 
     s = predicted.arc_length
@@ -109,13 +109,13 @@ def draw(predicted: PredictedError, path: Path) -> None:
         panels = figure.subplot_mosaic([["path", "lateral"], ["path", "along"], ["path", "twist"]])
         panels["path"].plot(*predicted.pose[:, :2].T, color="black")
         panels["path"].set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        figure.suptitle(f"Predicted error of {predicted.reference}: {100 * predicted.level:g} % of drives are inside")
+        figure.suptitle(f"Predicted error of {predicted.reference}: tubes with {100 * predicted.level:g} % of drives")
         for direction, marker in zip(_DIRECTIONS, MARKERS, strict=False):
             axes, tube, widest = panels[direction], getattr(predicted, direction), predicted.widest(direction).index
-            for width, grey, words in zip(
+            for width, grey, label in zip(
                 (tube.everywhere, tube.at_each_place), _GREYS, ("everywhere", "at each place"), strict=True
             ):
-                axes.fill_between(s, -1e3 * width, 1e3 * width, color=grey, label=words, linewidth=0.0)
+                axes.fill_between(s, -1e3 * width, 1e3 * width, color=grey, label=label, linewidth=0.0)
             axes.plot(s[widest], 1e3 * tube.everywhere[widest], marker, color="black", label="worst")
             axes.set(ylabel=f"{direction} [mm]")
             panels["path"].plot(*predicted.pose[widest, :2], marker, color="black", label=f"worst {direction}")

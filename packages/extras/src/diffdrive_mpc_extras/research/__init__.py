@@ -1,1 +1,1 @@
-"""Research on tracking: an environment with the Gymnasium API, and many closed-loop drives as a table."""
+"""Tools for research on tracking: an environment with the Gymnasium API, and a table of many closed-loop drives."""

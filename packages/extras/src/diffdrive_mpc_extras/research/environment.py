@@ -26,24 +26,24 @@ def make_env(
 ) -> TrackingEnv:
     """Make an environment in which an agent tracks a trajectory.
 
-    An action is a command (2,): v [m/s], omega [rad/s]. An observation has 7 + 5 `preview` numbers of the sensors and
-    the reference, see `TrackingEnv`. The reward of a tick is minus the distance of the true position from the reference
-    [m]. `reset(seed=...)` repeats an episode bit for bit; without a seed each episode has other noise.
+    An action is a command (2,): v [m/s], omega [rad/s]. An observation has 7 + 5 `preview` values from the sensors and
+    the reference, see `TrackingEnv`. The reward of a tick is the negative distance of the true position from the
+    reference [m]. `reset(seed=...)` repeats an episode bit for bit; without a seed, the noise of each episode differs.
 
     An episode is truncated at the end of the reference. It terminates if the robot is lost or further from the
-    reference than `max_error`. `info` has `time` [s] and `position_error` [m], and at the end `metrics`: the statistics
-    of `bench` by name.
+    reference than `max_error`. `info` has `time` [s] and `position_error` [m]; at the end it also has `metrics`, the
+    statistics of `bench` by name.
 
     Parameters
     ----------
     trajectory
-        Name or path as `load_trajectory` takes it, or a trajectory.
+        Trajectory, or name or path as for `load_trajectory`.
     config
-        Configuration, or its name or path: sample time and limits of the commands.
+        Configuration with sample time and command limits, or its name or path.
     plant, surface, sensors, scenario
-        As `make_plant` takes them.
+        Arguments of `make_plant`.
     preview
-        Number of future ticks whose references are observed.
+        Number of future ticks of the reference in an observation.
     max_error
         Position error that ends an episode [m].
 
@@ -52,7 +52,7 @@ def make_env(
     MissingPackageError
         If gymnasium is not installed.
     ConfigError, ValueError
-        If a name is unknown, a file has a mistake, or `preview` or `max_error` is out of range.
+        If a name is unknown, a file is invalid, or `preview` or `max_error` is out of range.
     """
     try:
         from diffdrive_mpc_extras.research.tracking_env import TrackingEnv  # noqa: PLC0415 - needs gymnasium
@@ -60,5 +60,5 @@ def make_env(
         if (error.name or "").partition(".")[0] != "gymnasium":
             raise
         raise MissingPackageError("make_env needs gymnasium: pip install 'diffdrive-mpc-extras[gym]'") from error
-    place = {"name": plant, "surface": surface, "sensors": sensors, "scenario": scenario}
-    return TrackingEnv(trajectory, load_config(config), place, preview=preview, max_error=max_error)
+    plant_options = {"name": plant, "surface": surface, "sensors": sensors, "scenario": scenario}
+    return TrackingEnv(trajectory, load_config(config), plant_options, preview=preview, max_error=max_error)

@@ -33,34 +33,34 @@ def drive_many(
     jobs: int | None = None,
     on_done: OnDone | None = None,
 ) -> DataFrame:
-    """Drive every configuration along every trajectory with every seed, and return a table with one row per drive.
+    """Simulate every combination of configuration, trajectory and seed; return a table with one row per drive.
 
     Parameters
     ----------
     configs
-        Configurations by the names that they have in the table; or configurations, names or paths, which are named as
-        they were given, objects by their number.
+        Configurations by their names in the table; or configurations, names or paths, with the name of the file or the
+        index of an object as name in the table.
     trajectories
         Trajectories, or names or paths, which are loaded with the limits of each configuration.
     seeds
         Seeds of the noise.
     plant
-        As `make_plant` takes it; it gets sample time and limits of each configuration.
+        Plant, as for `make_plant`, with the sample time and limits of each configuration.
     jobs
-        Processes; by default one for each core. The table does not depend on it.
+        Number of processes, by default one per core. The table does not depend on it.
     on_done
-        Function to call after each drive, in place of a progress bar.
+        Callback after each drive, instead of a progress bar.
 
     Returns
     -------
     pandas.DataFrame
-        Columns `config`, `trajectory`, `seed`, the statistics of `Run.metrics` but times of steps, and `ended`: the
-        reason of a premature end, or an empty text.
+        Columns `config`, `trajectory`, `seed`, the statistics of `Run.metrics` without computing times, and `ended`:
+        the reason for an early end, or an empty text.
 
     Raises
     ------
     ConfigError, ModelError, ValueError
-        If a name is unknown or a file has a mistake; nothing is driven then.
+        If a name is unknown or a file is invalid; no drive is simulated then.
     MissingPackageError
         If pandas is not installed.
     ArgumentError
@@ -69,20 +69,20 @@ def drive_many(
     pandas = load_pandas("drive_many")
     if not hasattr(seeds, "__iter__"):
         raise wrong_type("seeds", "several seeds", seeds, "give range(5), or a list")
-    named = (
+    by_name = (
         dict(configs)
         if isinstance(configs, Mapping)
-        else {_name(number, config): config for number, config in enumerate(_each(configs))}
+        else {_name(index, config): config for index, config in enumerate(_as_list(configs))}
     )
-    loaded = {name: load_config(config) for name, config in named.items()}
-    drawn = [int(seed) for seed in seeds]
-    paths = _each(trajectories)
-    check_count(len(loaded) * len(paths) * len(drawn))
+    loaded = {name: load_config(config) for name, config in by_name.items()}
+    seeds = [int(seed) for seed in seeds]
+    paths = _as_list(trajectories)
+    check_count(len(loaded) * len(paths) * len(seeds))
     tasks = []
     for (name, config), path in itertools.product(loaded.items(), paths):
         reference = path if isinstance(path, Trajectory) else load_trajectory(path, config)
         make_plant(plant, **plant_settings(config))
-        tasks += [partial(_drive, name, config, reference, plant, seed) for seed in drawn]
+        tasks += [partial(_drive, name, config, reference, plant, seed) for seed in seeds]
     jobs = jobs or available_cores()
     if on_done is not None:
         return pandas.DataFrame(run_tasks(tasks, jobs, on_done))
@@ -91,15 +91,15 @@ def drive_many(
 
 
 def _drive(name: str, config: ControllerConfig, reference: Trajectory, plant: str, seed: int) -> dict[str, object]:
-    """Drive once and return the row."""
+    """Simulate one drive and return its row."""
     run = simulate(Controller(config), make_plant(plant, seed=seed, **plant_settings(config)), reference)
-    place = {"config": name, "trajectory": reference.name, "seed": seed}
-    return {**place, **statistics_of(run, timed=False), "ended": run.ended}
+    key = {"config": name, "trajectory": reference.name, "seed": seed}
+    return {**key, **statistics_of(run, timed=False), "ended": run.ended}
 
 
-def _each(values: Any) -> list[Any]:  # noqa: ANN401 - one value or several
+def _as_list(values: Any) -> list[Any]:  # noqa: ANN401 - one value or several
     return [values] if isinstance(values, (str, Path, ControllerConfig, Trajectory)) else list(values)
 
 
-def _name(number: int, config: Config) -> str:
-    return str(number) if isinstance(config, ControllerConfig) else Path(config).stem
+def _name(index: int, config: Config) -> str:
+    return str(index) if isinstance(config, ControllerConfig) else Path(config).stem

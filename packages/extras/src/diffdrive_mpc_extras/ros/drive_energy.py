@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, MessageError, nanos
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
 from diffdrive_mpc.mpc.ros.settings import PartSettings, Positive
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
-from diffdrive_mpc_extras.energy_term import energy_of
+from diffdrive_mpc_extras.energy_term import energy_settings
 from diffdrive_mpc_extras.turn_costs import TurnCosts, load_turn_costs
 
 # Plausibility limits of battery readings.
@@ -103,7 +103,7 @@ class EnergyPart(NodePart):
     def configure(self, tools: NodeTools) -> None:
         """Load the turn costs, and subscribe to the battery topic."""
         settings = self._settings = tools.part_settings(EnergySettings)
-        file = energy_of(tools.controller.config).turn_costs
+        file = energy_settings(tools.controller.config).turn_costs
         self._costs = load_turn_costs(file) if file else None
         self.battery = TopicWatch("battery")
         self._meter = EnergyMeter(settings.battery_timeout)

@@ -2,8 +2,8 @@
 
 #include "internal.h"
 
-/* A spline through timed poses may ring a little over its limit. */
-#define SPEED_EXCESS R(1.01)
+/* Tolerance for splines through timed poses, which may overshoot the limit slightly. */
+#define SPEED_TOLERANCE R(1.01)
 
 static ddmpc_controller controller;
 static real reals[DDMPC_REALS];
@@ -24,14 +24,14 @@ ddmpc_reference ddmpc_reference_of(const ddmpc_trajectory *trajectory)
     return reference;
 }
 
-static int keeps_limits(const ddmpc_controller *c, const ddmpc_reference *reference)
+static int is_within_limits(const ddmpc_controller *c, const ddmpc_reference *reference)
 {
     for (ddmpc_time t = 0.0; t <= reference->duration; t += c->constants->sample_time) {
         real pose[3], twist[2], arc_length;
         reference->sample(reference->context, t, pose, twist, &arc_length);
         for (int channel = 0; channel < 2; channel++)
             if (!(ddmpc_fabs(twist[channel]) <=
-                  SPEED_EXCESS * c->constants->largest_command[2 * channel + (twist[channel] < R(0.0))]))
+                  SPEED_TOLERANCE * c->constants->largest_command[2 * channel + (twist[channel] < R(0.0))]))
                 return 0;
     }
     return 1;
@@ -39,15 +39,15 @@ static int keeps_limits(const ddmpc_controller *c, const ddmpc_reference *refere
 
 int ddmpc_follow(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)
 {
-    return isfinite(reference->duration) && keeps_limits(c, reference) && ddmpc_start(c, reference, t0);
+    return isfinite(reference->duration) && is_within_limits(c, reference) && ddmpc_start(c, reference, t0);
 }
 
 const ddmpc_result *ddmpc_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
-    ddmpc_input now = *input;
-    now.reference_time = t - c->t0;
-    now.on_time = 1;
-    ddmpc_step(c, t, &now);
+    ddmpc_input timed_input = *input;
+    timed_input.reference_time = t - c->t0;
+    timed_input.on_time = 1;
+    ddmpc_step(c, t, &timed_input);
     ddmpc_give_up(c);
     return ddmpc_result_of(c);
 }

@@ -1,32 +1,32 @@
-/* The controller of this program: what an application calls, beside core.h. There is one, in static memory of exactly
- * the size that its configuration needs. */
+/* Application interface of the exported controller, in addition to core.h. A program has one controller, in static memory
+ * of the size that its configuration requires. */
 #ifndef DDMPC_H
 #define DDMPC_H
 
 #include "core.h"
 
-/* Generated data of this controller: its numbers, the user's functions, and the defaults of their parameters. */
+/* Generated data of this controller: sizes, constants, functions, and defaults of the parameters of user functions. */
 extern const ddmpc_sizes ddmpc_this_sizes;
 extern const ddmpc_constants ddmpc_this_constants;
 extern const ddmpc_functions ddmpc_this_functions;
 extern const real ddmpc_this_defaults[];
 
-/* The controller as new: for a robot that stands still, without a reference. Parameters of the user's functions are at
-   their defaults; ddmpc_parameters says where they are to be changed. */
+/* Initialise the controller for a robot at rest, without a reference, and return it. Parameters of the user's functions
+   have their default values; ddmpc_parameters returns the address at which to change them. */
 ddmpc_controller *ddmpc_open(void);
 
-/* A trajectory in closed form as a reference. */
+/* Return a trajectory in closed form as a reference. */
 ddmpc_reference ddmpc_reference_of(const ddmpc_trajectory *trajectory);
 
-/* Track `reference` from now on; its time 0 is `t0` [s] on the clock of ddmpc_tick. The robot may be moving. Looks at
-   the whole reference once, sample by sample. Returns 0, and changes nothing, if `t0` or the duration is not finite, or
-   the reference is faster than the limits. */
+/* Start tracking `reference`; its time 0 is `t0` [s] on the clock of ddmpc_tick. The robot may be moving. Checks every
+   sample of the reference. Returns 0, and changes nothing, if `t0` or the duration is not finite, or the reference
+   exceeds the limits. */
 int ddmpc_follow(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
 
-/* Decide the command for the tick at `t` [s] from what arrived since the last one. `reference_time` and `on_time` of the
-   input need not be set: the reference does not wait. Where the active set proves no solution the solve has failed, and
-   the ladder acts; to have a backend of your own instead, call ddmpc_step, and ddmpc_answer where it says
-   DDMPC_NEEDS_BACKEND. The result is valid until the next tick. */
+/* Compute the command for the tick at `t` [s] from the measurements since the previous tick. `reference_time` and
+   `on_time` of the input are ignored: the reference does not wait. If the active set finds no proven solution, the solve
+   fails and the failure ladder selects the command. To use another solver as backend, call ddmpc_step instead, and
+   ddmpc_answer if the status is DDMPC_NEEDS_BACKEND. The result is valid until the next tick. */
 const ddmpc_result *ddmpc_tick(ddmpc_controller *controller, ddmpc_time t, const ddmpc_input *input);
 
 #endif

@@ -1,4 +1,4 @@
-/* USART1 (PA9, PA10; 115200 baud at the 16 MHz after reset) and SysTick of an STM32F4. */
+/* USART1 (PA9, PA10; 115200 baud at the 16 MHz clock after reset) and SysTick of an STM32F4. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -18,7 +18,7 @@
 #define SYSTICK_VALUE REGISTER(0xE000E018)
 #define COUNTER_MASK 0xFFFFFFu
 
-static inline void set_up(void)
+static inline void initialise_board(void)
 {
     CLOCK_PORTS |= 1u;
     CLOCK_USART |= 1u << 4;
@@ -49,7 +49,7 @@ static inline void transmit(const void *bytes, unsigned count)
     }
 }
 
-/* Cycles since the counter stood at `since`; SysTick counts downwards. */
-static inline double passed(uint32_t since) { return (double)((since - SYSTICK_VALUE) & COUNTER_MASK); }
+/* Return the cycles since the counter value `start`; SysTick counts downwards. */
+static inline double elapsed_cycles(uint32_t start) { return (double)((start - SYSTICK_VALUE) & COUNTER_MASK); }
 
 #endif

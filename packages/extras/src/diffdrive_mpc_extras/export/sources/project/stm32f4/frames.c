@@ -1,16 +1,16 @@
 #include "frames.h"
 
-/* Takes the next of the numbers on. */
-static const double *read_stamped(ddmpc_stamped *stamped, const double *number, int values)
+/* Read a measurement with `values` components from the frame; return the position after it. */
+static const double *read_stamped(ddmpc_stamped *stamped, const double *position, int values)
 {
-    stamped->present = *number++ != 0.0;
-    stamped->stamp = *number++;
+    stamped->present = *position++ != 0.0;
+    stamped->stamp = *position++;
     for (int i = 0; i < values; i++)
-        stamped->value[i] = (real)*number++;
-    stamped->has_covariance = *number++ != 0.0;
+        stamped->value[i] = (real)*position++;
+    stamped->has_covariance = *position++ != 0.0;
     for (int i = 0; i < values * values; i++)
-        stamped->covariance[i] = (real)*number++;
-    return number;
+        stamped->covariance[i] = (real)*position++;
+    return position;
 }
 
 int frame_read(const double in[FRAME_IN], ddmpc_input *input)

@@ -1,7 +1,7 @@
-/* Vectors and start of a Cortex-M4F: FPU on, memory set up, main. */
+/* Vector table and reset handler of a Cortex-M4F: enable the FPU, initialise memory, call main. */
 #include <stdint.h>
 
-extern uint32_t _stack_top, _data_begin, _data_end, _data_source, _bss_begin, _bss_end;
+extern uint32_t _stack_top, _data_start, _data_end, _data_source, _bss_start, _bss_end;
 int main(void);
 void reset_handler(void);
 
@@ -17,9 +17,9 @@ void reset_handler(void)
 {
     COPROCESSOR_ACCESS |= 0xFu << 20;
     __asm__ volatile("dsb\n\tisb");
-    for (uint32_t *to = &_data_begin, *from = &_data_source; to < &_data_end;)
+    for (uint32_t *to = &_data_start, *from = &_data_source; to < &_data_end;)
         *to++ = *from++;
-    for (uint32_t *to = &_bss_begin; to < &_bss_end;)
+    for (uint32_t *to = &_bss_start; to < &_bss_end;)
         *to++ = 0;
     main();
     halt();
@@ -27,7 +27,7 @@ void reset_handler(void)
 
 typedef void (*handler)(void);
 
-/* Stack, reset, then the system's exceptions up to SysTick. */
+/* Initial stack pointer, reset handler, system exceptions up to SysTick. */
 __attribute__((section(".vectors"), used)) static const struct {
     uint32_t *stack;
     handler entry[15];

@@ -3,7 +3,7 @@ set(CMAKE_SYSTEM_NAME Generic)
 set(CMAKE_SYSTEM_PROCESSOR cortex-m4)
 set(CMAKE_C_COMPILER arm-none-eabi-gcc)
 set(CMAKE_TRY_COMPILE_TARGET_TYPE STATIC_LIBRARY)
-# Products and sums in one instruction; constants of plain decimals stay single precision by their suffix.
+# Allow fused multiply-add instructions.
 set(CMAKE_C_FLAGS_INIT "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -ffp-contract=fast \
 -ffunction-sections -fdata-sections -fno-math-errno")
 set(CMAKE_C_FLAGS_RELEASE_INIT "-O2")
