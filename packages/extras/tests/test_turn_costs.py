@@ -1,4 +1,4 @@
-"""Turn costs: the slip law from a drive, torques over every command, power as numbers and as an expression."""
+"""Turn costs: identification of the slip law, torques, numeric and symbolic power, least radius, and files."""
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from refusals import one_line_error
 
 BOT, MOTORS = load_vehicle("fsu_bot"), load_drive_constants("fsu_bot")
 TRUE = np.array(load_terrain("asphalt").slip)
-FLOORS = ("slippery", "default", "carpet", "grippy")
+SURFACES = ("slippery", "default", "carpet", "grippy")
 GRID = np.array([[v, w] for v in (-0.6, -0.2, 0.0, 0.2, 0.4, 0.6) for w in np.linspace(-1.2, 1.2, 41)])
 
 
@@ -35,27 +35,26 @@ def vinyl(curves):
     return costs_of_curves(curves, TRUE, name="vinyl", vehicle=BOT, drive=MOTORS, provenance="prior")
 
 
-def drive(rng, count=40, hold=25):
+def drive_commands(rng, count=40, hold=25):
     v, radius = rng.uniform(0.2, 0.6, count), rng.uniform(0.8, 20.0, count) * rng.choice([-1, 1], count)
     return np.repeat(np.stack([v, v / radius], -1), hold, axis=0)
 
 
-def test_a_slip_law_is_found_again_within_its_doubt():
+def test_slip_law_is_identified_within_its_standard_deviations():
     rng = np.random.default_rng(3)
-    commands = drive(rng)
+    commands = drive_commands(rng)
     clean = identify_slip(commands, polynomial_twist(TRUE, commands))
     assert clean.coefficients == pytest.approx(TRUE, abs=1e-9)
-    off = []
+    normalised_errors = []
     for _ in range(60):
         noisy = polynomial_twist(TRUE, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
         estimate = identify_slip(commands, noisy)
-        off.append((estimate.coefficients - TRUE) / estimate.deviations)
-    # Normal errors: their spread over the stated deviation is one.
-    assert np.std(off) == pytest.approx(1.0, abs=0.15)
+        normalised_errors.append((estimate.coefficients - TRUE) / estimate.deviations)
+    assert np.std(normalised_errors) == pytest.approx(1.0, abs=0.15)
 
 
 def test_settling_and_non_finite_samples_are_omitted():
-    commands = drive(np.random.default_rng(6))
+    commands = drive_commands(np.random.default_rng(6))
     twist = polynomial_twist(TRUE, commands)
     twist[::25] += 1.0  # the first row after each change
     twist[7] = np.nan
@@ -64,70 +63,71 @@ def test_settling_and_non_finite_samples_are_omitted():
 
 
 @pytest.mark.parametrize(
-    ("commands", "twist", "words"),
+    ("commands", "twist", "message"),
     [
-        (np.ones((50, 3)), np.ones((50, 3)), "give (n, 2) and (n, 3)"),
+        (np.ones((50, 3)), np.ones((50, 3)), "use (n, 2) and (n, 3)"),
         (np.tile([0.4, 0.1], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
         (np.tile([0.4, 0.0], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
     ],
 )
-def test_a_drive_that_tells_no_slip_law_is_refused(commands, twist, words):
-    with one_line_error(ConfigError, words):
+def test_drive_without_sufficient_excitation_is_refused(commands, twist, message):
+    with one_line_error(ConfigError, message):
         identify_slip(commands, twist)
 
 
-def test_the_table_says_what_the_curves_say(vinyl, curves):
+def test_table_agrees_with_its_torque_curves(vinyl, curves):
     forward = GRID[(GRID[:, 0] > 0) & (np.abs(GRID[:, 1]) < 2 * GRID[:, 0])]
     assert vinyl.torques(forward) == pytest.approx(curves.torques(forward), abs=0.06)
-    driven = drive(np.random.default_rng(7))
-    energy = vinyl.power(driven).sum() * 0.02
-    assert energy == pytest.approx(predict_energy(BOT, MOTORS, curves, driven, 0.02).energy, rel=0.01)
+    commands = drive_commands(np.random.default_rng(7))
+    energy = vinyl.power(commands).sum() * 0.02
+    assert energy == pytest.approx(predict_energy(BOT, MOTORS, curves, commands, 0.02).energy, rel=0.01)
 
 
-@pytest.mark.parametrize("name", FLOORS)
-def test_torques_obey_the_symmetries_of_the_robot(name):
+@pytest.mark.parametrize("name", SURFACES)
+def test_torques_have_the_symmetries_of_the_robot(name):
     costs = load_turn_costs(f"fsu_bot-{name}")
     torques = costs.torques(GRID)
     assert costs.torques(GRID * [1, -1]) == pytest.approx(torques[:, ::-1], abs=1e-12)  # mirrored
     assert costs.torques(-GRID) == pytest.approx(-torques, abs=1e-12)  # backward
     assert np.abs(torques).max() <= costs.vehicle.torque_limit
     assert costs.torques([[0.0, 0.0]]) == pytest.approx(np.zeros((1, 2)), abs=1e-12)
-    spot = costs.torques([[0.0, 0.5]])
-    assert spot[0, 0] == pytest.approx(-spot[0, 1])
+    spot_turn = costs.torques([[0.0, 0.5]])
+    assert spot_turn[0, 0] == pytest.approx(-spot_turn[0, 1])
 
 
-@pytest.mark.parametrize("name", FLOORS)
+@pytest.mark.parametrize("name", SURFACES)
 @pytest.mark.parametrize("symbol", [ca.SX.sym, ca.MX.sym])
-def test_the_expression_is_the_power_and_smooth(name, symbol):
+def test_symbolic_power_is_smooth_and_agrees_with_the_numeric_power(name, symbol):
     costs = load_turn_costs(f"fsu_bot-{name}")
     v, omega = symbol("v"), symbol("w")
     power = costs.symbolic_power(v, omega)
-    both = ca.vertcat(v, omega)
-    function = ca.Function("power", [v, omega], [power, ca.gradient(power, both), ca.hessian(power, both)[0]])
+    command = ca.vertcat(v, omega)
+    function = ca.Function("power", [v, omega], [power, ca.gradient(power, command), ca.hessian(power, command)[0]])
     rows = GRID[GRID[:, 0] > 0]
     values = np.array([float(function(*row)[0]) for row in rows])
-    true = costs.power(rows)
-    assert np.abs(values - true).max() < 0.03 * true.max() + 0.1
-    # Even and flat in curvature at straight on, curved upward; finite everywhere.
-    value, gradient, hessian = (np.array(value_part) for value_part in function(0.4, 0.0))
+    expected = costs.power(rows)
+    assert np.abs(values - expected).max() < 0.03 * expected.max() + 0.1
+    # The power is even in the yaw rate: its slope is zero on a straight path.
+    value, gradient, hessian = (np.array(output) for output in function(0.4, 0.0))
     assert gradient[1] == pytest.approx(0.0, abs=1e-9)
-    ahead = float(function(0.4, 1e-5)[0])
-    assert (ahead - float(value.squeeze())) * 2e10 == pytest.approx(hessian[1, 1], rel=0.05)
-    assert all(np.isfinite(np.array(value_part)).all() for row in GRID for value_part in function(*row))
+    neighbour = float(function(0.4, 1e-5)[0])
+    assert (neighbour - float(value.squeeze())) * 2e10 == pytest.approx(hessian[1, 1], rel=0.05)
+    assert all(np.isfinite(np.array(output)).all() for row in GRID for output in function(*row))
 
 
-def test_without_regeneration_a_side_that_brakes_gives_nothing():
+def test_braking_side_returns_no_power_without_regeneration():
     costs = load_turn_costs("fsu_bot-grippy")
     changed = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
     turn = [[0.4, 0.1]]
-    inner = changed.torques(turn)[0, 0] * changed.vehicle.rims(np.array(turn))[0, 0] / changed.vehicle.wheel_radius
-    assert inner < 0 and changed.power(turn) > costs.power(turn)
+    rim_speed = changed.vehicle.rim_speeds(np.array(turn))[0, 0]
+    inner_power = changed.torques(turn)[0, 0] * rim_speed / changed.vehicle.wheel_radius
+    assert inner_power < 0 and changed.power(turn) > costs.power(turn)
     v, omega = ca.SX.sym("v"), ca.SX.sym("w")
     function = ca.Function("power", [v, omega], [changed.symbolic_power(v, omega)])
     assert float(function(0.4, 0.1)) == pytest.approx(changed.power(turn)[0], rel=0.02)
 
 
-def test_least_radii_are_those_of_the_curves_and_go_with_speed():
+def test_least_radius_has_the_torque_limit_and_is_proportional_to_speed():
     assert load_turn_costs("fsu_bot-slippery").least_radius() == 0.0
     grippy = load_turn_costs("fsu_bot-grippy")
     assert 1.5 < grippy.least_radius() < 2.5
@@ -138,29 +138,29 @@ def test_least_radii_are_those_of_the_curves_and_go_with_speed():
         grippy.least_radius(0)
 
 
-def test_what_is_written_is_read_again(vinyl, tmp_path):
+def test_written_turn_costs_can_be_loaded(vinyl, tmp_path):
     path = tmp_path / "costs.yaml"
     path.write_text(turn_costs_text(vinyl), encoding="utf-8")
-    again = load_turn_costs(path)
+    loaded = load_turn_costs(path)
     assert "vehicle: fsu_bot" in path.read_text(encoding="utf-8")
-    assert again.power(GRID) == pytest.approx(vinyl.power(GRID), abs=0.01)
-    loaded = vinyl.model_copy(update={"vehicle": BOT.model_copy(update={"weight": BOT.weight + 5.0 * 9.81})})
-    path.write_text(turn_costs_text(loaded), encoding="utf-8")
-    assert load_turn_costs(path).vehicle == loaded.vehicle
+    assert loaded.power(GRID) == pytest.approx(vinyl.power(GRID), abs=0.01)
+    heavier = vinyl.model_copy(update={"vehicle": BOT.model_copy(update={"weight": BOT.weight + 5.0 * 9.81})})
+    path.write_text(turn_costs_text(heavier), encoding="utf-8")
+    assert load_turn_costs(path).vehicle == heavier.vehicle
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
-        ({"curve": {"radius": [1, 2, 2], "outer": [1, 1, 1], "inner": [0, 0, 0]}}, "has to ascend"),
+        ({"curve": {"radius": [1, 2, 2], "outer": [1, 1, 1], "inner": [0, 0, 0]}}, "must ascend"),
         ({"vehicle": "fsu_bott"}, "did you mean 'fsu_bot'"),
     ],
 )
-def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change, words):
-    plain = yaml.safe_load(turn_costs_text(load_turn_costs("fsu_bot-carpet")))
+def test_invalid_file_raises_config_error(tmp_path, change, message):
+    content = yaml.safe_load(turn_costs_text(load_turn_costs("fsu_bot-carpet")))
     for key, value in change.items():
-        plain[key] = plain[key] | value if isinstance(value, dict) else value
+        content[key] = content[key] | value if isinstance(value, dict) else value
     path = tmp_path / "costs.yaml"
-    path.write_text(yaml.safe_dump(plain), encoding="utf-8")
-    with one_line_error(ConfigError, words):
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with one_line_error(ConfigError, message):
         load_turn_costs(path)

@@ -1,4 +1,4 @@
-"""Terrain: shear under the tyres of a skid-steer in a turn, torque per side, least radius."""
+"""Terrain: shear under the tyres of a skid-steer robot in a turn, and the torque of each side."""
 
 from diffdrive_mpc_extras.terrain.terrain_file import Shear, Terrain, load_terrain
 from diffdrive_mpc_extras.terrain.turning import SideTorques, side_torques

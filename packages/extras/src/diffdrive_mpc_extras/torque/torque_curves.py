@@ -270,7 +270,7 @@ def predict_energy(
         raise ConfigError(f"commands of shape {rows.shape}: give (n, 2) finite numbers, v [m/s] and omega [rad/s]")
     if not (np.isfinite(sample_time) and sample_time > 0):
         raise ConfigError(f"sample time {sample_time} s: give a positive number")
-    speeds = vehicle.rims(rows) / vehicle.wheel_radius
+    speeds = vehicle.rim_speeds(rows) / vehicle.wheel_radius
     torque = curves.torques(rows)
     power = constants.robot_power(torque, speeds)
     return PredictedEnergy(torque, speeds, power, float(power.sum() * sample_time))

@@ -1,4 +1,4 @@
-"""Turns of one robot on one floor: slip law, torques, power and least radius in one file."""
+"""Turn costs of a robot on a surface: slip law, torques, power and least radius in one file."""
 
 from diffdrive_mpc_extras.turn_costs.slip import IdentifiedSlip, identify_slip
 from diffdrive_mpc_extras.turn_costs.turn_costs import (
