@@ -468,9 +468,9 @@ def _slip(prior: SlipPrior) -> list[Setting]:
 def _slew(identified: IdentifiedModel) -> list[Setting]:
     """Choose slew limits below the identified acceleration limits of the base, at which the model is nonlinear."""
     parameters, settings = identified.parameters, identification_settings()
-    default_robot, base_limit = load_robot().command_slew, limits_in(identified.base_effects)
+    default, limits = load_robot().command_slew, limits_in(identified.base_effects)
     slews = []
-    for name, row in zip(CHANNELS, base_limit[:, 2:], strict=True):
+    for name, row in zip(CHANNELS, limits[:, 2:], strict=True):
         if row.min() == np.inf:
             continue
         sides = []
