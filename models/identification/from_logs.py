@@ -332,7 +332,7 @@ def identify_data(
         data.train,
         fitted.geometry,
         report.slip,
-        maker=data.stated_track,
+        stated=data.stated_track,
         every_sample=predictor is not None,
         sensors=data.sensors,
         notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
@@ -425,7 +425,7 @@ def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | Non
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
         known = (*STRUCTURES, *finders())
-        raise OptionError("structure", f" '{name}': use one of {', '.join(known)}{similar_name(name, known)}")
+        raise OptionError("structure", f" '{name}': give one of {', '.join(known)}{similar_name(name, known)}")
     selected_structure = STRUCTURES[ACCOMPANYING if predictor else name]
     if effects and (predictor or not selected_structure.takes_effects):
         supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
@@ -442,7 +442,7 @@ def _check_order(structure: Structure, order: int | str) -> int | None:
         supported = " or ".join(name for name, candidate in STRUCTURES.items() if candidate.largest_order is not None)
         raise OptionError("order", f" {order}: only {supported} has a selectable order; omit it for {structure.name}")
     if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
-        raise OptionError("order", f" '{order}': use {AUTOMATIC}, or 1 to {structure.largest_order}")
+        raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")
     return int(order)
 
 

@@ -176,7 +176,7 @@ def read_data(
 def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: float) -> None:
     low, high = identification_settings().shares
     if not low <= fit_share <= high:
-        raise OptionError("fit_share", f" {fit_share:g}: use {low:g} to {high:g}")
+        raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     duplicates = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if duplicates:
         raise ConfigError(f"{duplicates[0]}: this log is given twice; validation data must not be training data")
