@@ -1,3 +1,3 @@
-"""Identification for the command line: trial drives, verdict, figures and page."""
+"""Implementation of the command `identify`: trial drives, verdict, figures and page."""
 
 from __future__ import annotations

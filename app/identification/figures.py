@@ -22,18 +22,20 @@ FOLDER = "figures"
 """Name of the folder of figures in the folder of results."""
 UNITS = {"v": "m/s", "omega": "rad/s"}
 WINDOW = 30.0
-"""Duration of a drive in each row of a figure with at most `_MAX_ROWS` rows [s]."""
+"""Duration of validation data in each row of a figure with at most `_MAX_ROWS` rows [s]."""
 _MAX_ROWS = 6
 _STEP_DURATION = 5.0
-"""Duration of a step response relative to the lag of the slower channel [-]."""
+"""Duration of a step response, relative to the lag of the slower channel [-]."""
 _SAMPLES, _POINTS = 400, 1500
-_INTERVAL = 1.959964
+"""Number of samples of a step response, and approximate number of points of a series."""
+_INTERVAL_HALF_WIDTH = 1.959964
+"""Half-width of a 95 % interval in standard deviations."""
 
 Draw = Callable[[IdentificationReport, Path], None]
 
 
 def draw_identification(report: IdentificationReport, folder: Path, on_done: Callable[[], None]) -> dict[str, str]:
-    """Draw the figures into `FOLDER` in `folder`; `on_done` is called after each figure.
+    """Draw the figures to the folder `FOLDER` in `folder`; `on_done` is called after each figure.
 
     Returns
     -------
@@ -53,18 +55,18 @@ def draw_identification(report: IdentificationReport, folder: Path, on_done: Cal
 
 
 def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequence[Chart]]]:
-    """Return the figures with data in the report: file name, and charts or drawing function, by title."""
-    jobs: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
+    """Return the figures for which the report has data: file name, and charts or drawing function, by title."""
+    figures: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
         "Measured and simulated": ("simulation.png", draw_simulation),
         "Correlation of residuals": ("residuals.png", draw_residuals),
     }
     if report.fitted.predictor is None:
-        jobs |= {"Step responses": ("steps.png", step_charts(report)), "Poles": ("poles.png", draw_poles)}
+        figures |= {"Step responses": ("steps.png", step_charts(report)), "Poles": ("poles.png", draw_poles)}
     if report.fitted.orders:
-        jobs["Orders of SSM"] = ("orders.png", order_charts(report))
+        figures["Orders of SSM"] = ("orders.png", order_charts(report))
     if report.poses.drift:
-        jobs["Drift of the pose"] = ("drift.png", drift_charts(report))
-    return jobs
+        figures["Drift of the pose"] = ("drift.png", drift_charts(report))
+    return figures
 
 
 def other_charts(report: IdentificationReport) -> list[Chart]:
@@ -75,29 +77,29 @@ def other_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:
-    """Return charts of command, measurement and simulation of both channels on all held-out data.
+    """Return a chart of command, measurement and simulation of each channel on all validation data.
 
-    Stretches are in sequence. Each series is reduced to about `points` points, which preserve the extremes.
+    Records are in sequence. Each series is reduced to about `points` points, which preserve the extremes.
     """
     data, fitted = report.data, report.fitted
     records = data.validation
-    x_title = "time in held-out data [s], stretches in sequence"
+    time_title = "time in validation data [s], records in sequence"
     starts = np.cumsum([0.0, *(record.dt * len(record.command) for record in records)])
     if len(records) == 1:
-        x_title = from_zero(records[0].time)[1]
+        time_title = from_zero(records[0].time)[1]
     columns: list[list[FloatArray]] = [[], [], []]
     experiments = twist_experiments(records, data.yaw)
     for record, experiment, simulated, start in zip(records, experiments, fitted.simulated, starts, strict=False):
         time = start + record.dt * np.arange(len(record.command))
         for column, values in zip(columns, (record.command, experiment.readings, simulated), strict=True):
-            # NaN interrupts the line at the end of each stretch.
+            # NaN interrupts the line at the end of each record.
             column.append(np.vstack([np.column_stack([time, values]), [time[-1], np.nan, np.nan]]))
     charts = []
     for i, channel in enumerate(CHANNELS):
         series = []
         for name, column, style in zip(("command", "measured", "simulated"), columns, (6, 0, 1), strict=True):
             rows = np.vstack(column)[:, [0, 1 + i]]
-            if name == "measured":  # points need no gaps between stretches
+            if name == "measured":  # no gaps are necessary between points
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
             times = [round(float(value), 3) for value in time]
@@ -105,24 +107,24 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
                 Series(name, times, [rounded(value) for value in values], style, "points" if style == 0 else "line")
             )
         fit = number(float(fitted.validation.fit_percent[i]), 1)
-        note = f"All held-out data; simulated from the commands alone. FIT {fit} %."
+        note = f"All validation data; simulated from the commands alone. FIT {fit} %."
         axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"
-        charts.append(Chart(title, Axis(x_title), axis, series, note, broad=True))
+        charts.append(Chart(title, Axis(time_title), axis, series, note, broad=True))
     return charts
 
 
 def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
-    """Select about `points` rows that preserve the shape of values (n,): the extremes of each bin, and all gaps."""
-    known = np.flatnonzero(np.isfinite(values))
-    size = 1 if len(known) <= points else -(-2 * len(known) // points)
-    bins = np.split(known, np.arange(size, len(known), size))
-    bins = [part for part in bins if len(part)]
-    extremes = [part[extreme(values[part])] for part in bins for extreme in (np.argmin, np.argmax)]
+    """Select about `points` rows that preserve the shape of `values` (n,): the extremes of each bin, and all gaps."""
+    finite = np.flatnonzero(np.isfinite(values))
+    size = 1 if len(finite) <= points else -(-2 * len(finite) // points)
+    bins = np.split(finite, np.arange(size, len(finite), size))
+    bins = [rows for rows in bins if len(rows)]
+    extremes = [rows[index(values[rows])] for rows in bins for index in (np.argmin, np.argmax)]
     return np.union1d(np.array(extremes, dtype=np.intp), np.flatnonzero(np.isnan(values)))
 
 
 def draw_simulation(report: IdentificationReport, path: Path) -> None:
-    """Draw all held-out data with v next to omega, in rows of consecutive time."""
+    """Draw all validation data in rows of consecutive time, with a column for v and one for omega."""
     records = report.data.validation
     total = sum(record.dt * len(record.command) for record in records)
     rows = min(_MAX_ROWS, max(1, int(np.ceil(total / WINDOW))))
@@ -139,7 +141,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
 
 
 def step_charts(report: IdentificationReport) -> list[Chart]:
-    """Return charts of the response of both outputs to a unit step of each command, including dead time."""
+    """Return a chart for each command: response of both outputs to a unit step of the command, with dead time."""
     model = report.fitted.identified.model
     time, responses = step_responses(report)
     x, charts = [round(float(value), 4) for value in time], []
@@ -148,8 +150,8 @@ def step_charts(report: IdentificationReport) -> list[Chart]:
             Series(f"{channel} [{UNITS[channel]}]", x, [rounded(value) for value in responses[j][:, i]], i, "line")
             for i, channel in enumerate(CHANNELS)
         ]
-        steady = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
-        note = f"Dead time {1e3 * model.dead_time[j]:.0f} ms; steady {steady}."
+        gains = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
+        note = f"Dead time {1e3 * model.dead_time[j]:.0f} ms; steady state {gains}."
         marks = [Mark(1.0, ""), Mark(float(model.dead_time[j]), "dead time", upright=True)]
         title = f"Step of {command}_ref by 1 {UNITS[command]}"
         charts.append(Chart(title, Axis("time [s]"), Axis("response"), series, note, marks))
@@ -157,15 +159,15 @@ def step_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def order_charts(report: IdentificationReport) -> list[Chart]:
-    """Return charts of training and validation FIT over the order."""
+    """Return a chart of training and validation FIT over the order for each channel."""
     choice = report.fitted.orders
     assert choice is not None
     orders, charts = list(range(1, len(choice.rows) + 1)), []
     for i, channel in enumerate(CHANNELS):
-        kinds = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
+        attributes = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
         series = [
-            Series(kind, orders, [rounded(getattr(row, name)[i]) for row in choice.rows], k)
-            for k, (kind, name) in enumerate(kinds.items())
+            Series(label, orders, [rounded(getattr(row, name)[i]) for row in choice.rows], k)
+            for k, (label, name) in enumerate(attributes.items())
         ]
         marks = [Mark(choice.order, "selected", upright=True)]
         charts.append(Chart(f"Comparison of orders, {channel}", Axis("order"), Axis("FIT [%]"), series, "", marks))
@@ -173,7 +175,7 @@ def order_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def drift_charts(report: IdentificationReport) -> list[Chart]:
-    """Return the chart of the position error over the time of a free prediction."""
+    """Return the chart of the position error over the prediction horizon."""
     drift = report.poses.drift
     x = [row.horizon for row in drift]
     series = [
@@ -185,31 +187,32 @@ def drift_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def draw_residuals(report: IdentificationReport, path: Path) -> None:
-    """Draw the autocorrelation and the cross-correlations of both residuals with their 95 % bounds."""
-    check = report.fitted.validation.residuals
-    lags = check.lag_step * np.arange(check.autocorrelation.shape[1])
-    two_sided_lags = check.lag_step * (np.arange(check.cross_correlation.shape[2]) - len(lags) + 1)
+    """Draw the autocorrelation of both residuals, and their correlation with the commands, with 95 % bounds."""
+    residuals = report.fitted.validation.residuals
+    lags = residuals.lag_step * np.arange(residuals.autocorrelation.shape[1])
+    two_sided_lags = residuals.lag_step * (np.arange(residuals.cross_correlation.shape[2]) - len(lags) + 1)
     with new_figure(path, 7.4, 6.0) as figure:
         panels = figure.subplots(2, 3, width_ratios=(1.0, 1.3, 1.3))
         for i, channel in enumerate(CHANNELS):
             panel = panels[i, 0]
-            panel.axhspan(-check.whiteness_bound, check.whiteness_bound, color=REFERENCE_COLOUR, alpha=0.3, linewidth=0)
-            panel.plot(lags, check.autocorrelation[i], color=colour(i))
+            bound = residuals.whiteness_bound
+            panel.axhspan(-bound, bound, color=REFERENCE_COLOUR, alpha=0.3, linewidth=0)
+            panel.plot(lags, residuals.autocorrelation[i], color=colour(i))
             panel.set(xlabel="lag [s]", ylabel=f"residual of {channel}", title="autocorrelation")
             for j, command in enumerate(CHANNELS):
                 axes = panels[i, 1 + j]
-                bound = check.cross_bound[i, j]
+                bound = residuals.cross_bound[i, j]
                 axes.axhspan(-bound, bound, color=REFERENCE_COLOUR, alpha=0.3, linewidth=0, label="95 % bound")
-                axes.plot(two_sided_lags, check.cross_correlation[i, j], color=colour(i))
+                axes.plot(two_sided_lags, residuals.cross_correlation[i, j], color=colour(i))
                 axes.axvline(0.0, color="black", linewidth=0.6)
-                height = 1.15 * max(2.0 * bound, float(np.abs(check.cross_correlation[i, j]).max()))
+                height = 1.15 * max(2.0 * bound, float(np.abs(residuals.cross_correlation[i, j]).max()))
                 axes.set(xlabel="lead of the command [s]", title=f"with {command}_ref", ylim=(-height, height))
         panels[0, 1].legend(loc="upper left")
         figure.suptitle(f"{report.name}: correlation of validation residuals; grey: 95 % bounds of white residuals")
 
 
 def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
-    """Compute times (n,) [s] and, for a unit step of each command, both outputs (n, 2)."""
+    """Compute times (n,) [s], and both outputs (n, 2) for a unit step of each command."""
     model = report.fitted.identified.model
     discrete = model.discretise(_STEP_DURATION * float(model.lag.max()) / _SAMPLES)
     time = discrete.dt * np.arange(_SAMPLES + 1)
@@ -217,17 +220,17 @@ def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[Float
 
 
 _LOG_SCALE_RATIO = 8.0
-"""Ratio of the fastest to the slowest pole above which the axis is logarithmic, to separate the slow poles."""
+"""Ratio of fastest and slowest pole above which the axis is logarithmic, so that slow poles are distinguishable."""
 
 
 def draw_poles(report: IdentificationReport, path: Path) -> None:
-    """Draw the poles with their values and, if known, 95 % intervals; real poles have separate rows."""
+    """Draw the poles with their values and, if known, 95 % intervals; if all poles are real, each has its row."""
     identified = report.fitted.identified
     poles = np.sort_complex(identified.model.poles)
     all_real = not poles.imag.any()
 
-    def level(pole: complex) -> float:
-        # In one row the intervals of real poles would overlap.
+    def height_of(pole: complex) -> float:
+        # The intervals of real poles would overlap in one row.
         return -float(np.argmin(np.abs(poles.real - pole.real))) if all_real else pole.imag
 
     with new_figure(path, 5.6, 4.2) as figure:
@@ -236,17 +239,17 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
             for sign in (1.0, -1.0) if imag else (1.0,):
                 axes.errorbar(
                     real,
-                    level(complex(real, sign * imag)),
-                    xerr=_INTERVAL * real_deviation,
-                    yerr=_INTERVAL * imag_deviation if imag else None,
+                    height_of(complex(real, sign * imag)),
+                    xerr=_INTERVAL_HALF_WIDTH * real_deviation,
+                    yerr=_INTERVAL_HALF_WIDTH * imag_deviation if imag else None,
                     color=colour(1),
                     capsize=2.5,
                     linewidth=1.0,
                 )
         for pole in poles:
-            axes.plot(pole.real, level(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
+            axes.plot(pole.real, height_of(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
             value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
-            axes.annotate(value, (pole.real, level(pole)), (0, 7), textcoords="offset points", ha="center")
+            axes.annotate(value, (pole.real, height_of(pole)), (0, 7), textcoords="offset points", ha="center")
         # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart.
         maximum = float(np.abs(poles).max())
         minimum = float(np.abs(poles.real[poles.real != 0.0]).min(initial=maximum))
@@ -266,14 +269,14 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
 
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
-    """Return real and imaginary part of each pole with known uncertainty, and their standard deviations [rad/s]."""
+    """Return real part, imaginary part and their standard deviations [rad/s] of each pole with known uncertainty."""
     rows = []
     for poles in identified.poles:
         for name in poles.names:
-            pole, _, part = name.partition(".")
-            if part == "real":
+            pole, _, component = name.partition(".")
+            if component == "real":
                 imag = f"{pole}.imag"
                 rows.append((poles.value(name), poles.value(imag), poles.deviation(name), poles.deviation(imag)))
-            elif not part:
+            elif not component:
                 rows.append((poles.value(name), 0.0, poles.deviation(name), 0.0))
     return rows

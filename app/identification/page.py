@@ -1,4 +1,4 @@
-"""HTML page of `identify`: results, measurement and simulation, trial drives, and remedies for warnings."""
+"""HTML page of `identify`: results, measurements and simulation, trial drives, and warnings with remedies."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _PICTURES = {"Correlation of residuals": "residuals.png", "Poles": "poles.png"}
 
 @cache
 def remedies() -> dict[str, str]:
-    """Load the remedy for each kind of warning."""
+    """Load `remedies.yaml`: remedies by kind of warning."""
     texts: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
     return texts
 
@@ -49,18 +49,18 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     Parameters
     ----------
     verdict
-        Verdict on the identification and on the drives with its configuration.
+        Verdict on the identification, with the trial drives of its configuration.
     folder
         Folder of the result files.
     seconds
         Duration of the identification [s].
     """
     report, trials = verdict.identification.report, verdict.drives
-    names, paths = (
+    plants, paths = (
         tuple(dict.fromkeys(getattr(trial, attribute) for trial in trials)) for attribute in ("plant", "path")
     )
-    toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
-    shown = Shown(
+    toggles = [Toggle("stand-in", plants, plants, styled=True), Toggle("path", paths, paths[:1])] if trials else []
+    content = Shown(
         summary=[*report.findings_summary, *verdict.answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
@@ -70,36 +70,34 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     )
     tables: list[TextTable] = [report.scores[0], *([trial_table(trials)] if trials else []), *report.tables]
     logs = [("logs", ", ".join(report.data.logs))]
-    return Page("diffdrive-mpc identify", report.name, shown, tables, origin(describe_run(seconds), logs))
+    return Page("diffdrive-mpc identify", report.name, content, tables, origin(describe_run(seconds), logs))
 
 
 def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[KeyFigure]:
-    fit, low = report.fitted.validation.fit_percent, identification_settings().warn.low_fit
+    fit, min_fit = report.fitted.validation.fit_percent, identification_settings().warn.low_fit
     model = report.fitted.identified.model
     figures = []
     for i, channel in enumerate(CHANNELS):
-        rating = "good" if fit[i] >= low else "bad"
-        training = f"on held-out data; training {number(float(report.fitted.train.fit_percent[i]), 1)} %"
+        rating = "good" if fit[i] >= min_fit else "bad"
+        training = f"on validation data; training {number(float(report.fitted.train.fit_percent[i]), 1)} %"
         figures.append(KeyFigure(f"FIT of {channel}", f"{number(float(fit[i]), 1)} %", training, rating))  # type: ignore[arg-type]
     for i, channel in enumerate(CHANNELS):
         dead_time, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
         figures.append(
             KeyFigure(
-                f"{channel} follows after", f"{dead_time + lag:.0f} ms", f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
+                f"delay of {channel}", f"{dead_time + lag:.0f} ms", f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
             )
         )
-    verdicts = [doubt.verdict for doubt in report.doubts] + [
+    all_verdicts = [doubt.verdict for doubt in report.doubts] + [
         finding.verdict for finding in report.data.findings if finding.verdict
     ]
-    relevant = sum(verdict is not None and verdict.matters for verdict in verdicts)
+    count = sum(verdict is not None and verdict.matters for verdict in all_verdicts)
     figures.append(
-        KeyFigure(
-            "warnings", str(len(verdicts)), f"{relevant or 'none'} relevant for driving", "bad" if relevant else ""
-        )
+        KeyFigure("warnings", str(len(all_verdicts)), f"{count or 'none'} relevant for driving", "bad" if count else "")
     )
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
-        label = f"maximum lateral error over the circle's radius ({worst.path})"
+        label = f"maximum lateral error, relative to the radius of the circle ({worst.path})"
         figures.append(
             KeyFigure(
                 "trial drives",
@@ -136,13 +134,13 @@ def _pictures(folder: Path) -> list[View]:
 
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
-    """Return the warnings about log, estimate and drives; those that matter for driving are first."""
+    """Return the warnings about log, estimate and drives, starting with those that matter for driving."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
-    shown = [(finding.verdict, str(finding), finding.kind) for finding in findings]
-    shown += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]
-    shown.sort(key=lambda row: row[0] is None or not row[0].matters)
-    return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in shown]
+    rows = [(finding.verdict, str(finding), finding.kind) for finding in findings]
+    rows += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]
+    rows.sort(key=lambda row: row[0] is None or not row[0].matters)
+    return [Warned(_sentence(text), remedies()[kind]) for _, text, kind in rows]
 
 
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")

@@ -1,4 +1,4 @@
-"""Implementation of `identify`: from logs to a folder with all results."""
+"""Implementation of `identify`, which writes all results of an identification to a folder."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from diffdrive_mpc.sim.plants.identified_robot import ROBOT_FILE
 class ParameterWriter(Protocol):
     """Plug-in of the group `diffdrive_mpc.parameter_writers`, which writes the parameter file of one package.
 
-    In each call the first writer estimates the parameters for all writers.
+    The first writer of a call estimates the parameters for all writers.
     """
 
     def estimate(self, data: LogData, limits: Mapping[str, float], base: IdentifiedBase | None) -> Any:  # noqa: ANN401
@@ -69,16 +69,16 @@ def identify_into(
 ) -> None:
     """Identify a model, print summaries of logs and quality, and write files and figures to `out`.
 
-    `packages` are comma-separated names of packages whose parameter files are also written. Without `force`, model and
-    configuration are not written if the logs, the FIT or the trial drives are insufficient. A mapping that corrects the
-    logs is written in any case.
+    `packages` are comma-separated names of packages whose parameter files are also written. Model and configuration are
+    written if logs, FIT and trial drives are sufficient, or with `force`. A mapping that corrects the logs is always
+    written.
 
     Raises
     ------
     models.errors.MissingPackageError
         If no installed plug-in writes the parameters of a package.
     models.checked_yaml.ConfigError, ValueError, OSError
-        If an option, a log or the folder cannot be used, or no model can be identified; nothing is written then.
+        If an option, a log or the folder cannot be used, or if no model can be identified; no file is written then.
     """
     names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
     writers = {name: plug_in("parameter_writers", name) for name in names}
@@ -120,11 +120,11 @@ def _identify_into(
 
 
 def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
-    """Identify from the logs; errors name the options of the command line."""
+    """Identify a model from the logs; messages of errors contain the options of the command line."""
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
-        for line in (f"{stated.name}, data stated by its maker, not identified:", *stated.lines()):
+        for line in (f"{stated.name}, values stated by its maker, not identified:", *stated.lines()):
             _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
@@ -140,14 +140,14 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
 
 
 def _trial_verdict(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
-    """Run the trial drives of the configuration, unless the identification is refused."""
+    """Run the trial drives of the configuration, unless the model is refused."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), failure=identification.refusal)
     return judge_by_drives(identification, bar.start_stage, bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
-    """Write files and figures; model, configuration and first circle only if the drives pass, or with `force`."""
+    """Write files and figures; write model, configuration and first circle if the drives pass, or with `force`."""
     identification = verdict.identification
     report = identification.report
     bar.start_stage("figures", len(figures_of(report)))
@@ -157,13 +157,13 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
         identification.write_model(folder)
     if identification.advice:
         identification.advice.write(folder)
-    parts = [
+    sections = [
         report.markdown(
             figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
         )
     ]
     if verdict.drives:
-        parts += [
+        sections += [
             trial_table(verdict.drives).markdown(),
             "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives)),
         ]
@@ -172,14 +172,14 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
         (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
         if verdict.robot is not None:
             write_robot(verdict.robot, folder / ROBOT_FILE)
-        parts.append(recipe(circle, verdict.config, verdict.drives, report.data.topics))
-    (folder / "report.md").write_text("\n".join(part for part in parts if part), encoding="utf-8")
-    numbers = report.as_json() | {"verdict": verdict.as_json()}
-    (folder / "report.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        sections.append(recipe(circle, verdict.config, verdict.drives, report.data.topics))
+    (folder / "report.md").write_text("\n".join(part for part in sections if part), encoding="utf-8")
+    results = report.as_json() | {"verdict": verdict.as_json()}
+    (folder / "report.json").write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
-    """Print the results of the drives and the next steps; raise ConfigError if no configuration was written."""
+    """Print the results of the drives and the next steps; raise ConfigError if no configuration is written."""
     if verdict.drives:
         output_console().print(rich_table(trial_table(verdict.drives)))
     for doubt in trial_doubts(verdict.drives):
@@ -228,7 +228,7 @@ def _print_line(text: str, indent: str = "") -> None:
     output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
-# Draft of a mapping as a file, and findings from reading the log with it.
+# Draft of a mapping file, and findings in the log as read with the draft.
 
 
 _DEFAULT_NAME = "mapping.yaml"
@@ -250,7 +250,7 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         If there are several logs, the log cannot be read, or the file exists or cannot be written.
     """
     if len(logs) != 1:
-        raise ConfigError(f"--draft-mapping: {len(logs)} logs; give one, and use the mapping for all logs of its kind")
+        raise ConfigError(f"--draft-mapping: {len(logs)} logs; pass one, and use its mapping for similar logs")
     target = Path(_DEFAULT_NAME) if out is None else out if out.suffix in (".yaml", ".yml") else out / _DEFAULT_NAME
     text = draft_mapping(logs[0])
     try:
@@ -258,17 +258,17 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         with target.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        raise ConfigError(f"{target}: exists and is not replaced; move it away, or give --out FILE.yaml") from error
+        raise ConfigError(f"{target}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
     echo(f"{target}: guesses with reasons; correct them\n")
     echo(text)
     try:
-        remarks = [str(finding) for finding in read_log(logs[0], target).findings]
+        findings = [str(finding) for finding in read_log(logs[0], target).findings]
     except ConfigError as error:
-        remarks = [str(error)]
-    if remarks:
+        findings = [str(error)]
+    if findings:
         echo("Findings with this draft:")
-        echo("\n".join(f"  {remark}" for remark in remarks))
+        echo("\n".join(f"  {finding}" for finding in findings))
     command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
     echo(f"Next: correct {target}, then {command}")

@@ -1,4 +1,4 @@
-"""Simulated drives with the identified configuration on its model and on a model of held-out data."""
+"""Simulated drives with the identified configuration, on its model and on a model of the validation data."""
 
 from __future__ import annotations
 
@@ -49,31 +49,31 @@ _NOTE = (
 
 
 class TrialSettings(StrictModel):
-    """Requirements of the trial drives, and limits to try after a failure."""
+    """Requirements of the trial drives, and reductions of the limits after a failure."""
 
-    lateral_share: Positive = Field(description="maximum lateral error over the radius of the scaled circle [-]")
+    lateral_share: Positive = Field(description="maximum ratio of lateral error and radius of the scaled circle [-]")
     shares: tuple[tuple[Share, Share], ...] = Field(
-        description="shares of limits.v and limits.omega to try after a failure, the fastest first [-]"
+        description="shares of limits.v and limits.omega after a failure, in descending order [-]"
     )
-    curved: tuple[str, ...] = Field(description="paths without corners, on which the promise is based")
+    curved: tuple[str, ...] = Field(description="paths without corners, for the promised performance")
     window: Positive = Field(description="averaging window of the unexplained motion [s]")
     noise_speed: Positive = Field(description="maximum apparent speed due to noise of the poses [m/s]")
-    unexplained: int = Field(ge=1, description="number of curved drives with such motion")
+    unexplained: int = Field(ge=1, description="number of drives with unexplained motion on these paths")
     lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
-    promise_factor: Positive = Field(description="promised error over the geometric mean of these drives [-]")
-    stand_in_order: int = Field(ge=1, description="order of the SSM as the stand-in for an SM or MBM")
-    stand_in_rows: int = Field(ge=1, description="maximum number of held-out rows for the fit of the stand-in")
+    promise_factor: Positive = Field(description="ratio of promised error and geometric mean of these drives [-]")
+    stand_in_order: int = Field(ge=1, description="order of the SSM that is the stand-in for an SM or MBM")
+    stand_in_rows: int = Field(ge=1, description="maximum number of validation rows for the fit of the stand-in")
 
 
 @cache
 def trial_settings() -> TrialSettings:
-    """Read `trial_drives.yaml`; raise ConfigError if it is invalid."""
+    """Load `trial_drives.yaml`; raise ConfigError if the file is invalid."""
     return load_checked(TrialSettings, Path(__file__).with_name("trial_drives.yaml"))
 
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """Simulated drive of one path on one stand-in for the robot.
+    """Simulated drive of one stand-in for the robot along one path.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class TrialDrive:
     path
         Name of the driven path.
     run
-        The simulated drive.
+        Simulated run.
     radius
         Radius of the circle path, scaled to the robot [m].
     """
@@ -99,7 +99,7 @@ class TrialDrive:
 
     @property
     def lateral_share(self) -> float:
-        """Maximum lateral error over the radius of the scaled circle [-]."""
+        """Ratio of maximum lateral error and radius of the scaled circle [-]."""
         return self.metrics.lateral_max_m / self.radius
 
     @property
@@ -119,11 +119,11 @@ class StandIn:
     model
         Velocity model of the robot.
     base
-        Identified effects of the base around the model.
+        Identified effects of the base in addition to the model.
     disturbance
         Unexplained motion for `ModelPlant`.
     slip, sensors
-        Slip and sensors; by default the slip of the log and the default sensor set.
+        Slip and sensors; None for the slip of the log and the default sensor set.
     """
 
     name: str
@@ -140,7 +140,7 @@ def model_itself(identification: Identification) -> StandIn:
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
-    """Return the model itself and, if it can be fitted, a model of another structure for the held-out data."""
+    """Return the model itself and, if the fit succeeds, a model of another structure for the validation data."""
     itself, held_out = model_itself(identification), _held_out_stand_in(identification)
     return [itself] if held_out is None else [itself, held_out]
 
@@ -154,7 +154,7 @@ def trial_drives(
     paths: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Iterator[TrialDrive]:
-    """Yield simulated drives of paths, by default `PATHS`, with the configuration on stand-ins for the robot.
+    """Yield simulated drives of the stand-ins `plants` along paths, by default `PATHS`, with the configuration.
 
     `on_run` is called after each drive; `seed` is the seed of the sensor noise.
     """
@@ -182,7 +182,7 @@ def trial_drives(
 
 
 def log_slip(identification: Identification, *, pose_point: bool = False) -> BodySlip:
-    """Return the slip on the surface of the log for the rotation centre, or for the point of the poses."""
+    """Return the slip on the surface of the log, for the rotation centre or for the pose point."""
     slip = check(Surface, identification.surface, "surface").slip
     ahead, left = identification.report.poses.place if pose_point else (0.0, 0.0)
     if not (ahead or left):
@@ -192,7 +192,7 @@ def log_slip(identification: Identification, *, pose_point: bool = False) -> Bod
 
 
 def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
-    """Return the default sensors with the rate and noise of the log's poses."""
+    """Return the default sensors, with rate and noise of the poses in the log."""
     sensors, data = load_sensor_set("default"), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
@@ -209,9 +209,9 @@ def circle_radius(config: ControllerConfig) -> float:
 
 
 def _held_out_stand_in(identification: Identification) -> StandIn | None:
-    """Fit another structure, the selected effects, or the predictor to the held-out data; return None on failure.
+    """Fit another structure, the selected effects, or the predictor to the validation data; return None on failure.
 
-    Without the effects, a slew limit of the base would appear as a lag.
+    The fit includes selected effects, because a slew limit of the base otherwise appears as a lag.
     """
     data, fitted = identification.report.data, identification.report.fitted
     try:
@@ -228,7 +228,10 @@ def _held_out_stand_in(identification: Identification) -> StandIn | None:
 
 
 def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
-    """Fit an SSM for a structure with decoupled channels, else an SM; fit gains with dead times if that fails."""
+    """Fit an SSM instead of a structure with decoupled channels, or an SM instead of an SSM.
+
+    If the result cannot describe a robot, fit gains with dead times.
+    """
     settings = trial_settings()
     rows = tuple(most_informative(data.validation, settings.stand_in_rows))
     structure_name, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
@@ -236,12 +239,12 @@ def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
     try:
         return fit(held_out, STRUCTURES[structure_name], order).identified
     except ModelError:
-        # Short data may show no lag, so that a pole is faster than that of a robot.
+        # Short data may not determine the lag; a pole is then faster than the poles of a robot.
         return fit(held_out, STRUCTURES["two_delays"], None).identified
 
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
-    """Build a table of errors with a row for each stand-in and path."""
+    """Tabulate the errors by stand-in and path."""
     columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "over circle radius [%]")
     return TextTable(
         _TITLE,
@@ -278,28 +281,28 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
     return [Doubt("failed drive", words) for words in doubts]
 
 
-# First drive of the robot with an identified configuration: a slow circle, and instructions in the report.
+# First drive of the robot with an identified configuration: slow circle, and instructions in the report.
 
 
 FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
-"""Share of the attainable speeds [-], slow enough to walk next to the robot and fast enough to leave the dead band."""
+"""Share of the attainable speeds [-]: slow enough to walk next to the robot, and fast enough to leave the dead band."""
 _WALKING_SPEED = 0.5
-"""Walking speed [m/s], the limit for faster robots."""
+"""Walking speed [m/s], which limits the speed of faster robots."""
 _FREE_SPACE = 2.0
 """Free space relative to the diameter of the circle [-]."""
 
 
 @dataclass(frozen=True)
 class FirstCircle:
-    """One slow turn to the left.
+    """Slow circle to the left.
 
     Attributes
     ----------
     radius
         Radius of the shipped circle, scaled to the robot's track [m].
     v, omega
-        Speed [m/s] and yaw rate [rad/s].
+        Forward speed [m/s] and yaw rate [rad/s].
     """
 
     radius: float
@@ -323,7 +326,7 @@ class FirstCircle:
 
 
 def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> FirstCircle:
-    """Return the circle for the limits of `config` and the gains of `model`."""
+    """Compute the circle from the limits of `config` and the gains of `model`."""
     radius = circle_radius(config)
     v_gain, omega_gain = abs(model.dc_gain[0, 0]), abs(model.dc_gain[1, 1])
     max_omega = min(
@@ -334,7 +337,7 @@ def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel
 
 
 def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[TrialDrive], topics: Topics) -> str:
-    """Format the instructions for the first drive at the end of the report; `topics` are those of a bag."""
+    """Format the instructions for the first drive at the end of the report; `topics` are the topics of a bag."""
     free_space = _FREE_SPACE * 2.0 * circle.radius
     arguments = f" {node_arguments(topics)}" if topics else ""
     steps = [

@@ -45,7 +45,7 @@ _DRIVES = 2 * len(PATHS)
 
 
 class Promise(NamedTuple):
-    """Promised performance: speeds on curved paths, and errors that a share of the drives does not exceed."""
+    """Expected performance: speeds on curved paths, and errors that a share of the drives does not exceed."""
 
     v: float
     """Maximum speed [m/s]."""
@@ -54,9 +54,9 @@ class Promise(NamedTuple):
     lateral: float
     """Maximum distance from the path [m]."""
     position: float
-    """Maximum distance from the timed position [m]."""
+    """Maximum distance from the position of the reference at the same time [m]."""
     share: str
-    """Share of the drives within these errors: "95 of 100", or the arrivals if drives with unexplained motion fail."""
+    """Share of drives within these errors: "95 of 100", or the share that arrives if some drives do not arrive."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +66,19 @@ class TrialVerdict:
     Attributes
     ----------
     identification
-        Identification, possibly with lower limits or a simpler model if the original fails.
+        Identification; with lower limits or a simpler model if the drives of the original configuration fail.
     config
-        Configuration of the identified robot; None if it is invalid.
+        Configuration of the identified robot; None if the configuration is invalid.
     drives
         Trial drives with the configuration.
     changes
-        Reduced limits and simplified parts with which the drives pass, one clause each.
+        Reductions of limits and simplifications that make the drives pass, one clause each.
     failure
-        Reason for which the configuration is unusable, in a clause; empty if the drives pass.
+        Reason for which the configuration is unusable, as a clause; empty if the drives pass.
     unexplained
-        Curved drives with the unexplained motion of the held-out data.
+        Drives on curved paths with the unexplained motion of the validation data.
     robot
-        Robot with the unexplained motion; None without such drives.
+        Robot with unexplained motion; None without such drives.
     """
 
     identification: Identification
@@ -151,7 +151,7 @@ class TrialVerdict:
         return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
 
     def answers(self) -> list[str]:
-        """Return one or two sentences each on permission to drive, speed, quality of the model, and next step."""
+        """Return the answers on permission to drive, speed, quality of the model, and next step, as sentences."""
         fit = self.identification.report.fitted.validation.fit_percent
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         quality = f"FIT on held-out data: {values}."
@@ -166,7 +166,7 @@ class TrialVerdict:
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def lines(self, folder: Path = Path()) -> list[str]:
-        """Return the limits of the base, and the answers with the next command in at most ten lines of 80 columns."""
+        """Format limits of the base, answers and next command in lines of 80 columns."""
         permission, *others = self.answers()
         answers = (_shortened(permission, 3), *others)
         lines = [line for head, text in zip(_HEADS, answers, strict=True) for line in _answer(head, text)]
@@ -192,7 +192,7 @@ def _shortened(text: str, lines: int) -> str:
 
 
 def next_command(folder: Path = Path()) -> list[str]:
-    """Return the command that repeats the first trial drive with the files of an identification."""
+    """Format the command that repeats the first trial drive with the files of an identification."""
     options = [
         ["diffdrive-mpc", "simulate", "--config", str(folder / CONFIG_FILE)],
         ["--plant", f"model:{folder / MODEL_FILE}"],
@@ -208,23 +208,23 @@ def judge_by_drives(
     *,
     force: bool = False,
 ) -> TrialVerdict:
-    """Drive with the configuration; if drives fail, reduce its limits, then simplify its model, until all pass.
+    """Run trial drives; if drives fail, reduce the limits of the configuration, then simplify its model.
 
     Parameters
     ----------
     identification
         Identification to assess.
     on_try
-        Called with a description of each configuration and the number of its drives before them.
+        Function that is called with the description of a configuration and the number of its drives, before them.
     on_run
-        Called after each drive.
+        Function that is called after each drive.
     force
-        Whether to keep the configuration as identified even if drives fail.
+        True to keep the identified configuration even if drives fail.
 
     Raises
     ------
     OSError
-        If the files of a configuration cannot be written for its drives.
+        If the temporary files of a configuration cannot be written.
     """
     plants = stand_ins(identification)
     on_try("driving", _DRIVES)
@@ -241,7 +241,7 @@ def judge_by_drives(
 def _with_unexplained(
     verdict: TrialVerdict, on_try: Callable[[str, int], None], on_run: Callable[[], None]
 ) -> TrialVerdict:
-    """Drive curved paths with unexplained motion, and add the result to the verdict; most of the drives must arrive."""
+    """Run drives on curved paths with unexplained motion, and add them to the verdict; most drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     robot = None if verdict.config is None else identified_robot(identification, verdict.config)
     if verdict.failure or verdict.config is None or robot is None:
@@ -265,7 +265,7 @@ def _with_fastest_limits(
     on_try: Callable[[str, int], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
-    """Find the maximum configured share of the limits whose drives pass, by bisection; None if the minimum fails."""
+    """Find the maximum share of the limits for which the drives pass, by bisection; None if the minimum share fails."""
     shares = trial_settings().shares
 
     def attempt(i: int) -> TrialVerdict:
@@ -286,7 +286,7 @@ def _with_fastest_limits(
 
 
 def _simpler_model(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
-    """Return a plain SM of the same data with the change; None if the model is a plain SM, or the fit fails."""
+    """Identify a plain SM from the data; return it with the change, or None if it is no simplification or fails."""
     report = identification.report
     fitted = report.fitted
     if fitted.structure == SIMPLEST and fitted.base is None:

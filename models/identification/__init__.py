@@ -1,4 +1,4 @@
-"""From logs of a robot to a velocity model, a controller configuration and a report."""
+"""Identification of a velocity model, a controller configuration and a report from logs of a robot."""
 
 from typing import TYPE_CHECKING
 

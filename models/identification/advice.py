@@ -1,13 +1,13 @@
-"""Trial of the mapping changes that findings propose: only changes that improve the prediction are advised.
+"""Trial of mapping changes proposed by findings; only changes that improve the prediction become advice.
 
 For each proposal, the mapping is changed, the log is read again, an SM is fitted to the thinned training rows, and the
-SM predicts the held-out rows; the rows are the same before and after. FIT is invariant to units and signs, and a free
-dead time absorbs time shifts. Therefore the coherence of the streams, under gains and delays of a plausible robot, is
-scored as well. A proposal is accepted if FIT or coherence improves clearly and neither decreases: FIT in no channel,
-coherence on average. FIT and coherence do not depend on rate and direction of the clock, so a change of the clock also
-needs poses that confirm it. A proposal that only states the reader's default is accepted if it removes an error of the
-reader. The best proposal is applied; the rest are tried on top of it until none is accepted. A cut of the log is scored
-on the held-out rows of the remaining part, and the previous model is not fitted to these rows either.
+SM predicts the held-out rows. The rows before and after the change are identical. FIT is invariant to units and signs,
+and a free dead time absorbs time shifts. Therefore the coherence of the streams, under gains and delays of a plausible
+robot, is also scored. A proposal is accepted if FIT or coherence improves significantly, FIT decreases in no channel,
+and coherence does not decrease on average. FIT and coherence do not depend on rate and direction of the clock, so poses
+must confirm a change of the clock. A proposal that only states the reader's default is accepted if it removes an error
+of the reader. The best proposal is applied, and the remaining proposals are then tried with it, until none is accepted.
+A cut of the log is scored on the held-out rows of the remaining part; the previous model is not fitted to these rows.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FIXED_FILE, FIXED_AGAIN = "fixed.yaml", "fixed_again.yaml"
 
 @dataclass(frozen=True)
 class LogSelection:
-    """Logs and their division; the attributes are those arguments of `identify`."""
+    """Logs and their division; the attributes equal the arguments of `identify` with these names."""
 
     logs: tuple[Path, ...]
     validate: tuple[Path, ...]
@@ -52,14 +52,14 @@ class LogSelection:
 
 @dataclass(frozen=True)
 class Score:
-    """Quality of a mapping.
+    """Quality of the logs as read with a mapping.
 
     Attributes
     ----------
     fit
-        (2,) FIT of v and omega on held-out rows [%].
+        FIT (2,) of v and omega on held-out rows [%].
     agreement
-        Agreement of the streams, see `coherence` [%].
+        Agreement of the streams as computed by `coherence` [%].
     errors
         Number of errors that the log reader finds before it compares the streams.
     """
@@ -70,29 +70,29 @@ class Score:
 
     def gain_over(self, reference: Score | None) -> float:
         """Compute the improvement over `reference` [percentage points]; 0 if it is not significant."""
-        rule = identification_settings().advice
+        settings = identification_settings().advice
         if reference is None:
             return float(self.fit.mean()) if self.fit.min() > 0 else 0.0
         fit, agreement = self.fit - reference.fit, float(np.nan_to_num(self.agreement - reference.agreement))
-        is_worse = min(float(fit.min()), agreement) < -rule.tolerance
-        corrected = reference.errors - self.errors
-        is_better = max(float(fit.mean()), agreement) > rule.least_gain or corrected > 0
-        gain = max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(corrected, 0)
+        is_worse = min(float(fit.min()), agreement) < -settings.tolerance
+        corrected_errors = reference.errors - self.errors
+        is_better = max(float(fit.mean()), agreement) > settings.least_gain or corrected_errors > 0
+        gain = max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(corrected_errors, 0)
         return gain if is_better and not is_worse else 0.0
 
 
 @dataclass(frozen=True)
 class Advice:
-    """A mapping that improves the prediction of the logs.
+    """Mapping that improves the prediction of the logs.
 
     Attributes
     ----------
     selection
-        The logs.
+        Logs and their division.
     mapping
-        The complete mapping.
+        Complete mapping with the changes.
     changes
-        Changes relative to the mapping that the logs were read with.
+        Changes relative to the mapping with which the logs were read.
     before, after
         Quality of the logs before and after the changes; `before` is None if the logs were unusable.
     """
@@ -114,26 +114,26 @@ class Advice:
         return mapping_text(self.mapping)
 
     def write(self, folder: Path) -> None:
-        """Write the mapping file into `folder`; raise OSError on failure."""
+        """Write the mapping file to `folder`; raise OSError on failure."""
         (folder / self.file).write_text(self.text(), encoding="utf-8")
 
     def sentence(self, folder: Path = Path()) -> str:
-        """Describe the improvement, and the command that uses the mapping file in `folder`."""
+        """Describe the improvement and the command that uses the mapping file in `folder`."""
         path = str(folder / self.file)
         changes = ", ".join(map(str, self.changes))
-        fit, rule = _percent(self.after), identification_settings().advice
+        fit, settings = _percent(self.after), identification_settings().advice
         if self.before is None:
-            words = f"the held-out FIT is {fit}; without it nothing can be fitted"
-        elif float((self.after.fit - self.before.fit).mean()) > rule.least_gain:
-            words = f"the held-out FIT becomes {fit} instead of {_percent(self.before)}"
-        elif self.after.agreement - self.before.agreement > rule.least_gain:
+            improvement = f"the held-out FIT is {fit}; without this mapping no model can be fitted"
+        elif float((self.after.fit - self.before.fit).mean()) > settings.least_gain:
+            improvement = f"the held-out FIT becomes {fit} instead of {_percent(self.before)}"
+        elif self.after.agreement - self.before.agreement > settings.least_gain:
             agreement = f"{self.after.agreement:.0f} % instead of {self.before.agreement:.0f} %"
-            words = f"the streams agree to {agreement}, and the held-out FIT stays at {fit}"
+            improvement = f"the agreement of the streams is {agreement}, and the held-out FIT remains {fit}"
         else:
-            words = f"the log is read without that error, and the held-out FIT stays at {fit}"
-        tried = [word for log in self.selection.validate for word in ("--validate", str(log))]
-        command = ["diffdrive-mpc", "identify", *map(str, self.selection.logs), *tried, "--mapping", path]
-        return f"With the mapping {path} ({changes}) {words}: {shlex.join(command)}"
+            improvement = f"the log is read without an error, and the held-out FIT remains {fit}"
+        validation_options = [word for log in self.selection.validate for word in ("--validate", str(log))]
+        command = ["diffdrive-mpc", "identify", *map(str, self.selection.logs), *validation_options, "--mapping", path]
+        return f"With the mapping {path} ({changes}) {improvement}: {shlex.join(command)}"
 
 
 def _percent(score: Score) -> str:
@@ -141,12 +141,12 @@ def _percent(score: Score) -> str:
 
 
 class AdvisedError(UnsoundLogError):
-    """A log that would give a wrong model with its mapping.
+    """Error for a log whose mapping leads to a wrong model.
 
     Attributes
     ----------
     advice
-        Mapping that corrects the log; None if there is none.
+        Mapping that corrects the log; None if no mapping corrects it.
     """
 
     def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
@@ -155,12 +155,12 @@ class AdvisedError(UnsoundLogError):
 
 
 def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Return the findings, without the proposed changes that are not part of the advice."""
-    chosen = set() if advice is None else set(advice.changes)
-    kinds = {(change.stream, change.key) for change in chosen}
+    """Return the findings without proposed changes that are not part of the advice."""
+    advised = set() if advice is None else set(advice.changes)
+    advised_keys = {(change.stream, change.key) for change in advised}
     return tuple(
         finding
-        if all((change.stream, change.key) in kinds for change in finding.changes)
+        if all((change.stream, change.key) in advised_keys for change in finding.changes)
         else replace(finding, changes=())
         for finding in findings
     )
@@ -169,13 +169,13 @@ def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tupl
 def advise(
     selection: LogSelection, findings: Sequence[Finding], on_progress: Callable[[str], None] | None = None
 ) -> Advice | None:
-    """Find the best mapping among the proposals of the findings; None if none of them improves the prediction."""
+    """Find the best mapping among the proposals of the findings; None if no proposal improves the prediction."""
     proposals = _proposals(findings)
     mapping = _mapping_of(selection) if proposals else None
     if mapping is None:
         return None
     if on_progress:
-        on_progress("trying advice")
+        on_progress("trial of proposed mappings")
     start = best = _Trial.make(selection, mapping, ())
     rows = start.rows() if start else None
     before = score = start.score(rows) if start and rows else None
@@ -208,8 +208,8 @@ def _mapping_of(selection: LogSelection) -> LogMapping | None:
 
 
 def _score_trial(
-    trial: _Trial, best: _Trial | None, score: Score | None, rows: _Rows | None
-) -> tuple[float, _Trial, Score | None, _Rows | None]:
+    trial: _Trial, best: _Trial | None, score: Score | None, rows: _Division | None
+) -> tuple[float, _Trial, Score | None, _Division | None]:
     """Score a trial against the best trial so far; return improvement, trial, score and rows."""
     if rows is None or best is None:
         trial_rows, reference = trial.rows(), None
@@ -218,8 +218,8 @@ def _score_trial(
         reference = best.score(rows.with_held_out(trial_rows))
     else:
         trial_rows, reference = rows, score
-    score_of_trial = trial.score(trial_rows)
-    return (0.0 if score_of_trial is None else score_of_trial.gain_over(reference)), trial, score_of_trial, trial_rows
+    trial_score = trial.score(trial_rows)
+    return (0.0 if trial_score is None else trial_score.gain_over(reference)), trial, trial_score, trial_rows
 
 
 def _is_cut(changes: Changes) -> bool:
@@ -227,7 +227,7 @@ def _is_cut(changes: Changes) -> bool:
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
-    """List the distinct proposals of the findings; for each place in the mapping, the first value."""
+    """List the distinct proposals of the findings; of several values for one key of the mapping, keep the first."""
     distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
     for finding in findings:
         if finding.changes:
@@ -242,9 +242,9 @@ class _Trial:
     Attributes
     ----------
     selection, mapping, changes
-        Selection, mapping and changes, as in `Advice`.
+        Logs and their division, mapping, and its changes, as in `Advice`.
     logs
-        All logs, validation logs last.
+        All logs, starting with the training logs.
     """
 
     selection: LogSelection
@@ -254,64 +254,64 @@ class _Trial:
 
     @classmethod
     def make(cls, selection: LogSelection, mapping: LogMapping, changes: Changes) -> _Trial | None:
-        """Read the logs with the changes; return None if the changes cannot be applied or the logs not be read."""
-        read: list[Log] = []
+        """Read the logs with the changed mapping; return None if a change cannot be applied or a log cannot be read."""
+        logs: list[Log] = []
         try:
             mapping = changed(mapping, changes)
             for path in (*selection.logs, *selection.validate):
-                dt = read[0].records[0].dt if read else None
-                read.append(read_log(path, mapping, dt, diagnosed=False))
+                dt = logs[0].records[0].dt if logs else None
+                logs.append(read_log(path, mapping, dt, diagnosed=False))
         except (ConfigError, ValueError):
             return None
-        return cls(selection, mapping, changes, tuple(read))
+        return cls(selection, mapping, changes, tuple(logs))
 
     def proposals(self) -> list[Changes]:
-        """List the proposals of the findings with the current mapping."""
+        """List the proposals of the findings in logs read with this mapping."""
         logs = [read_log(path, self.mapping) for path in self.selection.logs]
         return _proposals(finding for log in logs for finding in log.findings)
 
     def has_valid_clock(self) -> bool:
-        """Return False if the clock is changed and no poses confirm rate and direction, which FIT does not show."""
+        """Return False if the mapping changes the clock and no poses confirm its rate and direction."""
         if not any(change.key == "sample_time" for change in self.changes):
             return True
-        posed = [record for log in self.logs for record in log.records if record.pose is not None]
+        records_with_pose = [record for log in self.logs for record in log.records if record.pose is not None]
         try:
-            scale = calibrate_lags(posed).value("wheels.scale")
+            scale = calibrate_lags(records_with_pose).value("wheels.scale")
         except ValueError:
             return False
         return abs(scale - 1.0) <= identification_settings().advice.clock_tolerance
 
-    def rows(self) -> _Rows:
-        """Choose training rows and held-out rows, both thinned."""
+    def rows(self) -> _Division:
+        """Select thinned training rows and thinned held-out rows."""
         max_rows = identification_settings().advice.rows
         count = len(self.selection.logs)
         train: list[Spans] = []
-        held: list[Spans] = []
+        held_out: list[Spans] = []
         for number, log in enumerate(self.logs):
-            parts: tuple[Sequence[Record], Sequence[Record]] = ((), log.records)
+            pieces: tuple[Sequence[Record], Sequence[Record]] = ((), log.records)
             if number < count:
                 has_validation = bool(self.selection.validate)
-                parts = (log.records, ()) if has_validation else divide(log.records, self.selection.fit_share)
-            for spans, part in zip((train, held), parts, strict=True):
+                pieces = (log.records, ()) if has_validation else divide(log.records, self.selection.fit_share)
+            for spans, part in zip((train, held_out), pieces, strict=True):
                 thinned = most_informative(part, max_rows // count) if part else ()
                 spans.append([(record.start, record.end) for record in thinned])
-        return _Rows(tuple(train), tuple(held))
+        return _Division(tuple(train), tuple(held_out))
 
-    def score(self, rows: _Rows) -> Score | None:
-        """Fit a model to the training rows and score it on the held-out rows; None if no model can be fitted."""
+    def score(self, rows: _Division) -> Score | None:
+        """Fit a model to the training rows and score it on the held-out rows; None if the fit is impossible."""
         try:
-            train, held = (self._usable(spans) for spans in (rows.train, rows.held))
+            train, held_out = (self._select_usable(spans) for spans in (rows.train, rows.held_out))
             yaw: YawSource = "gyro" if train[0].yaw_rate is not None else "encoders"
             system = identify_sm(train, yaw=yaw, limits=False).system
-            fit = fit_percents(simulate_records(system, held, yaw), twist_experiments(held, yaw))
+            fit = fit_percents(simulate_records(system, held_out, yaw), twist_experiments(held_out, yaw))
         except ValueError:  # includes ConfigError
             return None
         settings = check_settings()
         agreement = [coherence(streams_of(log.records, settings), settings) for log in self.logs]
         return Score(fit, float(np.mean(agreement)), sum(len(log.errors) for log in self.logs))
 
-    def _usable(self, spans: tuple[Spans, ...]) -> tuple[Record, ...]:
-        """Return the parts of the logs within the spans that have all signals."""
+    def _select_usable(self, spans: tuple[Spans, ...]) -> tuple[Record, ...]:
+        """Select the parts of the logs within the spans that have all signals."""
         records = [
             part
             for log, log_spans in zip(self.logs, spans, strict=True)
@@ -319,36 +319,36 @@ class _Trial:
             for part in _within(record, log_spans)
         ]
         gyro = ["yaw_rate"] if any(record.yaw_rate is not None for log in self.logs for record in log.records) else []
-        return usable(records, ("twist", *gyro), "to try advice on", [])
+        return usable(records, ("twist", *gyro), "for the trial of a mapping", [])
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Spans [s] of the training rows and of the held-out rows of each log."""
+class _Division:
+    """Division of the rows: time spans [s] of the training rows and of the held-out rows of each log."""
 
     train: tuple[Spans, ...]
-    held: tuple[Spans, ...]
+    held_out: tuple[Spans, ...]
 
-    def with_held_out(self, division: _Rows) -> _Rows:
-        """Return the held-out rows of `division`, and the training rows of this division without them."""
-        train = tuple(_subtract(*spans) for spans in zip(self.train, division.held, strict=True))
-        return _Rows(train, division.held)
+    def with_held_out(self, division: _Division) -> _Division:
+        """Return the held-out rows of `division`, and the training rows of this division minus these rows."""
+        train = tuple(_subtract(*spans) for spans in zip(self.train, division.held_out, strict=True))
+        return _Division(train, division.held_out)
 
 
 def _subtract(spans: Spans, removed: Spans) -> Spans:
     """Subtract the spans `removed` from `spans` [s]."""
-    for first, last in removed:
-        pieces = [((start, min(end, first)), (max(start, last), end)) for start, end in spans]
+    for removed_start, removed_end in removed:
+        pieces = [((start, min(end, removed_start)), (max(start, removed_end), end)) for start, end in spans]
         spans = [piece for pair in pieces for piece in pair if piece[0] < piece[1]]
     return spans
 
 
 def _within(record: Record, spans: Spans) -> list[Record]:
-    """Cut a record into spans [s]; the rows are the same for time grids with slightly different starts."""
-    parts = []
+    """Cut a record into spans [s]; time grids with slightly different starts result in the same rows."""
+    pieces = []
     for span in spans:
         first, last = (round((time - record.start) / record.dt) for time in span)
         first, last = max(first, 0), min(last, len(record.command) - 1)
         if last > first:
-            parts.append(record.part(first, last + 1))
-    return parts
+            pieces.append(record.part(first, last + 1))
+    return pieces

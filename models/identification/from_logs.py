@@ -53,30 +53,30 @@ if TYPE_CHECKING:
 
 AUTOMATIC = "auto"
 ACCOMPANYING = "sm"
-"""Linear model that accompanies a predictor."""
+"""Structure of the linear model that accompanies a predictor."""
 FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
-"""Files of `Identification.write`; the node's parameters only for bags. A network also has a file of weights."""
+"""Files that `Identification.write` writes; the node's parameters only for bags. A network also has a weights file."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """Result of an identification from logs. `str` gives the report's summary; arrays are read-only.
+    """Result of an identification from logs. `str` returns the report's summary; arrays are read-only.
 
     Attributes
     ----------
     model
-        The velocity model, for `Controller(..., model=found.model)`.
+        Velocity model, for `Controller(..., model=identification.model)`.
     config
         Keys and values for `load_config`: limits that the logs cover, tracks of the wheels, and the name of the model
-        file that `write` stores in the folder of the configuration.
+        file, which `write` stores in the folder of the configuration.
     surface
-        Keys and values of a surface file: the slip of the log, for a simulated plant with the model.
+        Keys and values of a surface file with the slip of the log, for a simulated plant with the model.
     report
         Scores, parameters with uncertainty, and warnings, as data, JSON (`as_json`), Markdown and tables.
     content
         Content of the model's parameter file.
     configuration
-        `config` with a reason for each value.
+        Values of `config`, each with a reason.
     """
 
     model: VelocityModel | NonlinearModel
@@ -87,7 +87,7 @@ class Identification:
     configuration: IdentifiedConfiguration
 
     def __repr__(self) -> str:
-        """Format without the arrays, which would fill pages."""
+        """Format the name only, without arrays."""
         return f"<Identification {self.report.name!r}>"
 
     def __str__(self) -> str:
@@ -96,23 +96,23 @@ class Identification:
 
     @property
     def verdict(self) -> str:
-        """Verdict on the model, in one line."""
+        """Verdict on the model in one line."""
         return self.report.verdict
 
     @property
     def advice(self) -> Advice | None:
-        """Mapping that improves the prediction of the logs, tested on them; None if there is none."""
+        """Mapping that improves the prediction of the logs; None if no proposed mapping improves it."""
         return self.report.data.advice
 
     @property
     def refusal(self) -> str:
-        """Reasons for which no controller should use this model, in one line; empty if there are none."""
+        """Reasons in one line for which no controller should use this model; empty if the model is usable."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
-        """Write `FILES` into `folder`; create the folder if it is missing, and replace existing files.
+        """Write `FILES` to `folder`; create the folder if it is missing, and replace existing files.
 
-        If there is a `refusal`, model, configuration and surface are written only with `force`. The mapping of an
+        If `refusal` is not empty, model, configuration and surface are written only with `force`. The mapping of
         `advice` is also written.
 
         Parameters
@@ -122,7 +122,7 @@ class Identification:
         figures
             Relative paths of the figures of the report, by title.
         force
-            Whether to write model and configuration despite a `refusal`.
+            True to write model, configuration and surface despite a `refusal`.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Identification:
         self.write_report(folder, figures)
 
     def write_model(self, folder: str | Path) -> None:
-        """Write model, configuration, surface and, for bags, the node's parameters into `folder`, as `write` does."""
+        """Write model, configuration, surface and, for bags, the node's parameters to `folder`."""
         folder, predictor = Path(folder), self.report.fitted.predictor
         folder.mkdir(parents=True, exist_ok=True)
         if predictor is None:
@@ -147,7 +147,7 @@ class Identification:
             (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
 
     def write_report(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
-        """Write the report as Markdown and JSON, and the mapping of an `advice`, into `folder`, as `write` does."""
+        """Write the report as Markdown and JSON, and the mapping of `advice`, to `folder`."""
         folder, text = Path(folder), self.report.markdown(figures)
         data = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ def identify(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a velocity model from logs, and grade its trustworthiness.
+    """Identify a velocity model from logs, and grade the trust in it.
 
     Parameters
     ----------
@@ -184,77 +184,77 @@ def identify(
         Mapping of columns or topics: name of a shipped mapping or path of a mapping file. None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the default topics.
     structure
-        "mbm", "mbm_modes", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the
+        "mbm", "mbm_modes", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive model; "lstm", a network trained on the
         logs; or "hybrid", an sm with a small network for its residuals. Both networks need the extra `learn` and take
         minutes.
     effects
-        Whether to identify base effects in addition to an sm: slew, steps, tyres, veer. Takes minutes.
+        True to identify base effects in addition to an sm: slew, steps, tyres, veer. Takes minutes.
     robot
-        Name of a robot, or path of a file, with values that the maker states: topics of bags without a `mapping`,
-        limits, track and footprint. They are used if the logs do not determine them.
+        Name of a robot, or path of a file, with values stated by the maker: topics of bags without a `mapping`, limits,
+        track and footprint. These values are used if the logs do not determine them.
     validate
         Validation logs; by default the last part of each of `logs`.
     fit_share
-        Share of each log to identify from, if there are no validation logs [-]; by default 0.6.
+        Share of each log for the identification, if there are no validation logs [-]; by default 0.6.
     order
         Order of an ssm, or "auto" to select it.
     name
-        Name of the model; by default from the logs.
+        Name of the model; by default derived from the logs.
     force
-        Whether to continue if logs have errors: wrong units, dead wheels, channels that are never driven.
+        True to continue if logs have errors: wrong units, dead wheels, channels that are never driven.
     on_log
-        Called with each log after it is read, before the fit.
+        Function that is called with each log after it is read, before the fit.
     on_findings
-        Called with notes and warnings of each log after it is read, also if an error is raised next; proposals for the
-        mapping are removed, as they have not been tried yet.
+        Function that is called with notes and warnings of each log after it is read, even if an error follows. The
+        findings contain no proposals for the mapping, because these are not yet tested.
     on_progress
-        Called with a description of the next step.
+        Function that is called with a description of the next step.
 
     Raises
     ------
     models.identification.advice.AdvisedError
-        If a log would give a wrong model; `advice` is the mapping that corrects the log, if there is one.
+        If a log leads to a wrong model; `advice` is the mapping that corrects the log, or None.
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or no model can be fitted to the logs; the message is one line.
     """
-    chosen, predictor = _choose_structure(structure, effects=effects)
-    checked_order = _check_order(chosen, order)
+    selected_structure, predictor = _choose_structure(structure, effects=effects)
+    checked_order = _check_order(selected_structure, order)
     if validate and fit_share is not None:
         raise OptionError(
-            "fit_share", ": with --validate the other logs are used whole for identification; give one of the options"
+            "fit_share", ": with --validate, all rows of the other logs are training data; pass only one of the options"
         )
     if name is not None and not name.strip():
-        raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
+        raise OptionError("name", ": the name is empty; pass a name, or omit the option")
     share = identification_settings().fit_share if fit_share is None else fit_share
-    stated = None if robot is None else load_stated_robot(robot)
+    maker = None if robot is None else load_stated_robot(robot)
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, _frames_by_name(folder):
         paths = _paths(logs, Path(folder), "data_frame")
         if not paths:
-            raise ConfigError("no logs: give at least one")
+            raise ConfigError("no logs: pass at least one log")
         if on_progress:
             on_progress("reading")
         # Recordings of the node have fixed topic names.
         is_robot_bag = is_bag(paths[0]) and not is_drive_log(paths[0])
-        used_mapping = stated.mapping() if stated is not None and mapping is None and is_robot_bag else mapping
+        effective_mapping = maker.mapping() if maker is not None and mapping is None and is_robot_bag else mapping
         validation_paths = _paths(validate, Path(folder), "validation")
-        selection = LogSelection(tuple(paths), tuple(validation_paths), used_mapping, share)
+        selection = LogSelection(tuple(paths), tuple(validation_paths), effective_mapping, share)
         try:
             data = read_data(
                 selection.logs,
                 selection.validate,
-                mapping=used_mapping,
+                mapping=effective_mapping,
                 fit_share=share,
-                wheels=chosen.needs_wheels,
+                wheels=selected_structure.needs_wheels,
                 on_findings=(lambda findings: on_findings(without_rejected(findings, None)))
                 if on_findings
                 else (lambda _: None),
                 on_log=on_log,
                 force=force,
-                most_rows=identification_settings().most_rows["effects" if effects else "plain"],
+                max_rows=identification_settings().most_rows["effects" if effects else "plain"],
             )
         except UnsoundLogError as error:
             raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
-        corrections = find_corrections(data.logs[0], data.train, used_mapping)
+        corrections = find_corrections(data.logs[0], data.train, effective_mapping)
         if on_findings:
             on_findings(corrections.findings)
         advice = advise(selection, data.findings, on_progress)
@@ -266,16 +266,16 @@ def identify(
         sensors=corrections.settings,
         advice=advice,
     )
-    more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-    title = name or f"{structure.upper()} from {paths[0].stem}{more}"
+    suffix = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+    title = name or f"{structure.upper()} from {paths[0].stem}{suffix}"
     return identify_data(
         data,
-        chosen,
+        selected_structure,
         title,
         order=checked_order,
         effects=effects,
         predictor=predictor,
-        robot=stated,
+        robot=maker,
         on_progress=on_progress,
     )
 
@@ -291,36 +291,37 @@ def identify_data(
     robot: MakersRobot | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a model, as `identify` does, from records that are already divided.
+    """Identify a model from records that are already divided into training and validation data.
 
     Parameters
     ----------
     data
-        The records; they become read-only.
+        Training and validation records, which become read-only.
     structure
         Structure of the model.
     name
         Name of the model.
     order, effects, on_progress
-        As for `identify`; None selects the order.
+        Arguments as in `identify`; the order None selects the order automatically.
     predictor
-        Name of a finder in `finders`: its model is identified in addition and predicts, while the model of `structure`
+        Key of `finders`. This finder identifies an additional model, which predicts; the model of `structure` then
         determines limits and tracks.
     robot
-        Robot with stated values, which bound the configuration and replace values that the logs cannot determine.
+        Robot with values stated by its maker, which bound the configuration and replace values that the logs do not
+        determine.
 
     Raises
     ------
     ValueError
         If the records are unsuitable.
     """
-    announce = on_progress or (lambda _: None)
-    announce("identification (seconds, for an SSM up to minutes)")
+    progress = on_progress or (lambda _: None)
+    progress("identification (seconds, for an SSM up to minutes)")
     fitted = fit(
-        data, structure, order, effects=effects, on_trial=lambda effect: announce(f"trial of the effect: {effect}")
+        data, structure, order, effects=effects, on_trial=lambda effect: progress(f"trial of the effect: {effect}")
     )
     if predictor:
-        announce(f"{predictor} (a minute or more)")
+        progress(f"{predictor} (a minute or more)")
         fitted = with_predictor(data, fitted, finders()[predictor]())
     poses = from_poses(data, fitted)
     slip = slip_prior(poses.at_rotation_centre([*data.train, *data.validation]))
@@ -341,34 +342,34 @@ def identify_data(
     model: VelocityModel | NonlinearModel
     content: Any
     if fitted.predictor is None:
-        content = _linear_content(report)
+        content = _linear_model_content(report)
         model = build_model(content)
     else:
         content = fitted.predictor.content(_fields(report, fitted.predictor))
         model = fitted.predictor.model(content)
     surface = log_surface(data.train, report.slip)
     identification = Identification(model, configuration.mapping(), surface, report, content, configuration)
-    _lock(identification)
+    _make_read_only(identification)
     return identification
 
 
 @contextmanager
 def _frames_by_name(folder: str) -> Iterator[None]:
-    """Name data frames in errors without the temporary folder that holds them."""
+    """Remove the temporary folder of data frames from error messages."""
     try:
         yield
     except ConfigError as error:
         if folder not in (message := str(error)):
             raise
-        remedy = "; write the data frame to this file, for the command: frame.to_csv('data_frame_0.csv', index=False)"
+        remedy = "; first write the data frame to this file: frame.to_csv('data_frame_0.csv', index=False)"
         raise ConfigError(message.replace(f"{folder}/", "") + remedy * ("--draft" in message)) from error
 
 
 def _paths(logs: object, folder: Path, name: str) -> list[Path]:
-    """Return the paths of the logs; write data frames to CSV files in `folder` whose names start with `name`."""
-    listed = logs if isinstance(logs, (list, tuple)) else [logs]
+    """Return the paths of the logs; write data frames to CSV files in `folder`, with names that start with `name`."""
+    items = logs if isinstance(logs, (list, tuple)) else [logs]
     paths = []
-    for number, log in enumerate(listed):
+    for number, log in enumerate(items):
         if hasattr(log, "to_csv"):
             paths.append(folder / f"{name}_{number}.csv")
             log.to_csv(paths[-1], index=False)
@@ -380,7 +381,7 @@ def _paths(logs: object, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-def _linear_content(report: IdentificationReport) -> ModelFile:
+def _linear_model_content(report: IdentificationReport) -> ModelFile:
     fitted = report.fitted
     return model_file(
         fitted.identified,
@@ -392,7 +393,7 @@ def _linear_content(report: IdentificationReport) -> ModelFile:
 
 
 def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any]:
-    """Return the fields that the files of all predictors have."""
+    """Return the fields that are common to the parameter files of all predictors."""
     fitted, data = report.fitted, report.data
     return {
         "name": report.name,
@@ -406,7 +407,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
 
 
 def _origin(report: IdentificationReport) -> dict[str, Any]:
-    """Return the part of a model file's provenance that follows from the logs."""
+    """Return the part of a model file's provenance that the logs determine."""
     data = report.data
     return {
         "source": ", ".join(data.logs),
@@ -417,21 +418,21 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
 
 
 def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | None]:
-    """Return the structure called `name` and None; for a predictor, the accompanying structure and `name`.
+    """Return the structure `name` and None; for a predictor, return the accompanying structure and `name`.
 
-    Raises OptionError if the options do not fit, MissingPackageError if the predictor's package is not installed.
+    Raises OptionError if the options are incompatible, and MissingPackageError if the predictor's package is missing.
     """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
         known = (*STRUCTURES, *finders())
         raise OptionError("structure", f" '{name}': give one of {', '.join(known)}{similar_name(name, known)}")
-    chosen = STRUCTURES[ACCOMPANYING if predictor else name]
-    if effects and (predictor or not chosen.takes_effects):
+    selected_structure = STRUCTURES[ACCOMPANYING if predictor else name]
+    if effects and (predictor or not selected_structure.takes_effects):
         supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
         raise OptionError("effects", f": structure {name} has no effects; choose {supported}")
     if predictor:
         finders()[predictor]()
-    return chosen, predictor
+    return selected_structure, predictor
 
 
 def _check_order(structure: Structure, order: int | str) -> int | None:
@@ -439,22 +440,22 @@ def _check_order(structure: Structure, order: int | str) -> int | None:
         return None
     if structure.largest_order is None:
         supported = " or ".join(name for name, candidate in STRUCTURES.items() if candidate.largest_order is not None)
-        raise OptionError("order", f" {order}: only {supported} has a choice of order; omit it for {structure.name}")
+        raise OptionError("order", f" {order}: only {supported} has a selectable order; omit it for {structure.name}")
     if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
         raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")
     return int(order)
 
 
-def _lock(value: object) -> None:
+def _make_read_only(value: object) -> None:
     """Make every array in nested dataclasses, tuples, lists and mappings read-only."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
-            _lock(getattr(value, field.name))
+            _make_read_only(getattr(value, field.name))
     elif isinstance(value, (tuple, list)):
         for part in value:
-            _lock(part)
+            _make_read_only(part)
     elif isinstance(value, Mapping):
         for part in value.values():
-            _lock(part)
+            _make_read_only(part)

@@ -13,21 +13,21 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class JudgementSettings(StrictModel):
-    """Thresholds of doubts about a model."""
+    """Thresholds for doubts about a model."""
 
     low_fit: float = Field(description="FIT below which a doubt is raised [%]")
     refused_fit: float = Field(description="FIT below which no configuration is written [%]")
     unknown_delay: Positive = Field(description="relative standard deviation of an unknown delay [-]")
     least_unknown_delay: Positive = Field(description="minimum standard deviation of an unknown delay [s]")
     fit_drop: Positive = Field(description="decrease of FIT from training to validation [percentage points]")
-    unexplained: Positive = Field(description="correlation of residuals with commands over its 95 % bound [-]")
+    unexplained: Positive = Field(description="ratio of a correlation of residuals with commands to its 95 % bound [-]")
     lever_arm: Positive = Field(description="distance of the pose point from the centre of rotation [m]")
 
 
 class AdviceSettings(StrictModel):
-    """Settings of the rule for advised changes of the mapping."""
+    """Settings of the rule that accepts changes of the mapping."""
 
-    rows: int = Field(gt=0, description="training rows, and as many held-out rows, of each trial [-]")
+    rows: int = Field(gt=0, description="number of training rows, and of held-out rows, of a trial [-]")
     most_changes: int = Field(gt=0, description="maximum number of combined proposals [-]")
     least_gain: Positive = Field(description="minimum gain of FIT or agreement of the streams [percentage points]")
     tolerance: Positive = Field(description="maximum loss of FIT or agreement [percentage points]")
@@ -40,36 +40,36 @@ class SensorSettings(StrictModel):
     least_delay: Positive = Field(description="minimum delay [s]")
     least_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
     least_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
-    least_slip: Positive = Field(description="ratio of encoders to poses above which the wheels slip [-]")
-    certain: Positive = Field(description="minimum significance [standard deviations]")
+    least_slip: Positive = Field(description="ratio of encoder and pose distance above which the wheels slip [-]")
+    certain: Positive = Field(description="minimum significance of a delay or scale [standard deviations]")
 
 
 class SlipSettings(StrictModel):
-    """Mean of each slip parameter, standard deviation, and standard deviation between surfaces."""
+    """Prior of each slip parameter: mean, standard deviation, and standard deviation between surfaces."""
 
-    side_slip: tuple[Positive, Positive, Positive] = Field(description="lateral speed, outward, over v omega [s]")
-    load_shift: tuple[Positive, Positive, Positive] = Field(description="turning point over acceleration [s^2]")
+    side_slip: tuple[Positive, Positive, Positive] = Field(description="ratio of outward lateral speed to v omega [s]")
+    load_shift: tuple[Positive, Positive, Positive] = Field(description="turning point's shift per acceleration [s^2]")
 
 
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the identification from logs."""
 
-    fit_share: Positive = Field(description="share of each log to identify from [-]")
+    fit_share: Positive = Field(description="share of each log for the identification [-]")
     shares: tuple[Positive, Positive] = Field(description="minimum and maximum of `fit_share` [-]")
     most_rows: dict[str, int] = Field(
-        description="maximum rows of training and of validation, without and with effects [-]"
+        description="maximum number of training rows and of validation rows, without and with effects [-]"
     )
     part_time: Positive = Field(description="length of the parts selected from a long log [s]")
-    block_time: Positive = Field(description="length of the blocks resampled for the uncertainty of a comparison [s]")
-    fewest_readings: int = Field(gt=0, description="minimum readings of each signal in a stretch [-]")
+    block_time: Positive = Field(description="length of the resampled blocks for the uncertainty of a comparison [s]")
+    fewest_readings: int = Field(gt=0, description="minimum number of readings of each signal in a record [-]")
     pose_window: Positive = Field(description="window over which displacements are compared with poses [s]")
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
-    start_every: Positive = Field(description="time between two starts [s]")
-    limit_margin: float = Field(ge=1, description="predicted limit over commanded limit [-]")
+    start_every: Positive = Field(description="time between the starts of two predictions [s]")
+    limit_margin: float = Field(ge=1, description="ratio of predicted limit to commanded limit [-]")
     certain: Positive = Field(description="margin of the slew limit [standard deviations]")
     least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="minimum share of the identified slew [-]")
     settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
-    look_ahead: Positive = Field(description="horizon over the settling time [-]")
+    look_ahead: Positive = Field(description="ratio of the horizon to the settling time [-]")
     least_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
     most_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")
     lengths: dict[str, Positive] = Field(description="default lengths by dotted key of the configuration [m]")
@@ -78,10 +78,10 @@ class IdentificationSettings(StrictModel):
     sensors: SensorSettings
     slip: SlipSettings = Field(description="prior of the filter's initial slip estimate")
     warn: JudgementSettings
-    advice: AdviceSettings = Field(description="rule for advised changes of the mapping")
+    advice: AdviceSettings = Field(description="rule that accepts changes of the mapping")
 
 
 @cache
 def identification_settings() -> IdentificationSettings:
-    """Read `settings.yaml`; raise ConfigError if it is invalid."""
+    """Load `settings.yaml`; raise ConfigError if the file is invalid."""
     return load_checked(IdentificationSettings, Path(__file__).with_name("settings.yaml"))

@@ -33,7 +33,7 @@ class Protocol(StrictModel):
     def log(self, name: str) -> RealLog:
         """Return a log by name; raise ConfigError if the name is unknown."""
         if name not in self.logs:
-            raise ConfigError(f"unknown log '{name}': use one of {', '.join(self.logs)}")
+            raise ConfigError(f"unknown log '{name}': give one of {', '.join(self.logs)}")
         return self.logs[name]
 
 

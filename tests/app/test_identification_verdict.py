@@ -176,7 +176,7 @@ def test_unknown_delay_gives_no(identification):
     trust = judge(
         identification.report.data, replace(fitted, identified=replace(fitted.identified, parameters=vague)), []
     )
-    assert trust.grade == "No" and "how late omega answers is not known" in trust.reasons[0]
+    assert trust.grade == "No" and "the delay of omega is unknown" in trust.reasons[0]
 
 
 @pytest.mark.long

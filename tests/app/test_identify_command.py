@@ -145,6 +145,6 @@ def test_clipping_base_is_stated_in_model_and_configuration(tmp_path):
     assert limits.omega == pytest.approx(0.9, rel=0.02)
     config = load_config(out / "config.yaml")
     assert config.estimator.side_slip_uncertainty == identification_settings().slip.side_slip[1]
-    assert "s^2: a wide prior, as the log has too few" in (out / "report.md").read_text()
+    assert "s^2: a wide prior, because the log has too few" in (out / "report.md").read_text()
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)

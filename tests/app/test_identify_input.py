@@ -106,7 +106,7 @@ def test_negative_fit_writes_only_the_report(folder, tmp_path):
     validation = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
     words = ["identify", log, "--validate", validation, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
     result = invoke(app, *words, code=2)
-    assert "below 40 %" in result.stderr and "--force" in result.stderr
+    assert "at least 40 %" in result.stderr and "--force" in result.stderr
     files = [CONTENTS, "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
     invoke(app, *words, "--force")
@@ -130,8 +130,8 @@ def test_draft_mapping_is_written_to_the_working_folder_and_never_replaced(tmp_p
     assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
     written.write_text("corrected by hand")
     refused = draft("log.csv", code=2).stderr
-    assert "mapping.yaml: exists and is not replaced; move it away, or give --out" in refused
+    assert "mapping.yaml: the file exists and is not replaced; move it, or pass --out" in refused
     assert written.read_text() == "corrected by hand"
     draft(log, "--out", "mine/map.yaml")
     assert (tmp_path / "mine/map.yaml").is_file()
-    assert "--draft-mapping: 2 logs; give one" in draft(log, log, code=2).stderr
+    assert "--draft-mapping: 2 logs; pass one" in draft(log, log, code=2).stderr

@@ -103,8 +103,8 @@ def test_file_and_mapping_have_equal_values(slew, geometry):
     text = written.text()
     assert side_by_side(yaml.safe_load(text)) == written.mapping()
     assert written.mapping()["sample_time"] == 0.05
-    assert ("not in a log" in text) == (slew is None)
-    assert ("Not in the log" in text) == (geometry is None)
+    assert ("does not determine v_slew" in text) == (slew is None)
+    assert ("does not determine wheels.track" in text) == (geometry is None)
     if geometry:
         assert written.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
 

@@ -194,9 +194,9 @@ def test_missing_signals_and_short_logs_are_refused():
     with pytest.raises(ValueError, match="windows with a pose"):
         calibrate_wheels([whole.part(0, 200)], LAWS[0][0])
     mute = Record("mute", 0.0, DT, whole.command, pose=whole.pose)
-    with pytest.raises(ValueError, match="needs pose and wheels"):
+    with pytest.raises(ValueError, match="requires pose and wheels"):
         calibrate_wheels([mute], LAWS[0][0])
-    with pytest.raises(ValueError, match="needs pose and yaw_rate"):
+    with pytest.raises(ValueError, match="requires pose and yaw_rate"):
         calibrate_gyro([mute])
 
 

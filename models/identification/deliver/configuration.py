@@ -1,7 +1,7 @@
 """Controller configuration for the identified robot, with a reason for each value.
 
-Only this module writes `config.yaml`. Values are positive and rounded as in the file; values that a log cannot
-determine keep the schema's default and are listed in a comment.
+Only this module writes `config.yaml`. Values are positive and rounded as in the file. Values that a log cannot
+determine keep the schema's default, and a comment lists them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
-# Parameters of the ROS node for the robot of a bag: topic names and message types.
+# Parameters of the ROS node for the robot of a bag: topics and message types.
 
 
 NODE_FILE = "node.yaml"
@@ -44,48 +44,48 @@ _TYPES = {
 
 
 def node_arguments(topics: Topics, folder: Path = Path()) -> str:
-    """Format the arguments of `diffdrive-mpc node` for these topics, with the parameters file in `folder`."""
-    words = ["--ros-args", "--params-file", str(folder / NODE_FILE)]
+    """Format the arguments of `diffdrive-mpc node` for the topics, with the parameters file in `folder`."""
+    arguments = ["--ros-args", "--params-file", str(folder / NODE_FILE)]
     for role, name in _NODE_NAMES.items():
-        topic, kind = topics.get(role, (f"/{name}", ""))
-        if kind in _TYPES[role] and topic != f"/{name}":
-            words += ["-r", f"{name}:={topic}"]
-    return shlex.join(words)
+        topic, message_type = topics.get(role, (f"/{name}", ""))
+        if message_type in _TYPES[role] and topic != f"/{name}":
+            arguments += ["-r", f"{name}:={topic}"]
+    return shlex.join(arguments)
 
 
 def node_text(topics: Topics) -> str:
-    """Format the parameters file, with the topic of each value; topics that the node cannot read are listed.
+    """Format the parameters file with the source of each value, and list the topics that the node cannot read.
 
-    A parameters file cannot hold topic remappings: its first line is a comment with the command that remaps.
+    A parameters file cannot contain topic remappings; its first line is a comment with the command that remaps.
     """
-    usable = {
+    readable_topics = {
         role: topic_and_type
         for role, topic_and_type in topics.items()
         if role in _TYPES and topic_and_type[1] in _TYPES[role]
     }
     values = {
-        "stamped": ("command", str("TwistStamped" in usable.get("command", ("", "TwistStamped"))[1]).lower()),
-        "use_imu": ("imu", str("imu" in usable).lower()),
-        "pose_source": ("pose", "topic" if "pose" in usable else "odometry"),
+        "stamped": ("command", str("TwistStamped" in readable_topics.get("command", ("", "TwistStamped"))[1]).lower()),
+        "use_imu": ("imu", str("imu" in readable_topics).lower()),
+        "pose_source": ("pose", "topic" if "pose" in readable_topics else "odometry"),
     }
     lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
     lines += [f"    {name}: {value}{_reason(topics, role)}" for name, (role, value) in values.items()]
-    for role, (topic, kind) in topics.items():
-        if role in _TYPES and role not in usable:
+    for role, (topic, message_type) in topics.items():
+        if role in _TYPES and role not in readable_topics:
             expected = " or ".join(_TYPES[role])
-            lines.append(f"    # {topic} carries {kind}, which the node cannot read as {role}: it takes {expected}")
+            lines.append(f"    # {topic} carries {message_type}, which the node cannot read as {role}; use {expected}")
     return "\n".join(lines) + "\n"
 
 
 def _reason(topics: Topics, role: str) -> str:
-    return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # no {role} was read from the log"
+    return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # the log has no {role}"
 
 
 # Period and horizon of the controller of an identified robot.
 
 
-_INSTANTS = 2000
-_SAME_PERIOD = 1e-4
+_SAMPLES = 2000
+_PERIOD_TOLERANCE = 1e-4
 """Relative difference below which two periods are equal [-]."""
 
 
@@ -98,11 +98,11 @@ class Pace:
     sample_time
         Time between two commands [s].
     every
-        Sample time of the controller in samples of the log.
+        Sample time of the controller, in samples of the log.
     horizon
-        Prediction horizon in steps.
+        Prediction horizon [steps].
     settling
-        Settling time of the slower channel after a command step, dead time included [s].
+        Settling time of the slower channel after a command step, including dead time [s].
     """
 
     sample_time: float
@@ -112,20 +112,21 @@ class Pace:
 
 
 def settling_time(model: VelocityModel) -> float:
-    """Compute the settling time of both channels after a command step, dead time included [s].
+    """Compute the settling time of the slower channel after a command step, including dead time [s].
 
-    The tolerance, as a share of the steady-state value, is in `settings.yaml`. A model without lag has 0.
+    The tolerance is the share `settled` of the steady-state value (see `settings.yaml`). The settling time of a model
+    without lag and dead time is 0.
     """
     share = identification_settings().settled
     # After seven time constants, the slowest pole has decayed to a thousandth.
-    slowest = max((-1.0 / pole.real for pole in model.poles), default=0.0)
-    duration = float(np.max(model.dead_time)) + 7.0 * slowest
+    max_time_constant = max((-1.0 / pole.real for pole in model.poles), default=0.0)
+    duration = float(np.max(model.dead_time)) + 7.0 * max_time_constant
     if not duration > 0.0:
         return 0.0
-    dt = duration / _INSTANTS
+    dt = duration / _SAMPLES
     settling = 0.0
     for row, step in enumerate(np.eye(2)):
-        response = model.discretise(dt).simulate(np.tile(step, (_INSTANTS, 1)))[:, row]
+        response = model.discretise(dt).simulate(np.tile(step, (_SAMPLES, 1)))[:, row]
         (unsettled,) = np.nonzero(np.abs(response - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
         settling = max(settling, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
     return settling
@@ -134,21 +135,21 @@ def settling_time(model: VelocityModel) -> float:
 def round_period(dt: float) -> float:
     """Round the sample time `dt` [s] to the shortest decimal number within 0.01 % [s].
 
-    Stamps of a log jitter: their median step may be 0.0500001 s for a period of 0.05 s.
+    Because of jitter of the stamps, the median step of a log may be 0.0500001 s for a period of 0.05 s.
     """
     rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
-    return next((period for period in rounded if abs(period - dt) <= _SAME_PERIOD * dt), dt)
+    return next((period for period in rounded if abs(period - dt) <= _PERIOD_TOLERANCE * dt), dt)
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
     """Choose period and horizon that cover the robot's step response, for a log with sample time `dt` [s].
 
-    If the robot is slow relative to `dt`, the period is several samples, which limits the steps of the horizon.
+    For a robot that is slow relative to `dt`, the period is several samples, so that the horizon has few enough steps.
     """
     settings, settling = identification_settings(), settling_time(model)
-    ahead = settings.look_ahead * settling
-    every = max(1, math.ceil(ahead / (settings.most_steps * dt) - 1e-9))
-    horizon = max(settings.least_steps, math.ceil(ahead / (every * dt) - 1e-9))
+    prediction_time = settings.look_ahead * settling
+    every = max(1, math.ceil(prediction_time / (settings.most_steps * dt) - 1e-9))
+    horizon = max(settings.least_steps, math.ceil(prediction_time / (every * dt) - 1e-9))
     return Pace(every * dt, every, horizon, settling)
 
 
@@ -162,27 +163,27 @@ _NOISE_UNITS = {
     "position_noise": "m",
     "heading_noise": "rad",
 }
-_UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
-_SENSORS = "from the log and its mapping: the robot's node reads the sensor without the mapping"
+_UNKNOWN_SLEW = "# a log does not determine v_slew and omega_slew: set them for gentler driving"
+_SENSORS = "from the log and its mapping; the robot's node reads the sensor without the mapping"
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
-_SAME_TRACK = 0.01
+_TRACK_TOLERANCE = 0.01
 """Relative difference below which two tracks are equal [-]."""
 _UNKNOWN_WHEELS = (
-    "# Not in the log: wheels.track and wheels.encoder_track keep the default; set them, and limits.wheel_speed with "
-    "them."
+    "# The log does not determine wheels.track and wheels.encoder_track, which keep the default; set them, and "
+    "limits.wheel_speed."
 )
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of the configuration.
+    """Value of the configuration with a reason.
 
     Attributes
     ----------
     name
-        Key within the group.
+        Key in the group.
     value
-        Positive number, rounded as in the file; two-sided limit; integer; or word.
+        Positive number, rounded as in the file; two-sided limit; integer; or text.
     reason
         Unit and source of the value.
     """
@@ -198,7 +199,7 @@ class Setting:
 
     def line(self) -> str:
         """Format the setting as a line of the file."""
-        return f"{self.name}: {_text(self.value)}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
+        return f"{self.name}: {_format_value(self.value)}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
 
 
 @dataclass(frozen=True)
@@ -210,11 +211,11 @@ class IdentifiedConfiguration:
     name
         Name of the model.
     general, limits, wheels, estimator, reentry, failure, free_space
-        Settings without a group, and settings of each group; groups may be empty.
+        Settings without a group, and settings of each group; a group may be empty.
     sensors
         Delays and scales of the sensors, by input.
     notes
-        Warnings, a comment line each at the head of the file.
+        Warnings, which are comment lines at the start of the file.
     """
 
     name: str
@@ -230,7 +231,7 @@ class IdentifiedConfiguration:
 
     @property
     def groups(self) -> dict[str, tuple[Setting, ...]]:
-        """Settings of each group, by the name of the group."""
+        """Settings by name of the group."""
         return {name: getattr(self, name) for name in _GROUPS}
 
     @property
@@ -242,25 +243,25 @@ class IdentifiedConfiguration:
 
     @property
     def room(self) -> tuple[Setting, ...]:
-        """Lengths larger than the defaults, of all groups: margins that the robot needs, not limits of the robot."""
+        """Lengths of all groups that exceed the defaults: margins for a larger or faster robot, not its limits."""
         lengths = identification_settings().lengths
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
     def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
-        """Scale the limits of "v" and "omega", and the predicted limits that follow from them, by `shares`."""
+        """Scale the limits of "v" and "omega", and the corresponding predicted limits, by `shares`."""
 
         def reduce(setting: Setting) -> Setting:
             share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
             if share == 1.0:
                 return setting
             unit, _, reason = setting.reason.partition(", ")
-            words = f"{unit}, {100 * share:.0f} % of this, as faster trial drives failed: {reason}"
-            return _setting(setting.name, _each(setting.value, lambda side: share * side), words)
+            reason = f"{unit}, {100 * share:.0f} % of this, because faster trial drives failed: {reason}"
+            return _setting(setting.name, _map_sides(setting.value, lambda side: share * side), reason)
 
         return replace(self, limits=tuple(map(reduce, self.limits)))
 
     def mapping(self) -> dict[str, Any]:
-        """Return keys and values for `load_config`; the model file is in the same folder."""
+        """Return keys and values for `load_config`; the model file is in the folder of the configuration."""
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
         for group, settings in self.groups.items():
             if settings:
@@ -272,11 +273,11 @@ class IdentifiedConfiguration:
         slew = any(setting.name.endswith("_slew") for setting in self.limits)
         lines = [
             f"# Controller of {plain_line(self.name)}. "
-            "Missing fields keep the schema's default: diffdrive-mpc config schema",
+            "Missing keys have the schema's default: diffdrive-mpc config schema",
             *(f"# {plain_line(note)}" for note in self.notes),
             *(setting.line() for setting in self.general),
             "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
-            *(f"  {setting.line()}" for setting in self._of("limits", expert=False)),
+            *(f"  {setting.line()}" for setting in self._select("limits", expert=False)),
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
@@ -284,14 +285,14 @@ class IdentifiedConfiguration:
             name: ", ".join(f"{key}: {number:.6g}" for key, number in values.items())
             for name, values in self.sensors.items()
         }
-        lines += _group("sensors", [Setting(name, f"{{{words}}}", _SENSORS) for name, words in stated.items()])
-        lines += _group("failure", self._of("failure", expert=False))
-        inner = [line for group in self.groups for line in _group(group, self._of(group, expert=True))]
-        lines += ["expert:", *(f"  {line}" for line in inner)] if inner else []
+        lines += _group("sensors", [Setting(name, f"{{{values}}}", _SENSORS) for name, values in stated.items()])
+        lines += _group("failure", self._select("failure", expert=False))
+        expert_lines = [line for group in self.groups for line in _group(group, self._select(group, expert=True))]
+        lines += ["expert:", *(f"  {line}" for line in expert_lines)] if expert_lines else []
         return "\n".join(lines) + "\n"
 
-    def _of(self, group: str, *, expert: bool) -> list[Setting]:
-        """Return the settings of a group that belong under `expert:` (if `expert`) or outside it."""
+    def _select(self, group: str, *, expert: bool) -> list[Setting]:
+        """Select the settings of a group that belong to `expert:`, or that do not belong to it."""
         expert_keys = identification_settings().expert
         return [
             setting
@@ -301,7 +302,7 @@ class IdentifiedConfiguration:
 
 
 def _group(name: str, settings: Sequence[Setting]) -> list[str]:
-    """Format the lines of a group; empty if it has no settings."""
+    """Format the lines of a group; no lines if the group has no settings."""
     return [f"{name}:", *(f"  {setting.line()}" for setting in settings)] if settings else []
 
 
@@ -324,7 +325,7 @@ def configure(
     name
         Name of the model.
     identified
-        The model, with base effects if they were identified.
+        Identified model, with base effects if they were identified.
     train
         Training records of the model.
     geometry
@@ -332,13 +333,13 @@ def configure(
     slip
         Initial slip estimate of the filter.
     stated
-        Track stated by the mapping [m]; used if the log has no wheel speeds.
+        Track stated by the mapping [m], for a log without wheel speeds.
     every_sample
         True if the predicting model requires the sample time of the log.
     sensors
         Delays and scales of the sensors, by input.
     notes
-        Warnings for the head of the file.
+        Warnings for the start of the file.
 
     Raises
     ------
@@ -356,11 +357,11 @@ def configure(
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     width = track or load_robot().track
-    reached = _max_side_speed(identified, train, geometry.track if geometry else width)
-    limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), reached))
+    max_side_speed = _max_side_speed(identified, train, geometry.track if geometry else width)
+    limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), max_side_speed))
     if geometry is not None and track is not None:
         wheels = [
-            _setting("track", track, "m, with which the robot converts omega_ref to wheel speeds"),
+            _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
         ]
     lengths = _lengths(limit[0] * gain[0], geometry)
@@ -382,20 +383,20 @@ def _speeds(
 ) -> tuple[FloatArray, list[Setting]]:
     """Choose the speed limits: maxima (2,) of the commands (K, 2), and settings of commanded and predicted limits.
 
-    If the log shows the limit of one side only, the other side is limited to the largest command of the log.
+    If the log determines the limit of one side only, the limit of the other side is the maximum command of the log.
     """
     limit, sides = np.abs(commands).max(axis=0), np.maximum([commands.max(axis=0), -commands.min(axis=0)], 0.0).T
     top_speed = base.top_speed if base and (base.top_speed or np.inf) < limit[0] else None
     limits = {"v": top_speed, **identified.limits}
     settings, predictions = [], []
     for row, name in enumerate(CHANNELS):
-        value, reason = limit[row], "largest command of the log in either direction"
-        if (known := limits.get(name)) is not None:
-            pairs = zip(sides_of(known), sides[row].tolist(), strict=True)
-            values = [(commanded or float(known)) if side == np.inf else side for side, commanded in pairs]
-            limit[row], reason = max(values), "at which the robot clips its command"
-            if max(sides_of(known)) == np.inf:
-                reason += ", and the largest command of the log on the side without a limit"
+        value, reason = limit[row], "maximum command of the log in both directions"
+        if (base_limit := limits.get(name)) is not None:
+            pairs = zip(sides_of(base_limit), sides[row].tolist(), strict=True)
+            values = [(commanded or float(base_limit)) if side == np.inf else side for side, commanded in pairs]
+            limit[row], reason = max(values), "limit at which the robot clips its command"
+            if max(sides_of(base_limit)) == np.inf:
+                reason += ", and maximum command of the log on the side without a limit"
             value = _KINDS[name](*values)
         settings.append(_setting(name, value, f"{_UNITS[name]}, {reason}"))
         predicted = identification_settings().limit_margin * np.maximum(gain[row], 1.0) * limit[row]
@@ -407,22 +408,23 @@ def _speeds(
 def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
     if np.isnan(geometry.radius):
         return "as stated by the mapping"
-    source = "with which the log's omega was computed"
-    if stated is not None and abs(geometry.track - stated) > _SAME_TRACK * stated:
-        source += f"; the {stated:g} m that the mapping states is not used, as the log's wheels determine it"
+    source = "for the computation of the log's omega"
+    if stated is not None and abs(geometry.track - stated) > _TRACK_TOLERANCE * stated:
+        source += f"; the log's wheels determine it, so the {stated:g} m of the mapping are not used"
     return source
 
 
 def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
-    """Scale lengths for a robot larger or faster than the robot of the papers, by group; empty for other robots."""
-    usual = load_robot()
-    speed_ratio, track_ratio = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
-    scale, why = max((speed_ratio, "the robot is faster by this factor"), (track_ratio, "its track is as much wider"))
+    """Scale lengths, by group, for a robot larger or faster than the papers' robot; empty for other robots."""
+    default = load_robot()
+    speed_ratio = speed / default.limits.v
+    track_ratio = geometry.track / default.track if geometry is not None else 0.0
+    scale, quantity = max((speed_ratio, "speed"), (track_ratio, "track"))
     settings: dict[str, list[Setting]] = {}
     if scale > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
-            reason = f"m, {scale:.1f} times the default {length:g} m: {why}"
+            reason = f"m, {scale:.1f} times the default {length:g} m, like the robot's {quantity}"
             settings.setdefault(group, []).append(_setting(name, scale * length, reason))
     return settings
 
@@ -431,10 +433,10 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
     pace = choose_pace(identified.model, dt)
     if every_sample:
         pace = replace(pace, sample_time=dt, every=1)
-    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot responds slowly"
+    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, because the robot responds slowly"
     return (
         Setting("model", MODEL_FILE),
-        Setting("sample_time", round_period(pace.sample_time), f"s, {source}: the period at which `step` is called"),
+        Setting("sample_time", round_period(pace.sample_time), f"s, {source}: period of the calls of `step`"),
         Setting(
             "horizon",
             pace.horizon,
@@ -457,67 +459,67 @@ def _slip(prior: SlipPrior) -> list[Setting]:
     """Return the settings of the filter's initial slip estimate."""
     side_slip, load_shift = prior.estimate.values
     return [
-        _setting("side_slip", side_slip, f"s, lateral speed, outward, over v omega: {prior.source()}"),
-        _setting("side_slip_uncertainty", prior.estimate.deviation("side_slip"), "s, on this and other surfaces"),
-        _setting("load_shift", load_shift, f"s^2, lateral speed, inward, over a omega: {prior.source()}"),
+        _setting("side_slip", side_slip, f"s, outward lateral speed over v omega: {prior.source()}"),
+        _setting("side_slip_uncertainty", prior.estimate.deviation("side_slip"), "s, for this and other surfaces"),
+        _setting("load_shift", load_shift, f"s^2, inward lateral speed over a omega: {prior.source()}"),
     ]
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:
-    """Choose slew limits below the identified acceleration limits of the base, so that its model stays linear."""
+    """Choose slew limits below the identified acceleration limits of the base, at which the model is nonlinear."""
     parameters, settings = identified.parameters, identification_settings()
-    usual, known = load_robot().command_slew, limits_in(identified.base_effects)
+    default, limits = load_robot().command_slew, limits_in(identified.base_effects)
     slews = []
-    for name, row in zip(CHANNELS, known[:, 2:], strict=True):
+    for name, row in zip(CHANNELS, limits[:, 2:], strict=True):
         if row.min() == np.inf:
             continue
         sides = []
         for side, value in zip(SlewLimit.names, row.tolist(), strict=True):
             key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
             deviation = parameters.deviation(key) if value < np.inf else 0.0
-            # Subtract the uncertainty, so that the limit of the base stays inactive; keep a minimum share.
-            safe, minimum = value - settings.certain * deviation, settings.least_slew * value
-            sides.append(min(safe if safe > minimum else minimum, getattr(usual, name)))
+            # Subtract the uncertainty, so that the limit of the base remains inactive; keep a minimum share.
+            reduced, minimum = value - settings.certain * deviation, settings.least_slew * value
+            sides.append(min(reduced if reduced > minimum else minimum, getattr(default, name)))
         reason = f"{_UNITS[name]} per second, within the limits of the base"
         slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
     return slews
 
 
 def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
-    """Return the maximum observed speed of a side [m/s] if the robot limits v; otherwise infinity."""
+    """Return the maximum measured speed of a side [m/s] if the robot limits v; otherwise infinity."""
     if "v" not in identified.limits:
         return np.inf
     twist = np.concatenate([r.twist for r in train if r.twist is not None])
     return float(np.nanpercentile(np.abs(twist) @ [1.0, 0.5 * track], 99.5))
 
 
-def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, reached: float) -> Setting:
+def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, maximum: float) -> Setting:
     """Choose the limit of the wheel speed; `commands` (K, 2) are magnitudes of the commands in the log."""
     rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
     if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
-        return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, at which the motors saturate")
-    if reached < rim:
+        return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim; the motors saturate")
+    if maximum < rim:
         return _setting(
-            "wheel_speed", reached, "m/s at the rim, the maximum in the log of a robot that limits its speed"
+            "wheel_speed", maximum, "m/s at the rim, the maximum in the log of a robot that limits its speed"
         )
     return _setting("wheel_speed", rim, "m/s at the rim, the maximum command of a side in the log, with a margin")
 
 
 def _setting(name: str, value: float, reason: str) -> Setting:
-    return Setting(name, _each(value, lambda side: float(f"{side:.4g}")), reason)
+    return Setting(name, _map_sides(value, lambda side: float(f"{side:.4g}")), reason)
 
 
-def _each(value: float | str, change: Callable[[float], float]) -> float:
+def _map_sides(value: float | str, change: Callable[[float], float]) -> float:
     """Apply `change` to a number or to each side of a limit."""
     return value.map(change) if isinstance(value, TwoSided) else change(float(value))
 
 
-def _largest(value: float | str) -> float:
+def _max_side(value: float | str) -> float:
     """Return the larger side of a limit."""
     return max(sides_of(value)) if isinstance(value, TwoSided) else float(value)
 
 
-def _text(value: float | str) -> str:
+def _format_value(value: float | str) -> str:
     """Format a value for the file."""
     if isinstance(value, TwoSided) and not value.is_symmetric:
         return "{" + ", ".join(f"{name}: {side:.6g}" for name, side in zip(value.names, value.sides, strict=True)) + "}"
@@ -525,36 +527,35 @@ def _text(value: float | str) -> str:
 
 
 def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
-    """Reduce limits to those that the maker states, and add stated values that the log does not determine.
+    """Reduce limits to those stated by the maker, and add stated values that the log does not determine.
 
-    The base clips commands at the maker's limits, so that the controller's model would be wrong beyond them.
+    The base clips commands at the maker's limits, so the controller's model is wrong beyond them.
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
-        channel: min(1.0, float(keys[f"limits.{channel}"].value) / _largest(setting.value))
+        channel: min(1.0, float(keys[f"limits.{channel}"].value) / _max_side(setting.value))
         for channel in ("v", "omega")
         for setting in configuration.limits
         if setting.name == channel
     }
-    bounded = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
-    groups = {"limits": bounded, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
+    limits = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
+    groups = {"limits": limits, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
     for key, stated in keys.items():
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{stated.value}'" if isinstance(stated.value, str) else stated.value
             groups[group].append(Setting(name, value, f"{stated.reason}, stated by the maker of {robot.name}"))
-    limits, wheels, free_space = (tuple(settings) for settings in groups.values())
-    return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
+    return replace(configuration, **{name: tuple(settings) for name, settings in groups.items()})
 
 
 def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
-    """Reduce a limit to the stated one; reduce predicted limits by the same share."""
-    unit, value = setting.reason.partition(", ")[0], _largest(setting.value)
+    """Reduce a limit to the stated limit; reduce predicted limits by the same share."""
+    unit, value = setting.reason.partition(", ")[0], _max_side(setting.value)
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)
     if stated is not None and float(stated.value) < value:
         maximum = float(stated.value)
-        words = f"{unit}, stated by the maker of {robot}; the log: {_text(setting.value)}"
-        return Setting(setting.name, _each(setting.value, lambda side: min(side, maximum)), words)
+        reason = f"{unit}, stated by the maker of {robot}; limit from the log: {_format_value(setting.value)}"
+        return Setting(setting.name, _map_sides(setting.value, lambda side: min(side, maximum)), reason)
     if share < 1.0 and stated is None:
-        return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit that the maker states")
+        return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit stated by the maker")
     return setting

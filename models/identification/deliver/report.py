@@ -41,18 +41,18 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentificationReport:
-    """Data and results of one identification; `str` gives the summary for the user.
+    """Data and results of one identification; `str` returns the summary for the user.
 
     Attributes
     ----------
     name
         Name of the model.
     data, fitted, poses, slip
-        Data of the logs, model with scores, parameters estimated from poses, and initial slip of the filter.
+        Data of the logs, model with scores, results from poses, and initial slip estimate of the filter.
     day
         Date of the identification.
     robot
-        Robot whose maker states values that the logs do not determine; None if no robot is named.
+        Robot with values stated by its maker; None if no robot is named.
     """
 
     name: str
@@ -64,7 +64,7 @@ class IdentificationReport:
     robot: MakersRobot | None = None
 
     def __repr__(self) -> str:
-        """Format without the arrays, which would fill pages."""
+        """Format the name only, without arrays."""
         return f"<IdentificationReport {self.name!r}>"
 
     def __str__(self) -> str:
@@ -77,21 +77,21 @@ class IdentificationReport:
     def doubts(self) -> tuple[Doubt, ...]:
         """Doubts about the estimate and its scores."""
         predictor_doubts = self.fitted.predictor.doubts if self.fitted.predictor else ()
-        verdicts = [*self.data.warnings, *predictor_doubts, *self.fitted.identified.warnings, *self.poses.warnings]
+        doubts = [*self.data.warnings, *predictor_doubts, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
-            words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
-            verdicts.append(Doubt("no gyro", words))
+            text = "omega: the log has no gyro, so omega is the yaw rate of the wheels; a skid-steered body turns less"
+            doubts.append(Doubt("no gyro", text))
         if self.fitted.geometry is None and self.data.stated_track is None and self.robot is None:
-            words = (
-                "wheels: neither log nor mapping (wheels.track) determines the track: in config.yaml set wheels.track, "
-                "wheels.encoder_track and limits.wheel_speed"
+            text = (
+                "wheels: neither the log nor the mapping (wheels.track) determines the track: set wheels.track, "
+                "wheels.encoder_track and limits.wheel_speed in config.yaml"
             )
-            verdicts.append(Doubt("no wheels", words))
-        return tuple(dict.fromkeys([*verdicts, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
+            doubts.append(Doubt("no wheels", text))
+        return tuple(dict.fromkeys([*doubts, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """All warnings for the user, a line each: findings in the logs and `doubts` about the model."""
+        """Warnings for the user, one line each: findings in the logs and `doubts` about the model."""
         return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
 
     @property
@@ -108,20 +108,20 @@ class IdentificationReport:
 
     @property
     def findings_summary(self) -> list[str]:
-        """Model, limits and, if there is one, a better mapping, each in one line."""
+        """Model, limits and, if available, a better mapping, each in one line."""
         model = self.fitted.identified.model
         gain, dead_time, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
-            f"{channel} becomes {gain[i, i]:.3g} times its command, {dead_time[i] + lag[i]:.2f} s later (dead time "
-            f"{dead_time[i]:.2f} s, lag {lag[i]:.2f} s)"
+            f"{channel} follows its command with gain {gain[i, i]:.3g} and delay {dead_time[i] + lag[i]:.2f} s "
+            f"(dead time {dead_time[i]:.2f} s, lag {lag[i]:.2f} s)"
             for i, channel in enumerate(CHANNELS)
         ]
         if self.fitted.predictor is not None:
-            linear = "by the accompanying linear model, which determines limits and tracks"
+            linear = "in the accompanying linear model, which determines limits and tracks"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         advice = [self.data.advice.sentence()] if self.data.advice else []
         limits = [f"Limits of commands: {'; '.join(self.limits)}."]
-        return [f"Found: {'; '.join(lags)}.", *limits, *advice]
+        return [f"Model: {'; '.join(lags)}.", *limits, *advice]
 
     @property
     def limits(self) -> list[str]:
@@ -130,7 +130,7 @@ class IdentificationReport:
 
     def in_short(self) -> list[str]:
         """Return the findings and the verdict on the model."""
-        return [*self.findings_summary, f"To be trusted? {self.verdict}."]
+        return [*self.findings_summary, f"Trust: {self.verdict}."]
 
     @cached_property
     def trust(self) -> Trust:
@@ -139,7 +139,7 @@ class IdentificationReport:
 
     @property
     def verdict(self) -> str:
-        """Grade of trust with reasons, in one line."""
+        """Grade of trust with reasons in one line."""
         return str(self.trust)
 
     @property
@@ -149,7 +149,7 @@ class IdentificationReport:
 
     @property
     def tables(self) -> list[TextTable]:
-        """All tables except the first of `scores`, in order."""
+        """All tables in order, except the first table of `scores`."""
         fitted, poses = self.fitted, self.poses
         tables = [residual_table(fitted), *self.scores[1:]]
         if fitted.orders:
@@ -166,7 +166,7 @@ class IdentificationReport:
         return tables
 
     def as_json(self) -> dict[str, Any]:
-        """Convert scores, pose errors, parameters and warnings to JSON values; keys of poses start with "poses."."""
+        """Convert the report to JSON values; names of parameters from poses start with "poses."."""
         fitted = self.fitted
         estimate = fitted.predictor.estimate if fitted.predictor else None
         return {
@@ -195,7 +195,7 @@ class IdentificationReport:
         figures
             Relative paths by title, in order.
         first
-            Lines that replace findings and verdict, for instance after trial drives.
+            Lines that replace summary and verdict, for instance after trial drives.
         """
         parts = [
             f"# {plain_line(self.name)}",
@@ -217,15 +217,15 @@ class IdentificationReport:
 
     def _facts(self) -> list[str]:
         data, fitted = self.data, self.fitted
-        spans = [
+        durations = [
             sum(len(record.command) * record.dt for record in records) for records in (data.train, data.validation)
         ]
         return _bullets(
             [
                 f"{fitted.structure.upper()} from {', '.join(data.logs)}: {fitted.method}.",
-                f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
-                f"one sample every {data.train[0].dt:.6g} s.",
-                f"omega is that of the {data.yaw}.",
+                f"Identified from {durations[0]:.0f} s, validated on {durations[1]:.0f} s, {data.held_out}; "
+                f"sample time {data.train[0].dt:.6g} s.",
+                f"omega is measured by the {data.yaw}.",
                 str(self.slip),
                 f"Estimation took {fitted.seconds:.1f} s.",
                 f"diffdrive-mpc {_version()}, {self.day.isoformat()}.",
@@ -236,27 +236,27 @@ class IdentificationReport:
 def score_doubts(fitted: Fitted) -> list[Doubt]:
     """Return the doubts from FIT and residuals on the held-out records."""
     limits = identification_settings().warn
-    verdicts = []
+    doubts = []
     for row, channel in enumerate(CHANNELS):
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
         if validation < limits.low_fit:
-            words = f"validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
-            verdicts.append(Doubt("low FIT", words).about(channel))
+            text = f"validation FIT {validation:.1f} % is below {limits.low_fit:g} %: the model explains too little"
+            doubts.append(Doubt("low FIT", text).about(channel))
         if train - validation > limits.fit_drop:
-            words = (
-                f"FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the model has too "
-                "many parameters"
+            text = (
+                f"FIT decreases from {train:.1f} to {validation:.1f} % on validation data: the data differ, or the "
+                "model has too many parameters"
             )
-            verdicts.append(Doubt("FIT falls", words).about(channel))
+            doubts.append(Doubt("FIT falls", text).about(channel))
         unexplained = fitted.validation.residuals.unexplained[row]
-        j = int(np.argmax(unexplained))
-        if unexplained[j] > limits.unexplained:
-            words = (
-                f"residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % bound): the "
-                "model misses part of the dynamics"
+        column = int(np.argmax(unexplained))
+        if unexplained[column] > limits.unexplained:
+            text = (
+                f"residuals follow past commands of {CHANNELS[column]} ({unexplained[column]:.1f} times the 95 % "
+                "bound): the model misses part of the dynamics"
             )
-            verdicts.append(Doubt("missed dynamics", words).about(channel))
-    return verdicts
+            doubts.append(Doubt("missed dynamics", text).about(channel))
+    return doubts
 
 
 def mount_doubts(poses: PoseResults) -> list[Doubt]:
@@ -264,11 +264,11 @@ def mount_doubts(poses: PoseResults) -> list[Doubt]:
     ahead, left = poses.place
     if not ahead and not left:
         return []
-    words = (
-        f"poses: their point is {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
-        "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
+    text = (
+        f"poses: the pose point is {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
+        "rotation: provide poses of the centre of rotation to the controller (models.base_effects.PoseMount)"
     )
-    return [Doubt("pose point", words)]
+    return [Doubt("pose point", text)]
 
 
 def _bullets(lines: Sequence[str]) -> list[str]:
@@ -289,5 +289,5 @@ def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None
 def _version() -> str:
     try:
         return version("diffdrive-mpc")
-    except PackageNotFoundError:  # run from a source tree that is not installed
+    except PackageNotFoundError:  # source tree that is not installed
         return "unknown"

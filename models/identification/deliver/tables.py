@@ -30,8 +30,8 @@ def score_table(fitted: Fitted) -> TextTable:
         for i, channel in enumerate(CHANNELS)
     ]
     columns = ("channel", "FIT training [%]", "FIT validation [%]", "RMSE training", "RMSE validation")
-    note = "Simulated from the commands alone, started once in each stretch; RMSE in m/s and rad/s."
-    return TextTable("How much the model explains", columns, tuple(rows), note=note)
+    note = "Simulation from commands alone, started once in each record; RMSE in m/s and rad/s."
+    return TextTable("Scores of the model", columns, tuple(rows), note=note)
 
 
 def residual_table(fitted: Fitted) -> TextTable:
@@ -42,8 +42,8 @@ def residual_table(fitted: Fitted) -> TextTable:
         for i, channel in enumerate(CHANNELS)
     ]
     columns = ("residual of", "p if white [-]", "with past v_ref [bounds]", "with past omega_ref [bounds]")
-    note = "Largest correlation with a past command over its 95 % bound; values well above 1 show missing dynamics."
-    return TextTable("Residuals on data held out", columns, tuple(rows), note=note)
+    note = "Maximum correlation with a past command over its 95 % bound; values well above 1 indicate missing dynamics."
+    return TextTable("Residuals on validation data", columns, tuple(rows), note=note)
 
 
 def drift_table(poses: PoseResults) -> TextTable:
@@ -53,22 +53,22 @@ def drift_table(poses: PoseResults) -> TextTable:
         for d in poses.drift
     ]
     columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
-    note = "Poses predicted from commands alone, compared with measured poses, on held-out data."
+    note = "Poses predicted from commands alone, compared with measured poses, on validation data."
     return TextTable("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
 
 
 def delay_table(delays: ParameterEstimate) -> TextTable:
-    """Tabulate the delay of the robot: the sum of dead time and lag, which a log determines, and both parts."""
+    """Tabulate the delay of the robot: sum of dead time and lag, which a log determines well, and both parts."""
     cells = [f"{value:.3g} +- {deviation:.2g}" for _, value, deviation in delays.rows]
     names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
-    note = "With standard deviations. Tracking depends on the sum; many divisions of it give the same prediction."
-    columns = ("response of", "dead time and lag together [s]", "dead time [s]", "lag [s]")
+    note = "With standard deviations. Tracking depends on the sum; many divisions of the sum predict equally well."
+    columns = ("response of", "dead time + lag [s]", "dead time [s]", "lag [s]")
     return TextTable("Delay of the robot", columns, tuple(rows), note=note)
 
 
 def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> TextTable:
-    """Tabulate values with standard deviations; without `dead_times`, which `delay_table` shows, if False."""
+    """Tabulate values with standard deviations; if `dead_times` is False, omit dead times (see `delay_table`)."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
         for name, value, deviation in estimate.rows
@@ -79,7 +79,7 @@ def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool
 
 
 def order_table(choice: OrderChoice) -> TextTable:
-    """Tabulate compared orders, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
+    """Tabulate the compared orders, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
     rows = []
     for order, row in enumerate(choice.rows, start=1):
         fits = (row.train_fit_percent, row.block_fit_percent, row.validation_fit_percent)
@@ -90,12 +90,12 @@ def order_table(choice: OrderChoice) -> TextTable:
         *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT blocks v [%]", "omega [%]"),
         *("FIT validation v [%]", "omega [%]", "AIC", "BIC"),
     )
-    note = f"Order {choice.order}: {choice.reason}. AIC and BIC relative to their minimum over all orders."
-    return TextTable("Orders compared", columns, tuple(rows), text_columns=2, note=note)
+    note = f"Order {choice.order}: {choice.reason}. AIC and BIC are relative to their minimum over all orders."
+    return TextTable("Comparison of orders", columns, tuple(rows), text_columns=2, note=note)
 
 
 def effect_table(base: IdentifiedBase) -> TextTable:
-    """Tabulate the effects that were tried in addition to the linear model, with the selected ones marked."""
+    """Tabulate the trials of effects in addition to the linear model, and mark the selected effects."""
     rows = [
         (
             trial.effect + (", second trial" if trial.again else ""),
@@ -112,7 +112,7 @@ def effect_table(base: IdentifiedBase) -> TextTable:
 
 
 def slip_table(poses: PoseResults) -> TextTable:
-    """Tabulate slip laws with their errors over a short window."""
+    """Tabulate slip laws with their errors over short windows."""
     rows = [
         (name, ", ".join(_format_values(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
         for name, law in poses.laws

@@ -1,4 +1,4 @@
-"""Trust in a model, graded from its logs by a single rule that all reports use."""
+"""Trust in a model, graded from its logs; all reports use this rule."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Trust:
     grade
         "Yes", "With care" or "No".
     reasons
-        Reasons against a better grade, a clause each; empty for "Yes".
+        Reasons against a better grade, one clause each; empty for "Yes".
     """
 
     grade: Grade
@@ -47,64 +47,63 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
     Parameters
     ----------
     data
-        The logs.
+        Data of the logs.
     fitted
-        The model with its scores.
+        Model with its scores.
     doubts
-        All doubts about the model.
+        Doubts about the model.
     """
     refused = refusals(data.findings, fitted)
     if refused:
         return Trust("No", refused)
     low, min_fit = fit_interval(data, fitted)[0], identification_settings().warn.low_fit
     reasons = [
-        f"FIT of {channel} on data held out may be as low as {value:.0f} %"
+        f"FIT of {channel} on validation data may be as low as {value:.0f} %"
         for channel, value in zip(CHANNELS, low, strict=True)
         if not value >= min_fit
     ]
-    known = [
+    verdicts = [
         *((finding.kind, finding.verdict) for finding in data.findings),
         *((doubt.kind, doubt.verdict) for doubt in doubts),
     ]
-    matters = Counter(kind for kind, verdict in known if verdict is not None and verdict.matters and kind != "low FIT")
-    if matters:
-        count = sum(matters.values())
-        reasons.append(f"{'1 warning matters' if count == 1 else f'{count} warnings matter'} ({', '.join(matters)})")
+    kinds = Counter(kind for kind, verdict in verdicts if verdict and verdict.matters and kind != "low FIT")
+    if kinds:
+        count = sum(kinds.values())
+        reasons.append(f"{'1 warning matters' if count == 1 else f'{count} warnings matter'} ({', '.join(kinds)})")
     return Trust("With care" if reasons else "Yes", tuple(reasons))
 
 
 def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
-    """List the reasons, a clause each, for which no controller should use the model."""
+    """List the reasons, one clause each, for which no controller should use the model."""
     limits = identification_settings().warn
     reasons = [finding.words for finding in findings if finding.severity == "error"]
     fit = fitted.validation.fit_percent
     if not min(fit) >= limits.refused_fit:
-        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
-        reasons.append(
-            f"FIT on data held out is {each}; below {limits.refused_fit:g} % a model predicts little more than chance"
-        )
+        values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
+        reasons.append(f"FIT on validation data is {values}; control requires at least {limits.refused_fit:g} %")
     delays = None if fitted.predictor else fitted.identified.delays
     for name, value, deviation in delays.rows if delays else ():
-        part, _, kind = name.rpartition(".")
+        response, _, kind = name.rpartition(".")
         if kind == "sum" and not deviation <= max(limits.unknown_delay * value, limits.least_unknown_delay):
             reasons.append(
-                f"how late {part} answers is not known: {value:.2g} s, with a standard deviation of {deviation:.2g} s"
+                f"the delay of {response} is unknown: {value:.2g} s, with a standard deviation of {deviation:.2g} s"
             )
     return tuple(reasons)
 
 
 def fit_interval(data: LogData, fitted: Fitted) -> FloatArray:
-    """Compute the 95 % interval of FIT on held-out data by resampling blocks: (2, 2), bound by v and omega [%]."""
+    """Compute the 95 % interval of FIT on validation data by a block bootstrap: (bounds, channels) (2, 2) [%]."""
     measured = twist_experiments(data.validation, data.yaw)
     powers, weights = block_powers(measured, fitted.simulated)
-    readings = np.concatenate([part.readings for part in measured])
+    readings = np.concatenate([experiment.readings for experiment in measured])
     spread = np.asarray(np.nanvar(readings, axis=0))
     if not len(weights):
         return np.tile(fitted.validation.fit_percent, (2, 1))
-    return np.asarray(np.quantile(pooled_fit(powers, weights, spread, drawn_blocks(len(weights))), INTERVAL, axis=0))
+    return np.asarray(np.quantile(pooled_fit(powers, weights, spread, draw_blocks(len(weights))), INTERVAL, axis=0))
 
 
 _DRAWS, _SEED = 2000, 0
+"""Number of bootstrap samples and seed."""
 INTERVAL = (0.025, 0.975)
 """Ends of the 95 % interval, as quantiles."""
 
@@ -112,7 +111,7 @@ INTERVAL = (0.025, 0.975)
 def block_powers(
     measured: Sequence[SampledExperiment], simulated: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute mean square errors (B, 2) of v and omega in blocks of time, and the numbers of readings (B, 2).
+    """Compute mean square errors (B, 2) of v and omega in blocks of time, and numbers of readings (B, 2).
 
     Errors are in (m/s)^2 and (rad/s)^2. They are correlated within a block and nearly independent between blocks.
     """
@@ -121,8 +120,8 @@ def block_powers(
     for experiment, output in zip(measured, simulated, strict=True):
         errors = experiment.readings - output
         span = max(1, round(length / experiment.dt))
-        for first in range(0, len(errors), span):
-            block = errors[first : first + span]
+        for start in range(0, len(errors), span):
+            block = errors[start : start + span]
             count = np.isfinite(block).sum(axis=0)
             if count.all():
                 powers.append(np.nanmean(block**2, axis=0))
@@ -133,23 +132,23 @@ def block_powers(
 def pooled_fit(
     powers: FloatArray, weights: FloatArray, spread: FloatArray, draws: FloatArray | None = None
 ) -> FloatArray:
-    """Compute FIT (..., 2) of v and omega over all blocks [%], or over resampled blocks.
+    """Compute FIT (..., 2) of v and omega [%] over all blocks, or over resampled blocks.
 
     Parameters
     ----------
     powers, weights
-        (B, 2) each, results of `block_powers`.
+        Results of `block_powers`, (B, 2) each.
     spread
-        (2,) variance of the measurements.
+        Variances (2,) of the measurements.
     draws
-        (..., B) number of repetitions of each block; once by default.
+        Number of repetitions (..., B) of each block; 1 by default.
     """
-    drawn = np.ones(len(weights)) if draws is None else draws
-    power = drawn @ (weights * powers)
-    return np.asarray(100.0 * (1.0 - np.sqrt(power / (drawn @ weights) / spread)))
+    repetitions = np.ones(len(weights)) if draws is None else draws
+    power = repetitions @ (weights * powers)
+    return np.asarray(100.0 * (1.0 - np.sqrt(power / (repetitions @ weights) / spread)))
 
 
-def drawn_blocks(count: int) -> FloatArray:
-    """Draw the numbers of repetitions (draws, count) of `count` blocks for a bootstrap, with a fixed seed."""
+def draw_blocks(count: int) -> FloatArray:
+    """Draw the numbers of repetitions (samples, count) of `count` blocks for a bootstrap, with a fixed seed."""
     rng = np.random.default_rng(_SEED)
     return rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)

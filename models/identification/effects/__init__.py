@@ -1,4 +1,4 @@
-"""Nonlinear effects of the base in addition to its linear dynamics, estimated from records."""
+"""Identification of nonlinear effects of the base, in addition to its linear dynamics, from records."""
 
 from diffdrive_mpc.models.identification.effects.base import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.selection import EffectTrial

@@ -35,34 +35,34 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone) of v and omega of the encoders and omega of the gyro at once, two "
-    "real poles and a dead time for each channel, effects of the base around them; each effect tried in turn and kept "
-    "only if it predicts held-out blocks of the records better; outliers held back"
+    "real poles and a dead time for each channel, and effects of the base; an effect is selected only if it improves "
+    "the prediction of held-out blocks of the records; outliers have smaller weights"
 )
 _BY_GYRO = " and omega of the gyro"
-_NO_TRACK = "the track of the encoders is unknown: steps of the wheels were not tried"
-_NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
-# Parameters that may be zero, so that a relative deviation is meaningless.
+_NO_TRACK = "the track of the encoders is unknown, so steps of the wheels were not tested"
+_NO_GYRO = "the log has no gyro, so twist of the tyres, veer and the encoders' lag were not tested"
+# Parameters whose true value may be zero; a relative deviation is then meaningless.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 
 
 @dataclass(frozen=True)
 class IdentifiedBase:
-    """A model with base effects, and the parameters of the sensors.
+    """Model with base effects, and parameters of the sensors.
 
     Attributes
     ----------
     identified
-        The model: SM with the group `base_effects`. Its v is measured by the encoders.
+        SM with the group `base_effects`; its v is measured by the encoders.
     effects
         Names of the selected effects.
     trials
         Trials of effects, in order.
     point
-        All parameters of the free run, sensors included.
+        All parameters of the free run, including those of the sensors.
     pose
         Delay of the poses, distance travelled per encoder distance, and pose mount; None if there are too few poses.
     points
-        Parameters like `point`, one fit for each held-out block of the records.
+        Parameters like `point`, fitted without one held-out block of the records each.
     """
 
     identified: IdentifiedModel
@@ -73,11 +73,11 @@ class IdentifiedBase:
     points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
-        """Simulate the readings (K, p) of each record in one free run: encoders' v and omega, and omega of a gyro."""
+        """Simulate the readings (K, p) of each record in one free run; see `sensor_experiments`."""
         return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
-        """Simulate true v [m/s] and yaw rate [rad/s] without sensor errors: (K, 2) for each record, in one free run."""
+        """Simulate true v [m/s] and yaw rate [rad/s] (K, 2) of each record in one free run, without sensor errors."""
         ideal = {name: value for name, value in self.point.items() if name != "encoders.lag"}
         ideal |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
@@ -87,29 +87,29 @@ class IdentifiedBase:
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
-        """Compute the pooled FIT (p,) [%] of the encoders' v and omega and the gyro's omega.
+        """Compute the pooled FIT (p,) [%] of v and omega of the encoders, and omega of the gyro.
 
         Raises
         ------
         ValueError
-            As `sensor_experiments`.
+            If `sensor_experiments` raises it.
         """
         return fit_percents(self.readings(records), sensor_experiments(records, self.identified.yaw))
 
     def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
-        """Refit the selected effects to other records; statistics remain those of `identified`.
+        """Refit the model with the selected effects to other records; the statistics remain those of `identified`.
 
         Raises
         ------
         ValueError
-            As `sensor_experiments`.
+            If `sensor_experiments` raises it.
         """
         linear = LINEAR if self.identified.yaw == "gyro" else BY_ENCODERS
         selected = [name for effect in self.effects for name in EFFECTS[effect]]
         free = [name for name in (*linear, *selected) if name in self.point and name in effect_settings().parameters]
         data = weight_readings(join_experiments(sensor_experiments(records, self.identified.yaw)), self.point)
         point = fit_effects(self.point, free, data, near=True).point
-        content = {**_linear(point), "base_effects": rounded_effects(_effects(point, None))}
+        content = {**_linear_content(point), "base_effects": rounded_effects(_effects(point, None))}
         return replace(self.identified, content=content)
 
     def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
@@ -127,8 +127,8 @@ def identify_with_effects(
 ) -> IdentifiedBase:
     """Identify SM and the effects of the base.
 
-    The effects are defined in `models.base_effects`, with sources; none is selected for a linear base. The gyro is the
-    reference for time and true yaw rate: delay and lag of the encoders are estimated relative to it.
+    `models.base_effects` defines the effects and states their sources. For a linear base, no effect is selected. The
+    gyro is the reference for time and true yaw rate; delay and lag of the encoders are relative to the gyro.
 
     Parameters
     ----------
@@ -136,19 +136,19 @@ def identify_with_effects(
         Records with encoders and gyro. Poses, if present, determine the pose mount and the distance travelled per
         encoder distance.
     yaw
-        Sensor of omega. Without a gyro only effects visible to the encoders are tried, and poses are not used.
+        Sensor of omega. Without a gyro, only effects visible in the encoders are tested, and poses are not used.
     encoder_track
-        Track with which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. If neither
-        is known, the track is identified together with the top speed, and steps of the wheels are not tried.
+        Track for the computation of the encoders' yaw rate [m]; by default from the records' wheel speeds. If both are
+        unknown, the track is identified together with the top speed, and steps of the wheels are not tested.
     limits
-        Limits of channels whose command is clipped according to the plain model: tried as an effect.
+        Limits of channels at which the plain model clips the command; they are tested as an effect.
     on_trial
-        Called with the name of the effect of the next trial.
+        Function that is called with the name of the effect of the next trial.
 
     Raises
     ------
     ValueError
-        If a record has no encoders or gyro, a reading never changes, or the records are too short.
+        If a record lacks a sensor, a reading never changes, or the records are too short.
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
@@ -156,18 +156,18 @@ def identify_with_effects(
     fit = selection.fit
     pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
     effects = _effects(fit.point, pose)
-    untried = [Doubt("unknown track", _NO_TRACK)] if track is None else []
-    untried += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
+    untested = [Doubt("unknown track", _NO_TRACK)] if track is None else []
+    untested += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
-        content={**_linear(fit.point), "base_effects": rounded_effects(effects)},
+        content={**_linear_content(fit.point), "base_effects": rounded_effects(effects)},
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
         yaw=yaw,
         method=METHOD if yaw == "gyro" else METHOD.replace(_BY_GYRO, ""),
         fits=(),
-        warnings=(*untried, *_doubts(fit, parameters)),
+        warnings=(*untested, *_doubts(fit, parameters)),
     )
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
@@ -177,7 +177,7 @@ def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
     return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
 
 
-def _linear(point: Point) -> Mapping[str, Any]:
+def _linear_content(point: Point) -> Mapping[str, Any]:
     """Return the keys of the model file for the linear dynamics."""
     channels = {
         channel: {
@@ -216,15 +216,15 @@ def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
 
 
 def _parameters(selection: Selection) -> ParameterEstimate:
-    """Return the free parameters under their names in model files, with the track that follows from the gains."""
+    """Return the free parameters with their names in model files, and the track that follows from the gains."""
     fit = selection.fit
-    wheels = any(name in selection.effects for name in EFFECTS if name.endswith("of the wheels"))
-    names = tuple(_file_name(name) for name in fit.free) + (("wheels.track",) if wheels else ())
+    has_wheel_effect = any(name in selection.effects for name in EFFECTS if name.endswith("of the wheels"))
+    names = tuple(_file_name(name) for name in fit.free) + (("wheels.track",) if has_wheel_effect else ())
 
-    def file_values(row: FloatArray) -> FloatArray:
-        point = {**fit.point, **dict(zip(fit.free, row.tolist(), strict=True))}
-        values = [_physical(name, point[name]) for name in fit.free]
-        return np.array(values + ([base_track(point)] if wheels else []))
+    def file_values(estimates: FloatArray) -> FloatArray:
+        point = {**fit.point, **dict(zip(fit.free, estimates.tolist(), strict=True))}
+        values = [_file_value(name, point[name]) for name in fit.free]
+        return np.array(values + ([base_track(point)] if has_wheel_effect else []))
 
     values = np.array([fit.point[name] for name in fit.free])
     return ParameterEstimate(fit.free, values, covariance(fit, selection.data)).derived(names, file_values)
@@ -237,16 +237,16 @@ def _file_name(name: str) -> str:
     return f"{channel}.{'natural_frequency' if kind == 'lag' else kind}"
 
 
-def _physical(name: str, value: float) -> float:
+def _file_value(name: str, value: float) -> float:
     return 1.0 / value if name in ("lag.v", "lag.omega") else value
 
 
 def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
     """Compute the delay (2,) of v and omega [s]: dead time plus both lags."""
-    known = {_file_name(name): _physical(name, value) for name, value in fit.point.items()}
+    file_parameters = {_file_name(name): _file_value(name, value) for name, value in fit.point.items()}
 
-    def delays(row: FloatArray) -> FloatArray:
-        point = {**known, **dict(zip(parameters.names, row.tolist(), strict=True))}
+    def delays(estimates: FloatArray) -> FloatArray:
+        point = {**file_parameters, **dict(zip(parameters.names, estimates.tolist(), strict=True))}
         values = [[point.get(f"{channel}.{name}", 1.0) for name in TwoPoles.model_fields] for channel in CHANNELS]
         dead_time = [point[f"{channel}.dead_time"] for channel in CHANNELS]
         return np.add(dead_time, [TwoPoles.lag(poles) for poles in values])
@@ -257,18 +257,18 @@ def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
 def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     nonzero = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
     delays = _delays(fit, parameters)
-    verdicts = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
+    result = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
         # Zero is a valid result for an effect; a value at any other bound is not.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
                 lag = f", with a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
-                words = (
+                text = (
                     f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{lag}: encoders cannot lead "
-                    "the gyro, so the mapping subtracts too much delay from them, or the gyro is delayed"
+                    "the gyro, so the mapping states too much delay of the encoders, or the gyro is delayed"
                 )
-                verdicts.append(Doubt("time shift", words))
+                result.append(Doubt("time shift", text))
                 continue
-            words = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it"
-            verdicts.append(Doubt("effect", words))
-    return verdicts
+            text = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not determine it"
+            result.append(Doubt("effect", text))
+    return result

@@ -1,4 +1,4 @@
-"""Least-squares fit of a free run with effects to readings."""
+"""Least-squares fit of a free run with base effects to readings."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from diffdrive_mpc.models.output_error.statistics import output_spread, residual
 
 @dataclass(frozen=True)
 class Weighted:
-    """Experiments with weights of the readings.
+    """Experiments with weighted readings.
 
     Attributes
     ----------
     experiments
         Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro if present.
     weights
-        For each experiment (K, p): 1 / scale, smaller for outliers, 0 if there is no reading.
+        Weights (K, p) of each experiment: 1 / scale, smaller for outliers, and 0 without a reading.
     scale
-        (p,) scale of the residuals of each sensor [m/s, rad/s, rad/s].
+        Scale (p,) of the residuals of each sensor [m/s, rad/s, rad/s].
     """
 
     experiments: Sequence[SampledExperiment]
@@ -35,44 +35,44 @@ class Weighted:
     scale: FloatArray
 
     def part(self, pieces: Pieces) -> Weighted:
-        """Return the pieces of the data, each given by index of the experiment, first sample and end (exclusive)."""
+        """Extract the pieces; a piece is given by index of the experiment, first sample and end (exclusive)."""
         weights = [self.weights[i][first:stop] for i, first, stop in pieces]
         return Weighted(extract(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
-        """Compute weighted errors (K, p) of a free run for each experiment; NaN if there is no reading."""
+        """Compute the weighted errors (K, p) of a free run for each experiment; NaN without a reading."""
         return [
             w * (free_run(point, s, smooth=smooth) - s.readings)
             for s, w in zip(self.experiments, self.weights, strict=True)
         ]
 
     def slopes(self, point: Point, free: Sequence[str]) -> list[FloatArray]:
-        """Compute derivatives (K, p, q) of the weighted errors by one-sided differences, with smoothed wheel steps."""
+        """Compute derivatives (K, p, q) of the weighted errors by one-sided differences, with smooth wheel steps."""
         settings = effect_settings()
         simulated = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
         columns: list[list[FloatArray]] = [[] for _ in self.experiments]
         for name in free:
-            low, high, usual = settings.parameters[name]
-            step = settings.difference * max(abs(usual), 0.01 * (high - low))
+            low, high, initial = settings.parameters[name]
+            step = settings.difference * max(abs(initial), 0.01 * (high - low))
             step = step if point[name] + step < high else -step
-            moved = {**point, name: point[name] + step}
+            shifted_point = {**point, name: point[name] + step}
             for column, experiment, weight, base in zip(
                 columns, self.experiments, self.weights, simulated, strict=True
             ):
-                column.append(weight * (free_run(moved, experiment, smooth=True) - base) / step)
+                column.append(weight * (free_run(shifted_point, experiment, smooth=True) - base) / step)
         return [np.stack(column, axis=-1) for column in columns]
 
 
 @dataclass(frozen=True)
 class EffectFit:
-    """Result of a fit.
+    """Fitted parameters.
 
     Attributes
     ----------
     point
-        All parameters, free and fixed.
+        Values of all parameters, free and fixed.
     free
-        (q,) names of the free parameters.
+        Names (q,) of the free parameters.
     cost
         Sum of squared weighted errors.
     """
@@ -83,44 +83,44 @@ class EffectFit:
 
 
 def weight_readings(experiments: Sequence[SampledExperiment], point: Point | None = None) -> Weighted:
-    """Weight the readings by the scale of the residuals at `point`; by the spread of the readings if `point` is None.
+    """Weight the readings by the scale of the residuals at `point`, or by the spread of the readings if it is None.
 
     Raises
     ------
     ValueError
-        If a sensor's reading never changes.
+        If the readings of a sensor never change.
     """
     spread = output_spread(experiments)
-    counted = [experiment.counts / spread for experiment in experiments]
+    initial_weights = [experiment.counts / spread for experiment in experiments]
     if point is None:
-        return Weighted(experiments, counted, spread)
-    residuals = [error * spread for error in Weighted(experiments, counted, spread).errors(point)]
-    trust = spike_weights(residuals)
-    scale = residual_scale(residuals, trust, spread)
-    weights = [experiment.counts * np.sqrt(part) / scale for experiment, part in zip(experiments, trust, strict=True)]
+        return Weighted(experiments, initial_weights, spread)
+    residuals = [error * spread for error in Weighted(experiments, initial_weights, spread).errors(point)]
+    robust_weights = spike_weights(residuals)
+    scale = residual_scale(residuals, robust_weights, spread)
+    weights = [run.counts * np.sqrt(robust) / scale for run, robust in zip(experiments, robust_weights, strict=True)]
     return Weighted(experiments, weights, scale)
 
 
 def fit_effects(
     start: Point, free: Sequence[str], data: Weighted, evaluations: int | None = None, *, near: bool = False
 ) -> EffectFit:
-    """Estimate the parameters `free`, starting at `start`, by minimising the simulation error.
+    """Estimate the parameters `free` from the initial values `start` by minimisation of the simulation error.
 
-    The stepped wheel command has zero slope almost everywhere. The search therefore first fits a smoothed command; then
-    it fits the stepped command, with the slopes of the smoothed one.
+    The derivative of the stepped wheel command is zero almost everywhere. The search therefore first fits a smoothed
+    command, and then the stepped command with the derivatives of the smoothed command.
 
     Parameters
     ----------
     start
-        Initial values of all parameters; those not in `free` stay fixed.
+        Initial values of all parameters; parameters that are not in `free` are fixed.
     free
-        (q,) names of the free parameters.
+        Names (q,) of the free parameters.
     data
-        The weighted readings.
+        Weighted readings.
     evaluations
-        Maximum number of evaluations; None for the number in the settings.
+        Maximum number of evaluations; by default the number in the settings.
     near
-        True if `start` is near the solution, so that the smoothed fit is skipped.
+        True if `start` is near the solution; the fit of the smoothed command is then omitted.
     """
     free = tuple(free)
     max_evaluations = evaluations or effect_settings().evaluations
@@ -135,10 +135,10 @@ def covariance(fit: EffectFit, data: Weighted) -> FloatArray:
 
 
 def _best_track(point: Point, data: Weighted) -> Point:
-    """Scale the track, by the gains of `point`, so that the stepped command fits best.
+    """Scale the track, which follows from the gains of `point`, for the best fit of the stepped command.
 
-    The track, which follows from the gains, decides at which samples a side coasts. The cost jumps between such sets of
-    samples, so that a gradient search cannot pass from one to the next.
+    The track determines the samples at which a side coasts. The cost is discontinuous between sets of such samples, so
+    a gradient search does not change the set.
     """
 
     def with_track(share: float) -> Point:

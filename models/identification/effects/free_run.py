@@ -16,7 +16,7 @@ SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
 
 def sensor_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
-    """Build experiments with inputs v_ref and omega_ref, and outputs v and omega of the encoders, omega of the gyro.
+    """Build experiments: inputs v_ref and omega_ref, outputs v and omega of the encoders and omega of the gyro.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def sensor_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> li
     """
     if yaw != "gyro":
         return twist_experiments(records, yaw)
-    by_encoders, by_gyro = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
+    wheel_experiments, gyro_experiments = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
     return [
         SampledExperiment(
             wheels.name,
@@ -35,39 +35,40 @@ def sensor_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> li
             np.column_stack([wheels.counts, body.counts[:, 1]]),
             wheels.follows and body.follows,
         )
-        for wheels, body in zip(by_encoders, by_gyro, strict=True)
+        for wheels, body in zip(wheel_experiments, gyro_experiments, strict=True)
     ]
 
 
 Point = Mapping[str, float]
-"""Values of parameters by name; an effect without parameters is absent."""
+"""Values of parameters by name; parameters of absent effects are missing."""
 
 
 def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = False) -> FloatArray:
-    """Simulate readings (K, p): v and omega of the encoders, omega of the gyro, from commands and first readings.
+    """Simulate the readings (K, p) of an experiment from its commands and first readings.
 
-    The chain is that of `models.base_effects.respond`, in units of the encoders, followed by the sensors. The robot is
-    assumed to be in steady state at the first readings.
+    The readings are v and omega of the encoders, and omega of the gyro. The simulation is that of
+    `models.base_effects.respond`, in units of the encoders, followed by the sensors. The robot is assumed to be in
+    steady state at the first readings.
 
     Parameters
     ----------
     point
-        The parameters.
+        Parameters of base and sensors.
     experiment
-        The commands (K, 2) and readings (K, p); p is 3, or 2 without a gyro.
+        Commands (K, 2) and readings (K, p); p is 3, or 2 without a gyro.
     smooth
-        Whether to replace the steps of the wheel command by a differentiable mean.
+        True to replace the steps of the wheel command by a differentiable approximation.
     """
     step = experiment.dt / PARTS
     first = experiment.first_readings
     start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
-    requested = _motor_twist(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
+    motor_twist = _motor_twist(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
     gains = np.array([point["gain.v"], point["gain.omega"]])
-    wheels = np.empty_like(requested)
+    wheels = np.empty_like(motor_twist)
     for row, channel in enumerate(("v", "omega")):
-        drive = _delay(requested[:, row], start[row], point[f"dead_time.{channel}"] / step)
+        delayed = _delay(motor_twist[:, row], start[row], point[f"dead_time.{channel}"] / step)
         wheels[:, row] = gains[row] * two_lags(
-            drive, start[row], point[f"lag.{channel}"], point.get(f"damping.{channel}", 1.0), step
+            delayed, start[row], point[f"lag.{channel}"], point.get(f"damping.{channel}", 1.0), step
         )
     gyro = wheels[:, 1]
     if "relaxation" in point:
@@ -76,19 +77,19 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     readings = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
         readings = _lag(readings, point["encoders.lag"], step)
-    instants = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
-    fine = np.arange(len(readings))
-    by_encoders = [np.interp(instants, fine, column) for column in readings.T]
-    return np.column_stack([*by_encoders, gyro[::PARTS]][: experiment.outputs.shape[1]])
+    reading_times = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
+    time_grid = np.arange(len(readings))
+    encoder_readings = [np.interp(reading_times, time_grid, column) for column in readings.T]
+    return np.column_stack([*encoder_readings, gyro[::PARTS]][: experiment.outputs.shape[1]])
 
 
 def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: float) -> FloatArray:
-    """Compute the exact zero-order-hold response (K,) of two poles that start in steady state at `start`.
+    """Compute the exact response (K,) of two poles to a zero-order-hold input, from steady state at `start`.
 
     Parameters
     ----------
     drive
-        (K,) input, each value held over one step.
+        Input (K,), constant over each step.
     start
         Initial input and output.
     lag
@@ -103,7 +104,7 @@ def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: 
     a, b = np.exp(-step / slow), np.exp(-step / fast)
     if abs(root) > 1e-4:
         rise = 1.0 - (slow * a - fast * b) / (slow - fast)
-    else:  # the limit of equal poles
+    else:  # limit of equal poles
         a = b = np.exp(-step / lag)
         rise = 1.0 - a * (1.0 + step / lag)
     numerator = np.real([0.0, rise, (1.0 - a) * (1.0 - b) - rise])
@@ -113,51 +114,51 @@ def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: 
 
 
 def _motor_twist(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
-    """Compute the twist (n, 2) that the motors are commanded to follow."""
+    """Compute the twist (n, 2) that the motors are commanded to track."""
     maximum = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
-    requested = np.clip(commands, -maximum, maximum)
+    motor_twist = np.clip(commands, -maximum, maximum)
     if "slew.v" in point:
-        requested = TwistSlew.model_construct(
+        motor_twist = TwistSlew.model_construct(
             v=BaseSlewLimit(point["slew.v"]), omega=BaseSlewLimit(point["slew.omega"])
-        ).follow(requested, step, start)
+        ).follow(motor_twist, step, start)
     if "encoders.track" not in point:
-        return requested
+        return motor_twist
     base = WheelCommand.model_construct(
         track=base_track(point),
         resolution=point.get("wheels.resolution", 0.0),
         coasting_speed=point.get("wheels.coasting", 0.0),
         top_speed=point.get("wheels.top_speed"),
     )
-    return smooth_command(base, requested) if smooth and base.resolution else base.apply(requested)
+    return smooth_command(base, motor_twist) if smooth and base.resolution else base.apply(motor_twist)
 
 
 def base_track(point: Point) -> float:
-    """Compute the track [m] with which the base converts omega_ref to rim speeds.
+    """Compute the track [m] for the base's conversion of omega_ref to rim speeds.
 
-    Both sides respond equally to a commanded rim speed, so the track is that of the encoders times the ratio of their
-    gain in turning to their gain in straight driving.
+    Both sides respond equally to a commanded rim speed. The track is therefore the encoders' track times the ratio of
+    the encoders' gain in turns to their gain in straight motion.
     """
-    turning = point["gain.omega"] * point["encoders.yaw_ratio"]
-    return point["encoders.track"] * turning / point["gain.v"]
+    turn_gain = point["gain.omega"] * point["encoders.yaw_ratio"]
+    return point["encoders.track"] * turn_gain / point["gain.v"]
 
 
 def smooth_command(base: WheelCommand, twist: FloatArray) -> FloatArray:
-    """Apply `base` with a smooth approximation of its steps, and of the onset of coasting."""
+    """Apply `base` with smooth approximations of its steps and of the onset of coasting."""
     sides = base.sides(twist)
     if base.top_speed is not None:
         sides = np.clip(sides, -base.top_speed, base.top_speed)
-    stepped = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
+    quantised = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
     square = (sides / base.resolution) ** 2
-    undriven = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squaring, ten times faster
-    coasting = undriven * (1.0 - undriven[..., ::-1])
-    coasting_speed = np.clip(stepped[..., ::-1], -base.coasting_speed, base.coasting_speed)
-    return base.twist(stepped + coasting * (coasting_speed - stepped))
+    idle_share = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squaring, ten times faster
+    coasting = idle_share * (1.0 - idle_share[..., ::-1])
+    coasting_speed = np.clip(quantised[..., ::-1], -base.coasting_speed, base.coasting_speed)
+    return base.twist(quantised + coasting * (coasting_speed - quantised))
 
 
-def _delay(values: FloatArray, before: float, steps: float) -> FloatArray:
-    """Delay values (n,) by `steps` steps, with linear interpolation; `before` is the value before the first."""
+def _delay(values: FloatArray, initial: float, steps: float) -> FloatArray:
+    """Delay `values` (n,) by `steps` steps with linear interpolation; `initial` is the value before the first step."""
     whole = int(steps)
-    history = np.concatenate([np.full(whole + 1, before), values])
+    history = np.concatenate([np.full(whole + 1, initial), values])
     rest = steps - whole
     return np.asarray((1.0 - rest) * history[1 : 1 + len(values)] + rest * history[: len(values)])
 
@@ -165,7 +166,7 @@ def _delay(values: FloatArray, before: float, steps: float) -> FloatArray:
 def _lag(values: FloatArray, lag: float, step: float) -> FloatArray:
     """Apply a first-order lag [s] to `values` (n, 2), starting in steady state."""
     decay = np.exp(-step / lag)
-    change = values - values[0]
+    deviation = values - values[0]
     from scipy import signal  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
-    return np.asarray(values[0] + signal.lfilter([0.5 * (1 - decay), 0.5 * (1 - decay)], [1.0, -decay], change, axis=0))
+    return np.asarray(values[0] + signal.lfilter([0.5 * (1 - decay)] * 2, [1.0, -decay], deviation, axis=0))

@@ -1,4 +1,4 @@
-"""Selection of base effects: an effect is selected only if it improves the prediction of held-out blocks."""
+"""Selection of base effects that improve the prediction of held-out blocks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LINEAR = (
     "gyro.offset",
 )
 BY_ENCODERS = LINEAR[:6]
-"""Parameters of `LINEAR` that encoders alone determine."""
+"""Parameters in `LINEAR` that encoders alone determine."""
 _CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     _CLIPPED: ("limit.v", "limit.omega"),
@@ -41,28 +41,28 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {
     "yaw relaxation": ("relaxation",),
     "veer": ("veer",),
 }
-"""Parameters of each effect, in the order in which they are tried."""
+"""Parameters by effect, in the order of the trials."""
 _NEEDS_TRACK = ("steps and coasting of the wheels",)
 _TRACK = "encoders.track"
 _BY_GYRO = ("lag of the encoders", "yaw relaxation", "veer")
 _WITHOUT_GYRO = {"encoders.delay": 0.0, "encoders.yaw_ratio": 1.0, "gyro.offset": 0.0}
 _ROUNDS = 2
-_AT_BOUND = 3e-3
+_BOUND_TOLERANCE = 3e-3
 """Distance from a bound, as a share of the range, within which a parameter counts as at the bound."""
-_FASTEST = 2e-3
+_MIN_TIME_CONSTANT = 2e-3
 """Minimum time constant that a fit can determine [s]."""
 
 
 @dataclass(frozen=True)
 class FoldFits:
-    """A fit to all data, and one fit of the same model for each held-out block.
+    """Fit of a model to all data, and fits of this model without one held-out block each.
 
     Attributes
     ----------
     fit
         Fit to all data.
     points
-        Parameters fitted without each block.
+        Parameters of the fits without one block, by block.
     """
 
     fit: EffectFit
@@ -70,35 +70,35 @@ class FoldFits:
 
 
 def fit_folds(fit: EffectFit, data: Weighted) -> FoldFits:
-    """Repeat the search without each block in turn, starting at `fit`."""
+    """Repeat the fit without each block in turn; the initial values are those of `fit`."""
     trial = effect_settings().trial
     folds = blocks(data.experiments)
     fits = [fit_effects(fit.point, fit.free, data.part(rest), trial, near=True) for rest, _ in folds]
     return FoldFits(fit, tuple(fold.point for fold in fits))
 
 
-class Worth(NamedTuple):
-    """Advantage of one model over another on held-out blocks."""
+class Comparison(NamedTuple):
+    """Comparison of two models on held-out blocks."""
 
     gain: float
-    """Decrease of the logarithm of the error power, mean over sensors."""
+    """Decrease of the logarithm of the error power, averaged over the sensors [-]."""
     error: float
-    """Standard error of the gain, from the scatter between blocks."""
+    """Standard error of the gain, from the scatter between blocks [-]."""
     blocks: int
     """Number of blocks with a decrease."""
 
 
-def gain(old: FoldFits, new: FoldFits, data: Weighted) -> Worth:
-    """Compare two models on the held-out blocks."""
+def gain(old: FoldFits, new: FoldFits, data: Weighted) -> Comparison:
+    """Compare the models `old` and `new` on the held-out blocks."""
     powers = np.array([_powers(model, data) for model in (old, new)])
-    falls = -np.diff(np.log(powers).mean(axis=2), axis=0)[0]
-    whole = np.log(powers.sum(axis=1)).mean(axis=1)
-    error = float(falls.std(ddof=1) / np.sqrt(len(falls)))
-    return Worth(float(whole[0] - whole[1]), error, int(np.sum(falls > 0)))
+    improvements = -np.diff(np.log(powers).mean(axis=2), axis=0)[0]
+    total = np.log(powers.sum(axis=1)).mean(axis=1)
+    error = float(improvements.std(ddof=1) / np.sqrt(len(improvements)))
+    return Comparison(float(total[0] - total[1]), error, int(np.sum(improvements > 0)))
 
 
 def _powers(model: FoldFits, data: Weighted) -> FloatArray:
-    """Sum the squared weighted errors of each sensor in each block (blocks, p), by the model fitted without it."""
+    """Sum the squared weighted errors (blocks, p) of each sensor in each block, for the fit without this block."""
     parts = [data.part(block) for _, block in blocks(data.experiments)]
     return np.array(
         [
@@ -117,13 +117,13 @@ class EffectTrial:
     effect
         Name of the effect.
     gain
-        Decrease of the logarithm of the held-out error power by the effect, mean over the sensors.
+        Decrease of the logarithm of the held-out error power by the effect, averaged over the sensors [-].
     blocks
         Number of blocks with a better prediction.
     selected
-        True if the effect belongs to the model after the trial.
+        True if the effect is part of the model after the trial.
     again
-        True for a second trial of a selected effect, together with all others.
+        True for the second trial of a selected effect, with all other selected effects in the model.
     """
 
     effect: str
@@ -135,12 +135,12 @@ class EffectTrial:
 
 @dataclass(frozen=True)
 class Selection:
-    """Result of the selection.
+    """Model with the selected effects, and all trials.
 
     Attributes
     ----------
     fit
-        Estimate from all records, with the selected effects.
+        Fit of the model with the selected effects to all records.
     effects
         Names of the selected effects.
     trials
@@ -148,7 +148,7 @@ class Selection:
     data
         Readings with their final weights.
     points
-        Parameters fitted without each block of the records.
+        Parameters of the fits without one block of the records, by block.
     """
 
     fit: EffectFit
@@ -163,30 +163,30 @@ def select_effects(
     encoder_track: float | None,
     on_trial: Callable[[str], None] | None = None,
     limits: Mapping[str, float] | None = None,
-    only: Sequence[str] | None = None,
-    also: Sequence[str] = (),
+    names: Sequence[str] | None = None,
+    extra: Sequence[str] = (),
 ) -> Selection:
-    """Fit the linear model with its sensors, then try every effect.
+    """Fit the linear model with its sensors, then test every effect.
 
-    Effects are added in the order of `EFFECTS`. Each selected effect is then tested by removal, because an early effect
-    may have explained what a later one explains better.
+    Effects are added in the order of `EFFECTS`. Each selected effect is then tested by its removal, because a later
+    effect may explain the data of an earlier effect better.
 
     Parameters
     ----------
     experiments
         Commands and readings, with or without a gyro; see `sensor_experiments`. Without a gyro, no effect between
-        wheels and body is tried, and omega is that of the encoders.
+        wheels and body is tested, and omega is that of the encoders.
     encoder_track
-        Track with which the encoders' yaw rate was computed [m]. None if unknown: the track is then identified together
-        with a top speed of the wheels, and steps of the wheels are not tried.
+        Track for the computation of the encoders' yaw rate [m]; None if unknown. An unknown track is identified
+        together with a top speed of the wheels, and steps of the wheels are not tested.
     on_trial
-        Called with the name of the next trial.
+        Function that is called with the name of the next trial.
     limits
-        Limits of channels whose command is clipped according to a simpler model.
-    only
-        Names of the effects to try; None for all.
-    also
-        Free parameters in addition to `LINEAR`, from the first fit on.
+        Limits of channels at which a simpler model clips the command.
+    names
+        Names of the effects to test; None for all.
+    extra
+        Names of free parameters in addition to `LINEAR`.
 
     Raises
     ------
@@ -194,12 +194,12 @@ def select_effects(
         If a reading never changes, or the records are too short for held-out blocks.
     """
     settings = effect_settings()
-    gyro = experiments[0].outputs.shape[1] == len(SENSORS)
-    free = (*(LINEAR if gyro else BY_ENCODERS), *also)
-    start = {name: settings.parameters[name][2] for name in (*LINEAR, *also)} | ({} if gyro else _WITHOUT_GYRO)
+    has_gyro = experiments[0].outputs.shape[1] == len(SENSORS)
+    free = (*(LINEAR if has_gyro else BY_ENCODERS), *extra)
+    start = {name: settings.parameters[name][2] for name in (*LINEAR, *extra)} | ({} if has_gyro else _WITHOUT_GYRO)
     if encoder_track is not None:
         start[_TRACK] = encoder_track
-    clipped = {f"limit.{channel}": level for channel, level in (limits or {}).items()}
+    clipping = {f"limit.{channel}": level for channel, level in (limits or {}).items()}
     data = weight_readings(experiments)
     for _ in range(_ROUNDS):
         fit = fit_effects(start, free, data)
@@ -208,42 +208,43 @@ def select_effects(
     effects: list[str] = []
     trials: list[EffectTrial] = []
     announce = on_trial or (lambda _: None)
-    possible = _possible(gyro=gyro, track=encoder_track is not None, clipped=bool(clipped))
-    for effect in [name for name in possible if only is None or name in only]:
+    candidates = _identifiable(has_gyro=has_gyro, has_track=encoder_track is not None, is_clipped=bool(clipping))
+    for effect in [name for name in candidates if names is None or name in names]:
         announce(effect)
-        candidate = fit_folds(_with(model.fit, effect, data, clipped if effect == _CLIPPED else {}), data)
-        worth = gain(model, candidate, data)
-        significant = worth.gain > settings.certain * worth.error
-        selected = significant and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
-        trials.append(EffectTrial(effect, worth.gain, worth.blocks, selected, again=False))
+        candidate = fit_folds(_fit_with(model.fit, effect, data, clipping if effect == _CLIPPED else {}), data)
+        score = gain(model, candidate, data)
+        significant = score.gain > settings.certain * score.error
+        selected = significant and score.gain > settings.worth and 2 * score.blocks > len(model.points)
+        trials.append(EffectTrial(effect, score.gain, score.blocks, selected, again=False))
         if selected:
             effects.append(effect)
             model, data = candidate, weight_readings(experiments, candidate.fit.point)
     for effect in tuple(effects):
         announce(f"without {effect}")
-        candidate = fit_folds(_without(model.fit, effect, data), data)
-        worth = gain(candidate, model, data)
-        selected = worth.gain > settings.worth
-        trials.append(EffectTrial(effect, worth.gain, worth.blocks, selected, again=True))
+        candidate = fit_folds(_fit_without(model.fit, effect, data), data)
+        score = gain(candidate, model, data)
+        selected = score.gain > settings.worth
+        trials.append(EffectTrial(effect, score.gain, score.blocks, selected, again=True))
         if not selected:
             effects.remove(effect)
             model, data = candidate, weight_readings(experiments, candidate.fit.point)
     return Selection(_fit_to_convergence(model.fit, data), tuple(effects), tuple(trials), data, model.points)
 
 
-def _possible(*, gyro: bool, track: bool, clipped: bool) -> list[str]:
-    """Return the identifiable effects; `clipped` is True if the plain model has clipped commands."""
-    excluded = {*(() if gyro else _BY_GYRO), *(() if track else _NEEDS_TRACK), *(() if clipped else (_CLIPPED,))}
+def _identifiable(*, has_gyro: bool, has_track: bool, is_clipped: bool) -> list[str]:
+    """List the identifiable effects; `is_clipped` is True if the plain model clips commands."""
+    clipping = () if is_clipped else (_CLIPPED,)
+    excluded = {*(() if has_gyro else _BY_GYRO), *(() if has_track else _NEEDS_TRACK), *clipping}
     return [effect for effect in EFFECTS if effect not in excluded]
 
 
-def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFit:
-    """Fit the model with one more effect; `known` overrides the initial values of the settings."""
+def _fit_with(fit: EffectFit, effect: str, data: Weighted, initial_limits: Point) -> EffectFit:
+    """Fit the model with an additional effect; `initial_limits` replaces the initial values of the settings."""
     settings = effect_settings()
     guess = {name: settings.parameters[name][2] for name in EFFECTS[effect] if name in settings.parameters}
-    guess = dict(known) or guess
+    guess = dict(initial_limits) or guess
     if "wheels.top_speed" in guess and _TRACK not in fit.point:
-        return _with_track(fit, data)
+        return _fit_with_track(fit, data)
     if "wheels.top_speed" in guess:
         guess["wheels.top_speed"] = _initial_top_speed(data.experiments)
     free = (*fit.free, *guess)
@@ -255,15 +256,15 @@ def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFi
         return fit_effects({**start, "wheels.resolution": step}, free, data, settings.trial)
 
     best = min(map(with_step, settings.resolutions), key=_cost)
-    rough = best.point["wheels.resolution"]
-    for factor in settings.finer:  # each from the best so far: the search of the rough step may have ended early
+    coarse_step = best.point["wheels.resolution"]
+    for factor in settings.finer:  # start from the best fit so far, because the coarse search may be incomplete
         start = dict(best.point)
-        best = min(best, with_step(factor * rough), key=_cost)
+        best = min(best, with_step(factor * coarse_step), key=_cost)
     return fit_effects(best.point, free, data, near=True)
 
 
-def _with_track(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fit a top speed of wheels with an unknown track, which the shape of the clipped commands determines."""
+def _fit_with_track(fit: EffectFit, data: Weighted) -> EffectFit:
+    """Fit a top speed of the wheels and an unknown track, which the shape of the clipped commands determines."""
     settings = effect_settings()
     commands = np.concatenate([np.abs(experiment.inputs) for experiment in data.experiments])
     scale = 2.0 * commands[:, 0].max() / commands[:, 1].max()
@@ -280,7 +281,7 @@ def _with_track(fit: EffectFit, data: Weighted) -> EffectFit:
     return fit_effects(best.point, best.free, data, near=True)
 
 
-def _without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
+def _fit_without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
     removed = EFFECTS[effect]
     if "wheels.top_speed" in removed and _TRACK in fit.free:
         removed = (*removed, _TRACK)
@@ -289,29 +290,29 @@ def _without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
 
 
 def _initial_top_speed(experiments: Sequence[SampledExperiment]) -> float:
-    """Choose an initial top speed slightly below the maximum command; a limit that is never reached has no slope."""
+    """Choose an initial top speed slightly below the maximum command; the cost has no slope for an inactive limit."""
     return 0.9 * max(float(np.abs(experiment.inputs[:, 0]).max()) for experiment in experiments)
 
 
 def _fit_to_convergence(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fit to convergence; parameters at a bound are fixed there.
+    """Fit to convergence; parameters at a bound are fixed at this bound.
 
-    A pole too fast to be determined is fixed at the minimum time constant.
+    A pole that is too fast for an estimate is fixed at the minimum time constant.
     """
     point = dict(fit.point)
     fixed = []
     for channel in CHANNELS:
         lag, damping = point[f"lag.{channel}"], max(point.get(f"damping.{channel}", 1.0), 1.0)
         slow = lag * (damping + np.sqrt(damping**2 - 1.0))
-        if lag**2 / slow < _FASTEST < slow:
-            lag = np.sqrt(slow * _FASTEST)
-            point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _FASTEST) / lag}
+        if lag**2 / slow < _MIN_TIME_CONSTANT < slow:
+            lag = np.sqrt(slow * _MIN_TIME_CONSTANT)
+            point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _MIN_TIME_CONSTANT) / lag}
             fixed.append(f"damping.{channel}")
-    # With a fixed fast pole, the short lag determines the slow pole, so it does not count as a lag at its bound.
+    # With a fixed fast pole, the short lag determines the slow pole; it does not count as a lag at its bound.
     for name in [name for name in fit.free if name.replace("lag.", "damping.") not in fixed]:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):
-            if abs(point[name] - bound) < _AT_BOUND * (high - low):
+            if abs(point[name] - bound) < _BOUND_TOLERANCE * (high - low):
                 point[name] = bound
     bounds = effect_settings().parameters
     free = [name for name in fit.free if name not in fixed and point[name] not in bounds[name][:2]]

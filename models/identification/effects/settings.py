@@ -20,19 +20,19 @@ class PoseSettings(StrictModel):
 
 
 class EffectSettings(StrictModel):
-    """Bounds, initial values and thresholds; the reasons are in `settings.yaml`."""
+    """Bounds, initial values and thresholds; `settings.yaml` states the reasons."""
 
-    parameters: dict[str, tuple[float, float, float]] = Field(description="minimum, maximum, initial value")
-    resolutions: tuple[Positive, ...] = Field(description="candidates for the step of the rim speed [m/s]")
-    finer: tuple[Positive, ...] = Field(description="factors of the best candidate for the second search [-]")
-    wheel_bases: tuple[Positive, ...] = Field(description="initial values of an unknown track, relative [-]")
-    tracks: tuple[Positive, ...] = Field(description="factors of the track from the smoothed fit [-]")
+    parameters: dict[str, tuple[float, float, float]] = Field(description="minimum, maximum, initial value by name")
+    resolutions: tuple[Positive, ...] = Field(description="initial values of the step of the rim speed [m/s]")
+    finer: tuple[Positive, ...] = Field(description="factors of the best resolution for a second search [-]")
+    wheel_bases: tuple[Positive, ...] = Field(description="relative initial values of an unknown track [-]")
+    tracks: tuple[Positive, ...] = Field(description="factors that are applied to the track of the smoothed fit [-]")
     worth: Positive = Field(description="minimum decrease of the logarithm of the held-out error power [-]")
-    certain: Positive = Field(description="minimum significance of that decrease [standard errors]")
-    most_lost: Positive = Field(description="maximum loss of FIT against the plain model [percentage points]")
+    certain: Positive = Field(description="minimum significance of the decrease [standard errors]")
+    most_lost: Positive = Field(description="maximum decrease of FIT relative to the plain model [percentage points]")
     evaluations: int = Field(ge=2, description="maximum evaluations of a search [-]")
     trial: int = Field(ge=2, description="maximum evaluations of a search in a comparison [-]")
-    difference: Positive = Field(description="finite-difference step over the size of the parameter [-]")
+    difference: Positive = Field(description="finite-difference step, relative to the size of the parameter [-]")
     pose: PoseSettings
 
 

@@ -1,1 +1,1 @@
-"""Fit of a model to records, with scores, sensor noise and calibration from poses."""
+"""Fit of a model to records, scores, sensor noise, and calibration from poses."""

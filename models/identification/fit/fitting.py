@@ -30,26 +30,26 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model, with scores of its free simulation on the records.
+    """Identified model, with scores of its free simulation on the records.
 
     Attributes
     ----------
     identified
-        The model.
+        Identified linear model.
     orders
         Comparison of orders; None for structures with a fixed order.
     base
-        The model with base effects; None if they were not requested.
+        Model with base effects; None if it was not requested or predicts no better.
     geometry
-        Wheel radius and track from the log; None if it has no wheel speeds.
+        Wheel radius and track from the log; None if the log has no wheel speeds.
     train, validation
         FIT, RMSE and residuals on training and validation records.
     simulated
-        Simulated v [m/s] and omega [rad/s] (K, 2) of each validation record, sensor offsets included.
+        Simulated v [m/s] and omega [rad/s] (K, 2) of each validation record, including sensor offsets.
     seconds
         Duration of the estimation [s], without reading, validation and figures.
     predictor
-        Model that predicts in place of `identified`, which still determines limits and tracks; None if `identified`
+        Model that predicts instead of `identified`, which then determines limits and tracks only; None if `identified`
         predicts.
     """
 
@@ -75,7 +75,7 @@ class Fitted:
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) sensor bias according to the model: readings of v [m/s] and omega [rad/s] at rest."""
+        """Sensor bias (2,) of the model: readings of v [m/s] and omega [rad/s] at rest."""
         return self.identified.offset if self.predictor is None else self.predictor.offset
 
     @property
@@ -92,36 +92,36 @@ def fit(
     effects: bool = False,
     on_trial: Callable[[str], None] | None = None,
 ) -> Fitted:
-    """Identify a model and score it on the held-out records.
+    """Identify a model and score it on the validation records.
 
     Parameters
     ----------
     data
-        The records.
+        Training and validation records.
     structure
         Structure of the model.
     order
         Order of the model, for structures without a fixed order; None to select it.
     effects
-        Whether to identify base effects, for structures that support them.
+        True to identify base effects, for structures that support them.
     on_trial
-        Called with the name of each effect before its trial.
+        Function that is called with the name of each effect before its trial.
 
     Raises
     ------
     ValueError
-        If the records are unsuitable; its subclass ModelError if the parameters found cannot describe a robot.
+        If the records are unsuitable; its subclass ModelError if the estimated parameters cannot describe a robot.
     """
     geometry = wheel_geometry(data.train)
     base: IdentifiedBase | None = None
-    started = perf_counter()
+    start = perf_counter()
     radius = geometry.radius if geometry else None
     identification = structure.identify(data.train, IdentificationConditions(data.validation, data.yaw, order, radius))
     if effects:
         identification, base = _with_effects(data, identification, geometry, on_trial)
-    seconds = perf_counter() - started
+    seconds = perf_counter() - start
     identified = identification.identified
-    _ = identified.model  # raises ModelError for parameters of no robot
+    _ = identified.model  # raises ModelError for parameters that cannot describe a robot
     simulated = [_simulate(identified, base, records) for records in (data.train, data.validation)]
     scores = score_sets(simulated, data, identified.yaw)
     return Fitted(identified, identification.orders, base, geometry, *scores, tuple(simulated[1]), seconds)
@@ -130,24 +130,24 @@ def fit(
 def _with_effects(
     data: LogData, plain: StructureFit, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
 ) -> tuple[StructureFit, IdentifiedBase | None]:
-    """Fit the model with base effects; return the plain model, with a warning, if it predicts as well."""
+    """Fit the model with base effects; if the plain model predicts as well, return it with a warning."""
     track = geometry.track if geometry else None
     limits = plain.identified.limits
     try:
         base = identify_with_effects(data.train, yaw=data.yaw, encoder_track=track, limits=limits, on_trial=on_trial)
-        _ = base.identified.model  # raises ModelError for parameters of no robot
-        words = explain_rejection(base, plain.identified, data.train)
+        _ = base.identified.model  # raises ModelError for parameters that cannot describe a robot
+        reason = explain_rejection(base, plain.identified, data.train)
     except ValueError as error:
-        words = f"effects were not estimated: {error}"
+        reason = f"effects were not estimated: {error}"
     else:
-        if words is None:
+        if reason is None:
             return StructureFit(base.identified), base
-    warned = replace(plain.identified, warnings=(*plain.identified.warnings, Doubt("effects left out", words)))
-    return StructureFit(warned, plain.orders), None
+    warnings = (*plain.identified.warnings, Doubt("effects left out", reason))
+    return StructureFit(replace(plain.identified, warnings=warnings), plain.orders), None
 
 
 def _simulate(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
-    """Simulate v and omega (K, 2), as the model's sensors measure them, in one free run over each record."""
+    """Simulate v and omega (K, 2), as measured by the model's sensors, in one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)
     return [readings[:, [0, -1]] for readings in base.readings(records)]
@@ -158,7 +158,7 @@ def score_sets(
 ) -> tuple[Validation, Validation]:
     """Score simulated outputs (K, 2) on training and validation records.
 
-    `simulated` holds one sequence for each of the two sets, with one array for each record.
+    `simulated` contains one sequence for each of the two sets, with one array for each record.
 
     Raises
     ------
@@ -177,7 +177,9 @@ def score_sets(
 
 
 def explain_rejection(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record]) -> str | None:
-    """Explain that `base` predicts held-out blocks no better than `plain`, an SM from `records`; None if it does.
+    """Explain why `base` is rejected: it predicts held-out blocks no better than `plain`; None if it predicts better.
+
+    `plain` is an SM identified from `records`.
 
     Raises
     ------
@@ -190,18 +192,18 @@ def explain_rejection(base: IdentifiedBase, plain: IdentifiedModel, records: Seq
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
         powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
-    with_effects = []
+    effect_powers = []
     for (_, block), point in zip(blocks(measured), base.points, strict=True):
         errors = [(free_run(point, part) - part.readings)[:, [0, -1]] for part in extract(measured, block)]
-        with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
-    rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
+        effect_powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
+    rms = np.sqrt([np.mean(powers, axis=1), np.mean(effect_powers, axis=0)])
     fits = 100.0 * (1.0 - rms / output_spread(experiments))
     gain = fits[1] - fits[0]
     if gain.min() > -settings.most_lost and gain.mean() > 0.0:
         return None
-    percents = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
+    changes = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
     effects = ", ".join(base.effects) or "a delay of the encoders"
-    return f"effects ({effects}) predict held-out blocks no better than the plain model, FIT {percents}: left out"
+    return f"effects ({effects}) predict held-out blocks no better than the plain model (FIT {changes}); not used"
 
 
 def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
@@ -214,9 +216,9 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     ValueError
         If the records are too few.
     """
-    started = perf_counter()
+    start = perf_counter()
     predictor = find(data, fitted)
-    seconds = perf_counter() - started
+    seconds = perf_counter() - start
     yaw = fitted.identified.yaw
     simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
     train, validation = score_sets(simulated, data, yaw)

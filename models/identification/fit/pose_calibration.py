@@ -1,7 +1,7 @@
 """Calibration of slip, wheel geometry, gyro scale and pose point from measured poses.
 
-The body's displacement over short windows is predicted from the wheels and a slip law, or from the gyro, and compared
-with the poses at both ends.
+The displacement of the body over short windows is predicted from the wheels and a slip law, or from the gyro, and
+compared with the poses at both ends.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual
 
 _MIN_WINDOWS = 20
 _ROUNDS = 6
-# Share of the configured window for the estimation of lags, which depends on the speed change over a window.
+# Window for the estimation of lags, as a share of the configured window; lags affect speed changes over a window.
 _LAG_WINDOW = 0.4
 _SHIFTS = 3
 
 
 class SlipLaw(Protocol):
-    """Map from wheel rates to body twist."""
+    """Interface of a slip law, which maps wheel rates to the body's twist."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each coefficient."""
+        """Names (q,) of the coefficients."""
         ...
 
     @property
     def start(self) -> FloatArray:
-        """(q,) coefficients of a robot without slip."""
+        """Coefficients (q,) of a robot without slip."""
         ...
 
     @property
     def holds_lever_arm(self) -> bool:
-        """True if the coefficients already describe any fixed point of the body, so no lever arm is needed."""
+        """True if the coefficients include the lever arm of the pose point."""
         ...
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute v, speed to the left [m/s] and yaw rate [rad/s] (..., 3) from wheel rates (..., 2) [rad/s]."""
+        """Compute v [m/s], speed to the left [m/s] and yaw rate [rad/s] (..., 3) from wheel rates (..., 2) [rad/s]."""
         ...
 
 
@@ -62,7 +62,7 @@ class ConstantTrack:
     Attributes
     ----------
     wheel_radius, track
-        Nominal values [m], the initial values of the fit.
+        Nominal values [m], which are the initial values of the fit.
     """
 
     wheel_radius: float
@@ -85,7 +85,7 @@ class ConstantTrack:
 
 @dataclass(frozen=True)
 class GrowingTrack(ConstantTrack):
-    """Track that grows with the yaw rate, i = p1 |yaw rate| + p0, with side-slip as in `ConstantTrack`.
+    """Track that increases with the yaw rate, i = p1 |yaw rate| + p0, with side-slip as in `ConstantTrack`.
 
     Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
     """
@@ -107,14 +107,14 @@ class GrowingTrack(ConstantTrack):
 
 @dataclass(frozen=True)
 class SlipPolynomial:
-    """Polynomial in v_c, w_c and v_c w_c for v, lateral speed and yaw rate: `models.slip_laws.polynomial_twist`.
+    """Polynomial in v_c, w_c and v_c w_c for v, lateral speed and yaw rate; see `models.slip_laws.polynomial_twist`.
 
-    The polynomial describes the twist of the pose point: its distance from the rotation centre adds to a12 and a22.
+    The polynomial describes the twist of the pose point, so that its lever arm is a part of a12 and a22.
 
     Attributes
     ----------
     wheel_radius, track
-        Values with which (v_c, w_c) are computed [m]; the coefficients depend on them.
+        Values for the computation of (v_c, w_c) [m]; the coefficients depend on them.
     """
 
     wheel_radius: float
@@ -139,22 +139,22 @@ def twist_with_side_slip(v: FloatArray, omega: FloatArray, side_slip: float) -> 
 
 
 def at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute mean rim speed, and right minus left rim speed [m/s], from wheels (..., 2) left, right [rad/s]."""
+    """Compute mean rim speed, and right minus left rim speed [m/s], from rates (..., 2) left, right [rad/s]."""
     left, right = wheels[..., 0], wheels[..., 1]
     return 0.5 * radius * (left + right), radius * (right - left)
 
 
 class PoseWindows(NamedTuple):
-    """n windows of one record with W steps each."""
+    """The n windows of one record, with W steps each."""
 
     dt: float
     """Sample time [s]."""
     signal: FloatArray
-    """(n, W, c) mean of the signal over each step."""
+    """Mean (n, W, c) of the signal over each step."""
     change: FloatArray
-    """(n, c) change of the signal from start to end."""
+    """Change (n, c) of the signal from start to end of a window."""
     displacement: FloatArray
-    """(n, 3) displacement of the pose point in the frame of the first pose: ahead [m], to the left [m], turn [rad]."""
+    """Displacement (n, 3) of the pose point in the frame of the first pose: ahead [m], to the left [m], turn [rad]."""
 
 
 _Signal = Literal["wheels", "twist", "yaw_rate"]
@@ -163,14 +163,14 @@ _Signal = Literal["wheels", "twist", "yaw_rate"]
 def pose_windows(
     records: Sequence[Record], signal: _Signal, pose_lag: float = 0.0, share: float = 1.0
 ) -> list[PoseWindows]:
-    """Cut windows of the configured length, without overlap and without gaps of the signal.
+    """Cut records into windows of the configured length, without overlap and without gaps of the signal.
 
     Parameters
     ----------
     records
         Records with a pose.
     signal
-        Signal to cut into windows, in addition to the poses.
+        Signal that is cut into windows, in addition to the poses.
     pose_lag
         Age of the poses at their stamp, relative to the signal [s].
     share
@@ -179,32 +179,32 @@ def pose_windows(
     Raises
     ------
     ValueError
-        If a record lacks pose or signal, or there are too few windows in total.
+        If a record has no poses or signal, or if there are too few windows in total.
     """
     length = share * identification_settings().pose_window
     record_windows = [_cut_record(record, signal, pose_lag, length) for record in records]
     count = sum(len(windows.displacement) for windows in record_windows)
     if count < _MIN_WINDOWS:
-        raise ValueError(f"{count} windows with a pose at both ends; {_MIN_WINDOWS} are needed: record a longer log")
+        raise ValueError(f"{count} windows with a pose at both ends instead of {_MIN_WINDOWS}: record a longer log")
     return [windows for windows in record_windows if len(windows.displacement)]
 
 
 def _cut_record(record: Record, name: _Signal, pose_lag: float, length: float) -> PoseWindows:
     value, pose = getattr(record, name), record.pose
     if value is None or pose is None:
-        raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
+        raise ValueError(f"record '{record.name}': a calibration from poses requires pose and {name}")
     signal = np.asarray(value).reshape(len(value), -1)
     mean = 0.5 * (signal[1:] + signal[:-1])
     steps, lag = max(2, round(length / record.dt)), round(pose_lag / record.dt)
     step = np.arange(len(pose)) - lag
-    known = (step >= 0) & (step < len(mean))
-    known[known] = np.isfinite(mean[step[known]]).all(axis=1)
-    rows = np.array(record.pose_windows(steps, known), dtype=np.int64)
-    cut = mean[rows[:, None] - lag + np.arange(steps)]
+    is_known = (step >= 0) & (step < len(mean))
+    is_known[is_known] = np.isfinite(mean[step[is_known]]).all(axis=1)
+    rows = np.array(record.pose_windows(steps, is_known), dtype=np.int64)
+    signal_windows = mean[rows[:, None] - lag + np.arange(steps)]
     first, last = pose[rows], pose[rows + steps]
-    moved = last - first
-    displacement = np.column_stack([*ahead_and_left(moved, first[:, 2]), wrap_angle(moved[:, 2])])
-    return PoseWindows(record.dt, cut, signal[rows - lag + steps] - signal[rows - lag], displacement)
+    change = last - first
+    displacement = np.column_stack([*ahead_and_left(change, first[:, 2]), wrap_angle(change[:, 2])])
+    return PoseWindows(record.dt, signal_windows, signal[rows - lag + steps] - signal[rows - lag], displacement)
 
 
 @dataclass(frozen=True)
@@ -214,10 +214,11 @@ class PoseCalibration:
     Attributes
     ----------
     parameters
-        The coefficients. For wheels also lever_arm_ahead and lever_arm_left [m], the pose point relative to the
-        rotation centre, unless the law includes it.
+        Coefficients. For wheels also lever_arm_ahead and lever_arm_left [m], the position of the pose point relative to
+        the rotation centre, unless the law includes them.
     rmse
-        Root mean square error over one window: ahead [m], to the left [m], heading [rad]; for a gyro, of its mean rate.
+        Root mean square error over one window: ahead [m], to the left [m], heading [rad]; for a gyro, of the mean yaw
+        rate [rad/s].
     windows
         Number of windows.
     warnings
@@ -238,7 +239,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     records
         Records with wheels and pose.
     law
-        The slip law.
+        Slip law with initial coefficients.
     pose_lag
         Age of the poses at their stamp, relative to the wheels [s].
 
@@ -265,7 +266,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
 
 
 def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:
-    """Fit gyro_scale [-] and gyro_offset [rad/s]: yaw rate of the gyro = scale times true yaw rate plus offset.
+    """Fit gyro_scale [-] and gyro_offset [rad/s] in: gyro reading = gyro_scale (true yaw rate) + gyro_offset.
 
     Parameters
     ----------
@@ -281,10 +282,10 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
     """
     windows = pose_windows(records, "yaw_rate", pose_lag)
     measured = np.concatenate([part.signal[..., 0].mean(axis=1) for part in windows])
-    true = np.concatenate([part.displacement[:, 2] / (part.signal.shape[1] * part.dt) for part in windows])
+    true_rate = np.concatenate([part.displacement[:, 2] / (part.signal.shape[1] * part.dt) for part in windows])
 
     def errors(parameters: FloatArray) -> FloatArray:
-        return np.asarray(measured - parameters[0] * true - parameters[1])[:, None]
+        return np.asarray(measured - parameters[0] * true_rate - parameters[1])[:, None]
 
     return _solve(errors, np.array([1.0, 0.0]), ("gyro_scale", "gyro_offset"))
 
@@ -293,8 +294,8 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
     """Estimate the lags of wheels and gyro relative to poses, `wheels.lag` and `gyro.lag` [s], and `wheels.scale` [-].
 
     For a reading r with lag L, the motion over a window is s = (integral of r + L (r_end - r_start)) / scale, plus the
-    effect of the lever arm of the pose point, or of the bias of the gyro. The yaw rate of the wheels is not used: the
-    body of a skid-steered robot lags behind it because of its tyres. Without a gyro there is no `gyro.lag`.
+    effect of the lever arm of the pose point, or of the bias of the gyro. The yaw rate of the wheels is not used,
+    because the body of a skid-steered robot lags behind it. Without a gyro, the result does not contain `gyro.lag`.
 
     Raises
     ------
@@ -302,25 +303,25 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
         If wheels or poses are missing, or there are too few windows.
     """
     wheels = pose_windows(records, "twist", share=_LAG_WINDOW)
-    half = [0.5 * part.displacement[:, 2] for part in wheels]
+    halves = [0.5 * part.displacement[:, 2] for part in wheels]
     ahead = [
         (np.cos(h) * part.displacement[:, 0] + np.sin(h) * part.displacement[:, 1]) / np.sinc(h / np.pi)
-        for h, part in zip(half, wheels, strict=True)
+        for h, part in zip(halves, wheels, strict=True)
     ]
     encoders = (
-        _lag(wheels, ahead, [2.0 * np.sin(h) for h in half]).renamed("wheels").part(["wheels.lag", "wheels.scale"])
+        _lag(wheels, ahead, [2.0 * np.sin(h) for h in halves]).renamed("wheels").part(["wheels.lag", "wheels.scale"])
     )
     if any(record.yaw_rate is None for record in records):
         return encoders
     gyro = pose_windows(records, "yaw_rate", share=_LAG_WINDOW)
-    turned = [part.displacement[:, 2] for part in gyro]
+    turns = [part.displacement[:, 2] for part in gyro]
     return join_estimates(
-        [encoders, _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).renamed("gyro").part(["gyro.lag"])]
+        [encoders, _lag(gyro, turns, [np.ones_like(turn) for turn in turns]).renamed("gyro").part(["gyro.lag"])]
     )
 
 
 def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
-    """Estimate the delay of poses relative to the gyro, `pose.delay` [s]; negative if the gyro is later.
+    """Estimate the delay of poses relative to the gyro, `pose.delay` [s]; negative if the gyro has the larger delay.
 
     A lag approximates a delay only for small changes of the reading. The windows are therefore shifted by whole samples
     until the remaining delay is less than one sample.
@@ -333,25 +334,25 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
     dt, steps = records[0].dt, 0
     for _ in range(_SHIFTS):
         gyro = pose_windows(records, "yaw_rate", steps * dt, _LAG_WINDOW)
-        turned = [part.displacement[:, 2] for part in gyro]
-        rest = _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).part(["lag"])
-        delay = steps * dt - rest.value("lag")
-        estimate, steps = ParameterEstimate(("pose.delay",), np.array([delay]), rest.covariance), round(delay / dt)
+        turns = [part.displacement[:, 2] for part in gyro]
+        remaining = _lag(gyro, turns, [np.ones_like(turn) for turn in turns]).part(["lag"])
+        delay = steps * dt - remaining.value("lag")
+        estimate, steps = ParameterEstimate(("pose.delay",), np.array([delay]), remaining.covariance), round(delay / dt)
     return estimate
 
 
 def _lag(
     windows: Sequence[PoseWindows], motion: Sequence[FloatArray], disturbance: Sequence[FloatArray]
 ) -> ParameterEstimate:
-    """Fit lag, scale and the factor of `disturbance` (n,) of a signal's first column to the motion (n,) of windows."""
+    """Fit lag and scale of the first column of a signal, and the factor of `disturbance` (n,), to `motion` (n,)."""
     signals = [part.signal[..., 0] for part in windows]
-    whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
+    integral = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
     change = np.concatenate([part.change[:, 0] for part in windows])
-    moved, disturbed = np.concatenate(motion), np.concatenate(disturbance)
+    motions, disturbances = np.concatenate(motion), np.concatenate(disturbance)
 
     def errors(parameters: FloatArray) -> FloatArray:
         lag, scale, factor = parameters
-        return np.asarray(moved - (whole + lag * change) / scale - factor * disturbed)[:, None]
+        return np.asarray(motions - (integral + lag * change) / scale - factor * disturbances)[:, None]
 
     return _solve(errors, np.array([0.0, 1.0, 0.0]), ("lag", "scale", "disturbance")).parameters
 
@@ -362,20 +363,20 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
     Parameters
     ----------
     twist
-        (n, W, 3) forward and lateral speed [m/s] and yaw rate [rad/s], constant over each of W steps.
+        Forward and lateral speed [m/s] and yaw rate [rad/s] (n, W, 3), constant over each of the W steps.
     dt
         Duration of a step [s].
     lever_arm
-        (2,) position of the point relative to the rotation centre: ahead, to the left [m].
+        Position (2,) of the point relative to the rotation centre: ahead, to the left [m].
     """
-    turned = np.cumsum(twist[..., 2] * dt, axis=1)
-    half = 0.5 * twist[..., 2] * dt
-    heading = turned - half
-    chord = dt * np.sinc(half / np.pi)
+    turns = np.cumsum(twist[..., 2] * dt, axis=1)
+    half_turn = 0.5 * twist[..., 2] * dt
+    heading = turns - half_turn
+    chord = dt * np.sinc(half_turn / np.pi)
     c, s = np.cos(heading), np.sin(heading)
     x = np.sum(chord * (c * twist[..., 0] - s * twist[..., 1]), axis=1)
     y = np.sum(chord * (s * twist[..., 0] + c * twist[..., 1]), axis=1)
-    end = turned[:, -1]
+    end = turns[:, -1]
     ahead, left = lever_arm
     x += np.cos(end) * ahead - np.sin(end) * left - ahead
     y += np.sin(end) * ahead + np.cos(end) * left - left
@@ -383,12 +384,12 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Solve for minimal window errors (n, r) by least squares, reweighted by their scale and by spike weights."""
+    """Solve for the least squares of the window errors (n, r), with iterative weights from their scale and spikes."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        spikes = spike_weights([residuals])
-        weight = np.sqrt(spikes[0]) / residual_scale([residuals], spikes, spread)
+        robust_weights = spike_weights([residuals])
+        weight = np.sqrt(robust_weights[0]) / residual_scale([residuals], robust_weights, spread)
         result = least_squares(_apply_weight(errors, weight), parameters, jac="3-point", x_scale="jac")
         parameters, residuals = result.x, errors(result.x)
     rows = result.jac.reshape(*residuals.shape, len(start))
@@ -402,5 +403,5 @@ def _apply_weight(errors: Callable[[FloatArray], FloatArray], weight: FloatArray
 
 
 def _nonzero_names(names: tuple[str, ...]) -> list[str]:
-    """List the parameters that cannot be zero."""
+    """List the parameters whose true value is not zero."""
     return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]

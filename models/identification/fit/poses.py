@@ -30,13 +30,13 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join_estimates
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
-_NEAR = 0.2
-"""Maximum distance of the last pose of a prediction from the horizon, as a share of the horizon."""
+_HORIZON_TOLERANCE = 0.2
+"""Maximum difference between the last pose of a prediction and the horizon, as a share of the horizon [-]."""
 _LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
-# Fictitious wheels for an odometry without wheel speeds: their rates are computed from its twist.
+# Fictitious wheels for odometry without wheel speeds; their rates are computed from the twist.
 _UNIT_WHEELS = WheelGeometry(1.0, 1.0)
 Predictions = list[tuple[Record, FloatArray]]
-"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] predicted from the commands."""
+"""Records with poses, each with the predicted twist (K, 2) of the body: v [m/s], omega [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class PoseDrift:
     horizon
         Prediction horizon [s].
     position_rmse, heading_rmse
-        Root mean square errors [m], [rad].
+        Root mean square errors [m, rad].
     position_mean, heading_mean
-        Mean absolute errors [m], [rad].
+        Mean absolute errors [m, rad].
     starts
         Number of predictions.
     """
@@ -74,8 +74,8 @@ def pose_drift(
 ) -> list[PoseDrift]:
     """Compute the open-loop pose error of the rotation centre.
 
-    Predictions start at measured poses of a record, about one every second, integrate the predicted twists as arcs, and
-    end at the measured pose nearest to the horizon.
+    Predictions start at measured poses of a record, about one per second. A prediction integrates the predicted twists
+    as arcs, and ends at the measured pose nearest to the horizon.
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ def pose_drift(
     twists
         Predicted v [m/s] and true yaw rate [rad/s] (K, 2) of each record, from one free run over the record.
     lever_arm
-        Pose point relative to the rotation centre: ahead and to the left [m].
+        Position of the pose point relative to the rotation centre: ahead and to the left [m].
     side_slip
-        Lateral speed over -v omega [s].
+        Ratio of lateral speed and -v omega [s].
     pose_lag
         Age of the poses at their stamp [s].
     horizons
@@ -95,7 +95,7 @@ def pose_drift(
     Raises
     ------
     ValueError
-        If a record has no pose, or no record has two poses about one horizon apart.
+        If a record has no poses, or if no record has two poses about one horizon apart.
     """
     settings = identification_settings()
     return [
@@ -123,37 +123,37 @@ def _drift_after(
     errors = []
     for record, twist in zip(records, twists, strict=True):
         if record.pose is None or record.fresh_pose is None:
-            raise ValueError(f"record '{record.name}': no pose; the drift of a prediction needs poses")
+            raise ValueError(f"record '{record.name}': the drift of a prediction requires poses")
         centre = rotation_centre(record.pose, lever_arm)
         lag, steps, stride = (round(time / record.dt) for time in (pose_lag, horizon, start_every))
-        fresh = lag + np.flatnonzero(record.fresh_pose[lag : len(twist)])
-        if not len(fresh):
+        fresh_rows = lag + np.flatnonzero(record.fresh_pose[lag : len(twist)])
+        if not len(fresh_rows):
             continue
-        starts = np.unique(_nearest(fresh, np.arange(lag, len(twist) - steps, stride)))
-        ends = _nearest(fresh, starts + steps)
-        near = np.abs(ends - starts - steps) <= _NEAR * steps
-        starts, ends = starts[near], ends[near]
+        starts = np.unique(_nearest(fresh_rows, np.arange(lag, len(twist) - steps, stride)))
+        ends = _nearest(fresh_rows, starts + steps)
+        is_near = np.abs(ends - starts - steps) <= _HORIZON_TOLERANCE * steps
+        starts, ends = starts[is_near], ends[is_near]
         mean = 0.5 * (twist[1:] + twist[:-1])
         pose = centre[starts]
         for step in range(max(ends - starts, default=0)):
-            (active,) = np.nonzero(step < ends - starts)
-            v, omega = mean[starts[active] - lag + step].T
-            pose[active] = integrate_pose(pose[active], v, omega, record.dt, side_slip)
+            (is_active,) = np.nonzero(step < ends - starts)
+            v, omega = mean[starts[is_active] - lag + step].T
+            pose[is_active] = integrate_pose(pose[is_active], v, omega, record.dt, side_slip)
         error = pose - centre[ends]
         errors.append(np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))]))
-    size = np.concatenate([np.empty((0, 2)), *errors])
-    if not len(size):
-        raise ValueError(f"no two poses of a record are {horizon:.3g} s apart; give longer records, or more poses")
-    rmse = np.sqrt((size**2).mean(axis=0))
-    mean_size = size.mean(axis=0)
-    return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean_size[0]), float(mean_size[1]), len(size))
+    magnitudes = np.concatenate([np.empty((0, 2)), *errors])
+    if not len(magnitudes):
+        raise ValueError(f"no two poses of a record are {horizon:.3g} s apart; use longer records, or more poses")
+    rmse = np.sqrt((magnitudes**2).mean(axis=0))
+    mean = magnitudes.mean(axis=0)
+    return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean[0]), float(mean[1]), len(magnitudes))
 
 
 def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each of the `targets` (k,) the nearest of the sorted `rows` (n,)."""
-    after = np.searchsorted(rows, targets).clip(0, len(rows) - 1)
-    before = rows[np.maximum(after - 1, 0)]
-    return np.asarray(np.where(targets - before <= rows[after] - targets, before, rows[after]))
+    """Return the nearest of the sorted `rows` (n,) for each of the `targets` (k,)."""
+    following = np.searchsorted(rows, targets).clip(0, len(rows) - 1)
+    preceding = rows[np.maximum(following - 1, 0)]
+    return np.asarray(np.where(targets - preceding <= rows[following] - targets, preceding, rows[following]))
 
 
 @dataclass(frozen=True)
@@ -165,11 +165,11 @@ class PoseResults:
     parameters
         Parameters of wheels and gyro, SI units; empty if the log has no poses.
     laws
-        Compared slip laws: name and calibration.
+        Names and calibrations of the compared slip laws.
     drift
-        Open-loop pose error on the validation records, one entry for each horizon.
+        Open-loop pose error on the validation records by horizon.
     warnings
-        Doubts about the result.
+        Doubts about the results.
     """
 
     parameters: ParameterEstimate
@@ -179,29 +179,29 @@ class PoseResults:
 
     @property
     def mount(self) -> tuple[str, ...]:
-        """Names of the two parameters of the pose point, ahead and left; empty if they were not estimated."""
+        """Names of the two parameters of the pose point, ahead and left; empty without an estimate."""
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
     @property
     def place(self) -> tuple[float, float]:
-        """Pose point ahead and to the left of the rotation centre [m]; zeros if near the centre or unknown."""
+        """Pose point ahead and to the left of the rotation centre [m]; zeros if it is near the centre or unknown."""
         ahead, left = [self.parameters.value(name) for name in self.mount] or (0.0, 0.0)
-        far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
-        return (ahead, left) if far else (0.0, 0.0)
+        is_far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
+        return (ahead, left) if is_far else (0.0, 0.0)
 
     def at_rotation_centre(self, records: Sequence[Record]) -> list[Record]:
-        """Return the records that have poses, with their poses converted to those of the rotation centre."""
+        """Return the records with poses, converted to poses of the rotation centre."""
         return [replace(r, pose=rotation_centre(np.asarray(r.pose), self.place)) for r in _with_pose(records)]
 
 
 class PosePoint(NamedTuple):
-    """Position and delay of a measured pose relative to the body's rotation centre."""
+    """Position, side-slip and delay of measured poses relative to the body's rotation centre."""
 
     lever_arm: tuple[float, float] = (0.0, 0.0)
-    """Pose point ahead and to the left [m]."""
+    """Position of the pose point ahead and to the left [m]."""
     side_slip: float = 0.0
-    """Lateral speed over -v omega [s]."""
+    """Ratio of lateral speed and -v omega [s]."""
     lag: float = 0.0
     """Delay of poses [s]."""
 
@@ -212,7 +212,7 @@ NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (),
 def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     """Calibrate on the training records with poses, and predict the poses of the validation records.
 
-    Parts with too few poses are omitted with a warning.
+    Results for which there are too few poses are omitted with a warning.
     """
     train, validation = _with_pose(data.train), _with_pose(data.validation)
     if not train and not validation:
@@ -222,24 +222,24 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     if fitted.base and data.yaw == "gyro":
         pose_parameters = fitted.base.pose or NO_POSES.parameters
         return PoseResults(
-            pose_parameters, laws, _drift(*_predict_with_base(data, fitted.base), warnings), tuple(warnings)
+            pose_parameters, laws, _compute_drift(*_predict_with_base(data, fitted.base), warnings), tuple(warnings)
         )
-    gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
+    gyro = _calibrate_gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []
     warnings += [doubt.about("poses") for _, calibration in calibrations for doubt in calibration.warnings]
     parts = [calibration.parameters for _, calibration in calibrations]
     if parts and laws and fitted.geometry is None:
-        parts[0] = _as_gains(parts[0])
+        parts[0] = _convert_to_gains(parts[0])
     parameters = join_estimates(parts) if parts else NO_POSES.parameters
-    drift = _drift(*_predict_with_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
+    drift = _compute_drift(*_predict_with_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
     return PoseResults(parameters, laws, drift, tuple(warnings))
 
 
 def _slip_laws(
     train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[Doubt]
 ) -> tuple[tuple[str, PoseCalibration], ...]:
-    """Calibrate the law with a constant track and, if the log has wheel speeds, the other laws."""
+    """Calibrate the law with a constant track and, for a log with wheel speeds, the other laws."""
     if not train:
         return ()
     records = train if geometry else [_unit_wheels(record) for record in train]
@@ -254,7 +254,7 @@ def _slip_laws(
         return ()
 
 
-def _gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | None:
+def _calibrate_gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | None:
     try:
         return calibrate_gyro(train) if train else None
     except ValueError as error:
@@ -265,13 +265,13 @@ def _gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | N
 def _predict_with_model(
     data: LogData, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
 ) -> tuple[Predictions, PosePoint]:
-    """Return the body's twist predicted by the calibrated model, and the pose point."""
-    size = fitted.geometry or _UNIT_WHEELS
+    """Predict the body's twist by the calibrated model; return predictions and pose point."""
+    wheel_geometry = fitted.geometry or _UNIT_WHEELS
     gain = np.ones(2)
     if wheels:
-        gain[0] = wheels.value("wheel_radius") / size.radius
+        gain[0] = wheels.value("wheel_radius") / wheel_geometry.radius
         if data.yaw == "encoders":
-            gain[1] = gain[0] * size.track / wheels.value("track")
+            gain[1] = gain[0] * wheel_geometry.track / wheels.value("track")
     if gyro:
         gain[1] = 1.0 / gyro.parameters.value("gyro_scale")
     predictions = [
@@ -281,22 +281,22 @@ def _predict_with_model(
     ]
     if wheels is None:
         return predictions, PosePoint()
-    arm = (wheels.value(_LEVER_ARM[0]), wheels.value(_LEVER_ARM[1]))
-    return predictions, PosePoint(arm, wheels.value("side_slip"))
+    lever_arm = (wheels.value(_LEVER_ARM[0]), wheels.value(_LEVER_ARM[1]))
+    return predictions, PosePoint(lever_arm, wheels.value("side_slip"))
 
 
 def _predict_with_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
-    """Return the twist predicted by a model with base effects, and the pose point, after removal of the pose mount."""
+    """Predict the twist by a model with base effects; return predictions for poses without mount, and pose point."""
     records = _with_pose(data.validation)
     predictions = list(zip(records, base.body_twists(records), strict=True))
     if base.pose is None:
         return predictions, PosePoint()
     mount = PoseMount(**{name: base.pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")})
-    centred = [(replace(record, pose=mount.centre(np.asarray(record.pose))), twist) for record, twist in predictions]
-    return centred, PosePoint(lag=base.pose.value("pose.delay"))
+    corrected = [(replace(record, pose=mount.centre(np.asarray(record.pose))), twist) for record, twist in predictions]
+    return corrected, PosePoint(lag=base.pose.value("pose.delay"))
 
 
-def _drift(predictions: Predictions, point: PosePoint, warnings: list[Doubt]) -> tuple[PoseDrift, ...]:
+def _compute_drift(predictions: Predictions, point: PosePoint, warnings: list[Doubt]) -> tuple[PoseDrift, ...]:
     records, twists = [record for record, _ in predictions], [twist for _, twist in predictions]
     drift: list[PoseDrift] = []
     for horizon in identification_settings().horizons:
@@ -319,7 +319,7 @@ def _with_pose(records: Sequence[Record]) -> list[Record]:
 
 
 def _unit_wheels(record: Record) -> Record:
-    """Return the record with fictitious wheels of 1 m radius and 1 m track that have its twist."""
+    """Add the rates of fictitious wheels, with 1 m radius and 1 m track, that correspond to the record's twist."""
     if record.twist is None:
         return record
     v, omega = record.twist.T
@@ -327,7 +327,7 @@ def _unit_wheels(record: Record) -> Record:
     return replace(record, wheels=wheels)
 
 
-def _as_gains(wheels: ParameterEstimate) -> ParameterEstimate:
-    """Convert radius and track of unit wheels to gains of the body's twist over the odometry's."""
+def _convert_to_gains(wheels: ParameterEstimate) -> ParameterEstimate:
+    """Convert radius and track of unit wheels to ratios of the body's twist and the odometry's twist."""
     names = ("longitudinal_gain", "yaw_gain", *wheels.names[2:])
     return wheels.derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))

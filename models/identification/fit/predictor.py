@@ -1,4 +1,4 @@
-"""Models that replace the linear model for prediction, such as networks, identified in addition to it.
+"""Predictors: models such as networks that are identified in addition to the linear model, and predict instead of it.
 
 The linear model still determines limits, tracks and calibration from poses. To add a kind of predictor, register a
 `models.function_structure.FunctionStructure` as described in `models.plug_ins`.
@@ -33,7 +33,7 @@ class Predictor(Protocol):
 
     @property
     def title(self) -> str:
-        """Noun for use in sentences, such as "a network"."""
+        """Noun for sentences, such as "a network"."""
         ...
 
     @property
@@ -43,7 +43,7 @@ class Predictor(Protocol):
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) sensor bias according to the model: outputs v [m/s] and omega [rad/s] at rest."""
+        """Sensor bias (2,) of the model: outputs v [m/s] and omega [rad/s] at rest."""
         ...
 
     @property
@@ -53,7 +53,7 @@ class Predictor(Protocol):
 
     @property
     def estimate(self) -> ParameterEstimate | None:
-        """Parameters of the model; None if they are too many for a table."""
+        """Parameters of the model; None if there are too many for a table."""
         ...
 
     @property
@@ -62,15 +62,15 @@ class Predictor(Protocol):
         ...
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands, sensor offsets included."""
+        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands, including sensor offsets."""
         ...
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> NonlinearModel | None:
-        """Fit a model of the same kind to other records of the robot; None if that would take too long."""
+        """Fit a model of this kind to other records of the robot; None if the fit takes too long."""
         ...
 
     def content(self, fields: Mapping[str, Any]) -> Any:  # noqa: ANN401 - each kind has its own file
-        """Return the content of the parameter file; `fields` are the fields that all parameter files have."""
+        """Return the content of the parameter file; `fields` are the fields that are common to all parameter files."""
         ...
 
     def model(self, content: Any) -> NonlinearModel:  # noqa: ANN401
@@ -87,5 +87,5 @@ Finder = Callable[["LogData", "Fitted"], Predictor]
 
 
 def finders() -> Mapping[str, Callable[[], Finder]]:
-    """Return a loader of each finder by structure name; it raises MissingPackageError if a package is missing."""
+    """Return the loader of each finder by structure name; it raises MissingPackageError for a missing package."""
     return {structure.name: structure.finder for structure in function_structures().values()}

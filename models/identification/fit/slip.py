@@ -1,4 +1,4 @@
-"""Side-slip of a skid-steered robot from the poses of a log: initial values of the controller's filter.
+"""Side-slip of a skid-steered robot from the poses of a log, as initial values of the controller's filter.
 
 The lateral speed to the left is -side_slip v omega + load_shift a omega, with the forward acceleration a (see
 `mpc/problem/formulas.py`). Mean lateral speeds over short windows are regressed on the means of both terms.
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 
 NAMES = ("side_slip", "load_shift")
-"""Slip parameters [s], [s^2]."""
+"""Names of the slip parameters [s, s^2]."""
 
 _MIN_WINDOWS = 8
 _MIN_POSES = 3
@@ -28,24 +28,24 @@ class SlipPrior(NamedTuple):
     """Initial slip estimate of the controller's filter."""
 
     estimate: ParameterEstimate
-    """Parameters `NAMES`; the covariance includes the spread between surfaces."""
+    """Estimate of the parameters `NAMES`; the covariance includes the spread between surfaces."""
     is_regressed: bool
-    """True if the log at least halves the standard deviation of side_slip; otherwise the prior dominates."""
+    """True if the log reduces the standard deviation of side_slip to less than half of the prior's."""
 
     def source(self) -> str:
-        """Describe the origin of the values, for comments of the configuration."""
+        """Describe the source of the values for comments in the configuration."""
         if self.is_regressed:
             return "regressed from the poses of the log"
-        return "a wide prior, as the log has too few or too noisy poses"
+        return "a wide prior, because the log has too few or too noisy poses"
 
     def __str__(self) -> str:
-        """Format one line for the report."""
+        """Format the estimate as one line of the report."""
         values = (f"{name} {value:.3f} ± {sd:.3f}" for name, value, sd in self.estimate.rows)
         return f"The filter starts with {' s and '.join(values)} s^2: {self.source()}."
 
 
 def slip_prior(records: Sequence[Record]) -> SlipPrior:
-    """Update the Gaussian prior of the settings with `lateral_slip` of the records (poses of the rotation centre)."""
+    """Update the prior of the settings with the slip estimate from `records` with poses of the rotation centre."""
     settings, estimate = identification_settings().slip, lateral_slip(records)
     mean, deviation, surfaces = (
         np.array([row[k] for row in (settings.side_slip, settings.load_shift)]) for k in range(3)
@@ -60,22 +60,22 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
 
 
 def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
-    """Estimate `NAMES` with covariance; None if there are no encoders, or too few poses or turns."""
+    """Estimate the parameters `NAMES`; None without encoders, or with too few poses or turns."""
     table = np.array([window for record in records for window in _windows(record)])
     if len(table) < _MIN_WINDOWS:
         return None
-    terms, moved = table[:, :2], table[:, 2]
-    values, _, rank, _ = np.linalg.lstsq(terms, moved, rcond=None)
+    terms, lateral_speed = table[:, :2], table[:, 2]
+    values, _, rank, _ = np.linalg.lstsq(terms, lateral_speed, rcond=None)
     if rank < len(NAMES):
         return None
-    residual = moved - terms @ values
+    residual = lateral_speed - terms @ values
     scale = float(np.sqrt(np.mean(residual**2))) + np.finfo(float).tiny
     covariance = sandwich([terms[:, None, :] / scale], [residual[:, None] / scale]).covariance
     return ParameterEstimate(NAMES, values, covariance)
 
 
 def _windows(record: Record) -> list[FloatArray]:
-    """Return the means (3,) over each window: -v omega [m/s^2], a omega [m/s^3] and speed to the left [m/s]."""
+    """Compute the means (3,) over each window: -v omega [m/s^2], a omega [m/s^3] and speed to the left [m/s]."""
     dt, span = record.dt, max(2, round(identification_settings().pose_window / record.dt))
     if record.pose is None or record.twist is None or record.fresh_pose is None or len(record.pose) <= span:
         return []
@@ -87,57 +87,58 @@ def _windows(record: Record) -> list[FloatArray]:
         fresh, pose = record.fresh_pose[part], record.pose[part]
         if fresh.sum() < _MIN_POSES or not (np.isfinite(terms[part]).all() and np.isfinite(v[part]).all()):
             continue
-        # Heading from the integrated yaw rate, aligned with all poses of the window: less noisy than single poses.
-        turned = _integral(omega[part], dt)
-        theta = turned + float(np.mean((pose[:, 2] - turned)[fresh]))
-        across = np.column_stack([-np.sin(theta), np.cos(theta)])
-        ahead = np.column_stack([np.cos(theta), np.sin(theta)])
-        # Least-squares slope over time; lateral direction at the middle, as the body turns little within a window.
+        # The integrated yaw rate, aligned with all poses of the window, has less noise than the headings of the poses.
+        rotation = _integral(omega[part], dt)
+        theta = rotation + float(np.mean((pose[:, 2] - rotation)[fresh]))
+        left = np.column_stack([-np.sin(theta), np.cos(theta)])
+        forward = np.column_stack([np.cos(theta), np.sin(theta)])
+        # Least-squares slope over time, in the lateral direction at the middle: the rotation in a window is small.
         time = np.flatnonzero(fresh) - np.mean(np.flatnonzero(fresh))
         slope = time / (dt * time @ time)
-        paths = [_integral(terms[part, k, None] * across, dt) for k in range(2)]
-        paths.append(pose[:, :2] - _integral(v[part, None] * ahead, dt))
-        windows.append(np.array([slope @ path[fresh] @ across[len(across) // 2] for path in paths]))
+        paths = [_integral(terms[part, k, None] * left, dt) for k in range(2)]
+        paths.append(pose[:, :2] - _integral(v[part, None] * forward, dt))
+        windows.append(np.array([slope @ path[fresh] @ left[len(left) // 2] for path in paths]))
     return windows
 
 
 def _yaw_rate(record: Record) -> FloatArray:
-    """Return the yaw rate (K,) [rad/s] of the gyro or, if there is none, of the encoders, scaled to fit the poses."""
+    """Return the yaw rate (K,) [rad/s] of the gyro; without a gyro, that of the encoders, scaled to fit the poses."""
     if record.yaw_rate is not None:
         return record.yaw_rate
     assert record.twist is not None and record.pose is not None
     wheels = record.twist[:, 1]
-    turned = record.dt * np.cumsum(np.nan_to_num(wheels))[record.fresh_pose]
-    turned -= turned.mean()
-    return np.asarray(wheels * (turned @ record.pose[record.fresh_pose, 2]) / (turned @ turned + np.finfo(float).tiny))
+    rotation = record.dt * np.cumsum(np.nan_to_num(wheels))[record.fresh_pose]
+    rotation -= rotation.mean()
+    scale = (rotation @ record.pose[record.fresh_pose, 2]) / (rotation @ rotation + np.finfo(float).tiny)
+    return np.asarray(wheels * scale)
 
 
 def _integral(rows: FloatArray, dt: float) -> FloatArray:
-    """Integrate `rows` (K, ...) from the first row by the trapezoidal rule."""
+    """Integrate `rows` (K, ...) by the trapezoidal rule, starting with zero."""
     steps = 0.5 * dt * (rows[1:] + rows[:-1])
     return np.asarray(np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)]))
 
 
-# Surface parameters that gyro and encoders of a log determine, for a simulated plant of the robot.
+# Surface parameters from gyro and encoders of a log, for a simulated plant of the robot.
 
 
 SURFACE_FILE = "surface.yaml"
 
 
 def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[str, float]]:
-    """Return keys and values of a surface file: yaw rate of the body over yaw rate of the encoders, and side-slip.
+    """Return keys and values of a surface file: ratio of body and encoder yaw rate, and side-slip.
 
-    Without a gyro the ratio is 1: the model's omega is that of the encoders. Side-slip comes from `prior`.
+    Without a gyro, the model's omega is that of the encoders, and the ratio is 1. Side-slip is that of `prior`.
     """
-    both = [
-        (record.yaw_rate[used], record.twist[used, 1])
+    pairs = [
+        (record.yaw_rate[is_valid], record.twist[is_valid, 1])
         for record in records
         if record.yaw_rate is not None and record.twist is not None
-        for used in [np.isfinite(record.yaw_rate) & np.isfinite(record.twist[:, 1])]
+        for is_valid in [np.isfinite(record.yaw_rate) & np.isfinite(record.twist[:, 1])]
     ]
     ratio = 1.0
-    if both:
-        body, wheels = (np.concatenate(values) for values in zip(*both, strict=True))
+    if pairs:
+        body, wheels = (np.concatenate(values) for values in zip(*pairs, strict=True))
         ratio = float(body @ wheels / (wheels @ wheels))
     slip = {"yaw_gain": 1.0, "wheel_yaw_gain": float(f"{ratio:.4g}"), "longitudinal_gain": 1.0}
     return {"slip": slip | {"side_slip": float(f"{prior.estimate.value('side_slip'):.4g}")}}
@@ -146,10 +147,10 @@ def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[s
 def surface_text(surface: Mapping[str, Mapping[str, float]]) -> str:
     """Format the surface file, with a comment for each value."""
     reasons = {
-        "yaw_gain": "true yaw rate over that of the model; 1, as the model is identified from the log",
-        "wheel_yaw_gain": "true yaw rate over that of the encoders, from the gyro of the log; 1 if it has no gyro",
-        "longitudinal_gain": "true forward speed over that of the encoders; not in the log",
-        "side_slip": "s, lateral speed over v * omega; see config.yaml",
+        "yaw_gain": "ratio of true yaw rate and the model's; 1, because the model is identified from the log",
+        "wheel_yaw_gain": "ratio of true yaw rate and the encoders', from the gyro; 1 for a log without a gyro",
+        "longitudinal_gain": "ratio of true forward speed and the encoders'; not in the log",
+        "side_slip": "s, ratio of lateral speed and v * omega; see config.yaml",
     }
     lines = [f"  {name}: {value}   # {reasons[name]}" for name, value in surface["slip"].items()]
     return "\n".join(["# Surface of the log, for `simulate --surface` with a model: plant.", "slip:", *lines]) + "\n"

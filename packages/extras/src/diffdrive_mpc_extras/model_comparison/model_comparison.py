@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.identification.deliver.trust import INTERVAL, block_powers, drawn_blocks, pooled_fit
+from diffdrive_mpc.models.identification.deliver.trust import INTERVAL, block_powers, draw_blocks, pooled_fit
 from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import finders
@@ -133,7 +133,7 @@ class ModelComparison:
 
     def gain(self, score: KindScore, reference: KindScore) -> FloatArray:
         """Compute the 95 % interval (2,) of the mean FIT minus that of `reference` [points], by resampling blocks."""
-        draws = drawn_blocks(len(self.weights))
+        draws = draw_blocks(len(self.weights))
         difference = (self.fits(score, draws) - self.fits(reference, draws)).mean(axis=1)
         return np.asarray(np.quantile(difference, INTERVAL))
 

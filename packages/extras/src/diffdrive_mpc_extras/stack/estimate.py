@@ -104,7 +104,7 @@ def estimate_stack(
     track = geometry.track if geometry else None
     experiments = join_experiments(sensor_experiments(data.train, data.yaw))
     if base is None:
-        selection = select_effects(experiments, track, limits=levels, only=_EFFECTS, also=_EXTRA_PARAMETERS)
+        selection = select_effects(experiments, track, limits=levels, names=_EFFECTS, extra=_EXTRA_PARAMETERS)
         fit, weights = selection.fit, selection.data
     else:
         weights = weight_readings(experiments, base.point)
