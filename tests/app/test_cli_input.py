@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 import tracemalloc
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -29,24 +28,10 @@ COMMANDS += ["models list", "models show", "models check"]
 runner = CliRunner()
 
 
-def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", fails)
-    result = runner.invoke(app, ["models", "show", "ssm"])
-    assert isinstance(result.exception, ZeroDivisionError)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help_with_an_example(command: str) -> None:
     result = invoke(app, *command.split(), "--help")
     assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(result.stdout.split())
-
-
-def test_version_option_prints_name_and_version() -> None:
-    result = invoke(app, "--version")
-    assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
 
 
 ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"

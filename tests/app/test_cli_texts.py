@@ -95,12 +95,3 @@ def completions(words: str, shell: str = "bash") -> list[str]:
 )
 def test_commands_and_options_are_completed(words: str, expected: set[str]) -> None:
     assert set(completions(f"diffdrive-mpc {words}")) == expected
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_script_for_a_shell_is_shown(shell: str) -> None:
-    variables = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
-    shown = subprocess.run(
-        [COMMAND, "--show-completion", shell], env=variables, capture_output=True, text=True, check=True
-    )
-    assert "_DIFFDRIVE_MPC_COMPLETE" in shown.stdout

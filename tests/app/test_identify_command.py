@@ -12,8 +12,6 @@ from opened_report import check_report
 from commands import invoke
 from diffdrive_mpc import identify, load_config
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.identification import trial_drives
-from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.mpc.trajectories.load import load_segments
@@ -43,13 +41,6 @@ def identified_robot(logs):
     """Folder and output of an identification from two of the drives, validated on the third."""
     words = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
     return logs / "mine", run(*words, "--out", logs / "mine")
-
-
-def identify_order_3(out):
-    """Identify an SSM of order 3 from a short drive, comparing all orders; return folder and output."""
-    out.parent.mkdir()
-    log, mapping = write_csv(out.parent / "drive.csv", drive(seconds=12.0)), write_mapping(out.parent / "map.yaml")
-    return out, run("identify", log, "--mapping", mapping, "--structure", "ssm", "--order", "3", "--out", out)
 
 
 def identify_columns(tmp_path, columns, mapping=MAPPING, **options):
@@ -111,24 +102,6 @@ def test_configuration_drives_the_plant(identified_robot, logs):
     shipped, identified_run = json.loads((bench / "bench.json").read_text())["runs"]
     assert identified_run["completed"]
     assert identified_run["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
-
-
-def files_of(folder):
-    """Read every file without times; skip the page."""
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in ("report.html", CONTENTS)]
-    return {path.relative_to(folder): without_times(path) for path in files}
-
-
-@pytest.mark.system
-def test_equal_logs_give_equal_files(tmp_path, monkeypatch):
-    monkeypatch.setattr(trial_drives, "PATHS", ("circle",))
-    first, second = (files_of(identify_order_3(tmp_path / name / "out")[0]) for name in ("first", "second"))
-    assert len(first) >= 8
-    assert first == second
-
-
-def without_times(path: Path) -> bytes:
-    return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
 
 
 def test_clipping_base_is_stated_in_model_and_configuration(tmp_path):

@@ -13,7 +13,7 @@ from diffdrive_mpc.bench import turns
 from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.timing import replay, time_outcomes
-from diffdrive_mpc.bench.turns import AGAIN, TurnTimes, take_turns
+from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim import Run, simulate
 
@@ -51,22 +51,6 @@ def test_replay_measures_the_whole_step() -> None:
     assert times.shape == (len(run.time), 2)
     assert (times[:, 0] >= 2e-3).all()
     assert np.isnan(times[:, 1]).all()
-
-
-@pytest.mark.parametrize("clean", [1, 0])
-def test_disturbed_ticks_are_excluded_for_all_controllers_or_for_none(
-    clean: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Disturbed ticks of a peer must not be compared with undisturbed ticks of others."""
-    outcomes = [quick_outcome(controller="kanayama", model="none"), quick_outcome()]
-    times = []
-    for outcome, undisturbed in zip(outcomes, (clean, 5), strict=True):
-        ticks = len(outcome.run.time)
-        times.append(TurnTimes(np.ones((1, ticks, 2)), np.arange(ticks)[None] < undisturbed))
-    monkeypatch.setattr("diffdrive_mpc.bench.timing.take_turns", lambda *_, **__: ([times], 1e-5))
-    timed, _ = time_outcomes(outcomes, lambda: None)
-    counts = [int(np.isfinite(outcome.run.step_time).sum()) for outcome in timed]
-    assert counts == ([1, 5] if clean else [len(outcome.run.time) for outcome in outcomes])
 
 
 def test_difference_in_the_last_bit_raises_error() -> None:
@@ -138,15 +122,6 @@ def test_disturbed_block_is_measured_again_and_the_others_keep_their_first_times
     assert (a.passes, b.passes) == (3, 1)
     assert log[6:] == ["a0", "a2"] * 2, "up to the disturbed block only"
     assert best == QUIET.pace
-
-
-def test_permanently_disturbed_block_is_marked_and_excluded() -> None:
-    replay = Scripted("a", 4, [], {2: [PREEMPTED] * (AGAIN + 1)})
-    ((times,),), _ = take_turns([[replay]], block=2)
-    assert times.clean.tolist() == [[True, True, False, False]]
-    assert times.share == 0.5
-    assert np.isnan(times.selected[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
-    assert replay.passes == AGAIN + 1
 
 
 @pytest.mark.parametrize(

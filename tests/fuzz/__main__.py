@@ -34,7 +34,7 @@ def main() -> None:
         return
     if "live" in words.what:
         # It needs ROS, which the others do without.
-        from fuzz.live.run import main as attack
+        from fuzz.live import main as attack
 
         seconds = words.seconds or {"short": 60.0, "long": 600.0}["long" if "long" in words.what else "short"]
         sys.exit(1 if attack(seconds, words.seed, None if words.keep == FINDINGS else words.keep, words.only) else 0)

@@ -8,14 +8,13 @@ from degraded_logs import (
     CASES,
     CAUSES,
     DEGREES,
+    FAULTS,
     READINGS,
     REAL_BASES,
     RPM,
     SIMULATED,
     TIMES,
     Case,
-    drawn_case,
-    drawn_cases,
     held,
     in_bursts,
     logs_of,
@@ -228,19 +227,8 @@ def test_only_the_true_cause_is_named(case, tmp_path):
         assert refused == case.refused, messages
 
 
-DRAWN = [*(case for _, case in drawn_cases()), *(drawn_case("sound", 7200 + k, k % 2 == 0) for k in range(30))]
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(
-            case, id=case.name, marks=[] if row % 7 == 0 else [pytest.mark.long if row % 3 else pytest.mark.system]
-        )
-        for row, case in enumerate(DRAWN)
-    ],
-)
-def test_fault_of_a_drawn_robot_is_named(case, tmp_path):
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in FAULTS])
+def test_fault_of_a_robot_is_named(case, tmp_path):
     paths, mapping = logs_of(case, tmp_path)
     log = read_log(paths[0], mapping)
     findings = [*log.findings, *find_corrections(log.name, log.records, mapping).findings]

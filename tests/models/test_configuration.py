@@ -6,7 +6,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from limit_population import drawn_case, judge_limits
 
 from diffdrive_mpc import VelocityModel, load_model
 from diffdrive_mpc.models.base_effects import BaseEffects, respond
@@ -119,37 +118,6 @@ def test_reentry_band_grows_with_the_robot_and_is_never_below_the_default():
     assert configure("robot", model_with(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
         0.9 * 3 / 1.5 * 0.1
     )
-
-
-@pytest.mark.parametrize("seed", [pytest.param(2026, marks=pytest.mark.system), 2030])
-def test_seldom_reached_limit_is_identified(seed):
-    case = drawn_case(seed)
-    result, close, false = judge_limits(case, identify_sm(case.records).limits)
-    assert result and close and not false
-
-
-@pytest.mark.long
-def test_most_limits_of_random_robots_are_identified():
-    cases = [drawn_case(seed) for seed in range(11_000, 11_060)]
-    verdicts = [judge_limits(case, identify_sm(case.records).limits) for case in cases]
-    limited = sum(case.channel is not None for case in cases)
-    assert limited > 20
-    assert sum(close for _, close, _ in verdicts) >= 0.8 * limited
-    assert sum(false for _, _, false in verdicts) <= 0.05 * len(cases)
-
-
-@pytest.mark.parametrize(
-    ("seed", "defect"),
-    [
-        pytest.param(2017, "compressed gain", marks=pytest.mark.system),
-        (2013, "gain of the other channel"),
-        pytest.param(2040, "slew", marks=pytest.mark.system),
-    ],
-)
-def test_other_defects_are_not_identified_as_limits(seed, defect):
-    case = drawn_case(seed)
-    assert case.name.endswith(defect)
-    assert identify_sm(case.records).limits == {}
 
 
 SETTINGS = identification_settings()

@@ -192,10 +192,3 @@ def test_other_lines_are_refused_with_a_reason(line):
 @pytest.fixture(scope="module")
 def run():
     return simulate(Controller("sm"), make_plant("model:sm"), load_trajectory("s"))
-
-
-def test_run_contains_the_progress_of_its_steps(run):
-    assert {"reference_progress", "blocked_for_s"} <= set(run.columns)
-    assert np.all(run.columns["reference_progress"][:-1] <= 1.0)
-    # This robot has no surroundings.
-    assert "clearance_m" not in run.columns

@@ -143,7 +143,7 @@ def test_drift_of_a_speed_error_grows_in_proportion_to_time():
     assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
 
 
-DRIVE = noisy_drive(published_ssm(), 21, count=1500, limit=0.9)
+DRIVE = noisy_drive(published_ssm(), 21, count=800, limit=0.9)
 WHEELS = DRIVE.twist @ np.array([[1.0, 1.0], [-0.2, 0.2]]) / 0.07
 WITH_WHEELS = Record("wheels", 0.0, DRIVE.dt, DRIVE.command, twist=DRIVE.twist, yaw_rate=DRIVE.yaw_rate, wheels=WHEELS)
 IDENTIFY = {
@@ -167,9 +167,7 @@ def write_identified(identified, path):
     return path
 
 
-@pytest.mark.parametrize(
-    "structure", [pytest.param(name, marks=[] if name == "sm" else pytest.mark.system) for name in IDENTIFY]
-)
+@pytest.mark.parametrize("structure", IDENTIFY)
 def test_loaded_model_equals_the_identified_one(structure, tmp_path):
     identified = IDENTIFY[structure]()
     path = write_identified(identified, tmp_path / "model.yaml")

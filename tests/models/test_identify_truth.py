@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
-from limit_population import drawn_case
 
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.check_settings import check_settings
@@ -285,14 +284,6 @@ def test_uneven_command_times_do_not_shorten_the_dead_time():
             for read in (parameters.value, SM_TRUTH.get)
         ]
         assert late[0] == pytest.approx(late[1], abs=0.005)
-
-
-@pytest.mark.system
-def test_ssm_explains_its_training_rows_at_least_as_well_as_sm():
-    records = drawn_case(2104).records
-    models = choose_order(records).identified, identify_sm(records)
-    gain = np.subtract(*(validate(model.system, records).fit_percent for model in models))
-    assert gain.mean() > -1e-3 and gain.min() > -0.25
 
 
 def test_order_with_a_fit_below_the_floor_is_not_chosen(ladder):

@@ -38,7 +38,7 @@ def run(goals, seed):
     from follow_parts import SUCCEEDED, Client
     from ros_parts import DT, FakeBase
 
-    from fuzz.live.node_process import NodeProcess
+    from fuzz.node_process import NodeProcess
 
     rng = np.random.default_rng(seed)
     settings = {"autostart": True, "use_sim_time": True, "start_at_robot": False}

@@ -19,11 +19,6 @@ from diffdrive_mpc.mpc.config.rooms import USER, is_for_users, plain_key, shown_
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS
 
 
-@pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
-def test_shipped_configurations_load(name):
-    assert load_config(name).model == name
-
-
 @pytest.mark.parametrize("key", sorted(SYNONYMS))
 def test_every_synonym_suggests_a_key(key):
     hints = [suggestion(schema, [key]) for schema in (ControllerConfig, LogMapping)]
@@ -97,16 +92,6 @@ def test_curved_slip_is_a_list_that_former_keys_fill():
     assert {name for name, field in type(slip).model_fields.items() if isinstance(field.default, list)} == set(
         CURVED_SLIPS
     )
-
-
-def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path):
-    path = tmp_path / "old.yaml"
-    path.write_text("model: sm\nsolver: {strategy: backend, backend: osqp}\nexpert: {solver: {check_every: 25}}\n")
-    with pytest.warns(FormerNameWarning, match="is solver.method now"):
-        read = load_config(path)
-    assert read.solver.method == "osqp"
-    assert read.solver.osqp.check_termination == 25
-    assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
 
 
 def test_key_may_be_given_with_or_without_expert_and_by_its_former_name():

@@ -43,12 +43,6 @@ def test_disabled_feature_is_not_attached(overrides):
     assert not any("step" in message for message in drive(overrides).messages)
 
 
-def test_named_feature_is_found_on_the_controller():
-    controller = Controller(load_config("sm", ON))
-    assert controller.feature("lunch") is controller.features["lunch"]
-    assert isinstance(controller.feature("lunch"), LunchFeature)
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [

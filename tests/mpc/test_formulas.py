@@ -353,12 +353,6 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     assert (by_window[:, 2:] == 0).all()
 
 
-def user_function(names, sizes):
-    symbols = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    value = ca.vertcat(*symbols)
-    return ca.Function("mine", symbols, [value], names, ["out"])
-
-
 def test_operation_without_c_equivalent_raises_error():
     twist = ca.SX.sym("twist", 2)
     function = ca.Function("mine", [twist], [ca.erfinv(twist)], ["twist"], ["value"])
@@ -371,16 +365,3 @@ def test_function_with_external_calls_raises_error():
     table = ca.interpolant("table", "linear", [[0.0, 1.0]], [0.0, 2.0])
     with pytest.raises(ConfigError, match="term mine: .* use SX"):
         user_term(ca.Function("mine", [twist], [table(twist[0])], ["twist"], ["value"]), "t")
-
-
-@pytest.mark.parametrize(
-    ("names", "sizes", "message"),
-    [
-        (["x", "u"], [2, 2], "they must be x and window"),
-        (["x", "window"], [2, 3], "it needs two per command"),
-        (["x", "window"], [2, 2], "has 4 entries, x has 2"),
-    ],
-)
-def test_wrong_step_function_raises_error(names, sizes, message):
-    with pytest.raises(ConfigError, match=message):
-        user_step(user_function(names, sizes), "step")

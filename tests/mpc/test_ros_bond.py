@@ -159,13 +159,3 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     assert s.change(Transition.TRANSITION_ACTIVATE)
     s.base.until(lambda: any(each.active for each in manager.heard), "a new heartbeat")
     assert manager.heard[-1].instance_id != manager.sister
-
-
-def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(managed, capfd):
-    s, manager = managed
-    assert s.trigger("start").success
-    manager.live(0.5)
-    manager.say(active=False)
-    s.base.until(lambda: not manager.heard[-1].active, "the answer")
-    s.base.until(lambda: "the lifecycle manager is gone: it ended the bond" in capfd.readouterr().err, "a warning")
-    assert s.base.run(20)[-1, 0] > 0.1

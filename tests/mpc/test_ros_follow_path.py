@@ -1,6 +1,5 @@
 """Nav2's action over DDS, with a client in another process: goals driven, replaced, cancelled and ended."""
 
-import math
 import subprocess
 import sys
 
@@ -63,30 +62,6 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         assert follow.wait_for_end("again")["status"] == parts.SUCCEEDED
         assert np.abs(commanded(follow, since)[:, 0]).max(initial=0.0) < 0.2
         fault.cancel()
-
-
-def test_newer_goal_takes_over_without_stop(parts):
-    with parts.following() as follow:
-        follow.client.send("old", STRAIGHT)
-        follow.until(lambda: pose(follow)[0] > 0.5, "half a metre", pace=parts.DT)
-        since = len(follow.base.commands)
-        # Planned from where the robot was a little ago, to somewhere else.
-        bend = pose(follow)[0] - 0.05 + X[:25]
-        newer = np.column_stack([bend, 0.4 * (bend - bend[0]) ** 2, np.arctan(0.8 * (bend - bend[0]))])
-        follow.client.send("new", newer)
-        follow.until(lambda: follow.client.result("old"), "the end of the old goal", pace=parts.DT)
-        follow.tick(30)
-        taken_over = commanded(follow, since)
-        assert taken_over[:, 0].min() > 0.45
-        limits = follow.made.node._controller.config.limits
-        assert np.all(
-            np.abs(np.diff(taken_over, axis=0)).max(axis=0)
-            <= parts.DT * np.array([limits.v_slew, limits.omega_slew]) * 1.001
-        )
-        old = follow.client.result("old")
-        assert (old["status"], old["code"], old["words"]) == (parts.ABORTED, 0, "a newer goal took over")
-        assert follow.wait_for_end("new")["status"] == parts.SUCCEEDED
-        assert np.hypot(*(pose(follow) - newer[-1])[:2]) < 0.02
 
 
 def test_cancelled_goal_brakes_at_the_braking_limits(parts):
@@ -184,31 +159,6 @@ def test_robot_brakes_within_the_blind_distance_of_an_ended_client(parts, how, d
         assert pose(follow)[0] < place + distance
 
 
-@pytest.mark.parametrize("dead", ["owner", "other"])
-def test_goal_depends_on_its_own_client_only(parts, dead):
-    with parts.following() as follow:
-        follow.client.send("first", STRAIGHT[:20])
-        follow.wait_for_end("first")
-        second = parts.Client()
-        try:
-            follow.until(lambda: second.events, "the second client", pace=parts.DT)
-            owner, idle = (follow.client, second) if dead == "other" else (second, follow.client)
-            owner.send("a", LONG)
-            drives_at_speed(follow, parts.DT)
-            place = pose(follow)[0]
-            (owner if dead == "owner" else idle).process.kill()
-            if dead == "owner":
-                follow.until(lambda: not np.any(follow.base.commands[-1]), "the stop", pace=parts.DT)
-                assert pose(follow)[0] < place + 1.0
-            else:
-                # It may brake meanwhile, where discovery is slow, but goes on.
-                follow.until(lambda: pose(follow)[0] > place + 2.0, "two more metres", pace=parts.DT)
-                assert owner.result("a") is None
-        finally:
-            second.process.kill()
-            second.close()
-
-
 def test_goal_is_aborted_without_odometry_or_progress(parts):
     with parts.following({"reentry.blocked_after": 0.3}, blocked_timeout=0.6) as follow:
         follow.client.send("a", STRAIGHT)
@@ -228,63 +178,6 @@ def test_goal_is_aborted_without_odometry_or_progress(parts):
         assert (result["status"], result["code"]) == (parts.ABORTED, 105)
         assert "blocked" in result["words"]
         assert not np.any(follow.base.commands[-1])
-
-
-def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
-    wild = STRAIGHT + np.column_stack([np.random.default_rng(3).normal(0.0, 0.4, (41, 2)), np.zeros(41)])
-    goals = {
-        "empty": ([], {}, 103, "0 poses"),
-        "nan": ([[0, 0, 0], [math.nan, 0, 0]], {}, 103, "pose 1: its pose is not finite"),
-        "frame": (STRAIGHT, {"frame": "map"}, 102, "'map'"),
-        "far": (STRAIGHT + [3.0, 0.0, 0.0], {}, 103, "begins 3.00 m from the robot"),
-        "wild": (wild, {}, 103, "reverses"),
-        "many": (np.repeat(STRAIGHT, 2, axis=0), {}, 103, "82 poses, the limit is 50"),
-        "controller": (STRAIGHT, {"controller": "other"}, 101, "controller_id is 'other'"),
-    }
-    with parts.following(follow_most_poses=50, follow_controller_id="FollowPath") as follow:
-        for name, (poses, how, code, words) in goals.items():
-            follow.client.send(name, poses, **how)
-            result = follow.wait_for_end(name)
-            assert (result["status"], result["code"]) == (parts.ABORTED, code), name
-            assert words in result["words"] and "\n" not in result["words"], result["words"]
-            # Diagnostics warn of it.
-            assert words in follow.made.loop.refusal
-        assert not np.any(follow.base.commands)
-        follow.client.send("good", STRAIGHT, controller="FollowPath")
-        follow.wait_for_motion("good")
-        assert not follow.made.loop.refusal
-        # One that cannot be used ends the drive that it was to replace: whoever sent it does not mean the old one.
-        follow.client.send("bad", STRAIGHT[:1])
-        assert follow.wait_for_end("bad")["code"] == 103
-        replaced = follow.wait_for_end("good")
-        assert (replaced["status"], replaced["code"]) == (parts.ABORTED, 0)
-        assert not np.any(follow.base.commands[-1]) and pose(follow)[0] < 1.5
-
-
-def test_goal_survives_hold_and_pause_and_ends_on_deactivation(parts):
-    from std_srvs.srv import SetBool, Trigger
-
-    with parts.following(follow_patience=0.2) as follow:
-        call = follow.made.call
-        follow.client.send("a", STRAIGHT)
-        follow.wait_for_motion()
-        for stop, go in (
-            ((SetBool, "hold", SetBool.Request(data=True)), (SetBool, "hold", SetBool.Request(data=False))),
-            ((Trigger, "pause", Trigger.Request()), (Trigger, "start", Trigger.Request())),
-        ):
-            kind, name, request = stop
-            assert call(kind, f"/diffdrive_mpc/{name}", request).success
-            follow.tick(60)
-            assert not np.any(follow.base.commands[-1]) and follow.client.result("a") is None
-            kind, name, request = go
-            assert call(kind, f"/diffdrive_mpc/{name}", request).success
-            follow.until(lambda: follow.base.commands[-1][0] > 0.2, "the robot drives on")
-        follow.made.node.trigger_deactivate()
-        follow.base.until(lambda: follow.client.result("a"), "the end")
-        result = follow.client.result("a")
-        assert (result["status"], result["code"], result["words"]) == (parts.ABORTED, 100, "the node was deactivated")
-        follow.client.send("b", STRAIGHT)
-        follow.base.until(lambda: follow.client.events_for("b", "rejected"), "no")
 
 
 def test_node_drives_without_the_action_type():

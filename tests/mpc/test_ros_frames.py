@@ -195,22 +195,6 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     assert s.loop.last.mode == Mode.TRACKING
 
 
-def test_path_in_the_body_frame_starts_at_the_pose_of_its_stamp(localised):
-    robot = localised(use_tf=True, trajectory="''")
-    s = robot.s
-    s.base.plant.reset((2.0, 1.0, 1.0))
-    s.base.run(5)
-    stamp = s.base.now
-    s.base.plant.reset((2.0, 1.5, 1.2))
-    s.base.run(5)
-    send(s, straight("base_link", (0.0, 0.0, 0.0), stamp=stamp))
-    assert s.trigger("start").success
-    s.base.run(1)
-    np.testing.assert_allclose(s.loop._moved_reference.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
-    s.base.run(5)
-    np.testing.assert_allclose(s.loop._moved_reference.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
-
-
 def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
     robot = localised(use_tf=True, trajectory="circle")
     s = robot.s
@@ -234,22 +218,6 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
 
 def refused_for(s, reason, capfd):
     s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
-
-
-def test_follow_path_goal_in_the_map_is_driven_in_odom(ros_types):
-    from follow_parts import SUCCEEDED, following
-    from tf2_msgs.msg import TFMessage
-
-    start = (1.0, 2.0, 0.7)
-    with following(use_tf=True, trajectory="''") as f:
-        robot = Localised(f.made, TFMessage, start)
-        f.until(lambda: f.made.node._inbox.frames.accepted > 3, "transforms")
-        f.client.send("nowhere", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], frame="nowhere")
-        assert f.wait_for_end("nowhere")["code"] == 102
-        f.client.send("a", [placed(start, (x, 0.0, 0.0)) for x in np.linspace(0.0, 1.0, 41)], frame="map")
-        assert f.wait_for_end("a")["status"] == SUCCEEDED
-        np.testing.assert_allclose(robot.in_map()[:2], placed(start, (1.0, 0.0, 0.0))[:2], atol=0.03)
-        np.testing.assert_allclose(f.base.plant.true_pose[:2], [1.0, 0.0], atol=0.03)
 
 
 @pytest.mark.parametrize(

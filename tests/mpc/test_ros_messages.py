@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from message_streams import RESERVED, delay_of, restarts, twins, without_numbers
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import serialize_message
-from ros_parts import CONFIG, DT, drive_along, stack
+from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import Float64MultiArray
 
 from diffdrive_mpc.models.pose import wrap_angle
@@ -36,7 +36,7 @@ from diffdrive_mpc.mpc.ros.conversions import (
 )
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.message_series import MessageSeries
-from diffdrive_mpc.mpc.ros.reference_input import read_path, timed_trajectory_reference
+from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_reference
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 
@@ -67,24 +67,6 @@ def test_trajectory_with_stamped_points_is_read():
 def test_point_in_another_frame_raises_error():
     with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
         timed_trajectory_reference(stamped_points(last="map"), Limits())
-
-
-def test_trajectory_of_the_installed_type_is_driven(ros_types):
-    from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_type
-
-    kind = timed_trajectory_type()
-    assert kind is not None
-    with stack(trajectory="''", drive_on_reference=True) as s:
-        message = kind()
-        message.header.frame_id = "odom"
-        for point in stamped_points().points:
-            timed = type(message).SLOT_TYPES[1].value_type
-            assert timed.name == "TrajectoryPoint"
-            made = __import__(timed.namespaces[0] + ".msg", fromlist=["msg"]).TrajectoryPoint(pose=point.pose)
-            elapsed = nanoseconds(point.header.stamp) - 10**12
-            made.time_from_start.sec, made.time_from_start.nanosec = divmod(elapsed, 10**9)
-            message.points.append(made)
-        drive_along(s, message, "set_timed_trajectory")
 
 
 def test_estimate_is_published_with_frames_and_covariance():
@@ -341,14 +323,6 @@ def aside(begun):
     return begun
 
 
-def test_side_process_reports_mistakes_of_messages(aside):
-    aside.ask("reference", read_path, bytes(serialize_message(path_of(1))), CONFIG.limits)
-    aside.ask("other", read_path, b"\x00\x01\x00\x00" + b"\xff" * 40, CONFIG.limits)
-    aside.wait(2)
-    assert not aside.done
-    assert any("it has 1 poses" in reason for reason in aside.failed)
-
-
 def test_killed_side_process_is_replaced(aside):
     aside.ask("a", os.getpid)
     aside.wait(1)
@@ -362,16 +336,6 @@ def test_killed_side_process_is_replaced(aside):
     aside.ask("a", os.getpid)
     aside.wait(3)
     assert aside.done[1] not in (first, os.getpid())
-
-
-def test_side_process_gives_up_after_its_timeout():
-    aside = Aside(patience=2.0)
-    try:
-        aside.ask("a", time.sleep, 1000.0)
-        aside.wait(1)
-        assert aside.failed == ["its conversion takes longer than 2 s"]
-    finally:
-        aside.process.close()
 
 
 def test_closing_a_busy_side_process_ends_it():

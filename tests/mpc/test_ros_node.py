@@ -11,7 +11,6 @@ from geometry_msgs.msg import Transform, Vector3Stamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import Path
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import String
@@ -132,17 +131,6 @@ def test_failed_step_of_the_configuration_leaves_the_node_unconfigured(error, mo
             check_failed_configuration(s, monkeypatch, capfd, target, 0, error)
         assert s.change(Transition.TRANSITION_CONFIGURE)
         assert s.change(Transition.TRANSITION_ACTIVATE)
-
-
-def test_configuration_that_fails_at_activation_is_built_anew_at_the_next(monkeypatch):
-    with stack(autostart=False) as s:
-        assert s.change(Transition.TRANSITION_CONFIGURE)
-        s.node.set_parameters([Parameter("odom_timeout", value=0.3)])
-        with monkeypatch.context() as patch:
-            fail_at(patch, BUILDERS + "Publishers", 0, ValueError("no memory"))
-            assert not s.change(Transition.TRANSITION_ACTIVATE)
-        assert s.change(Transition.TRANSITION_ACTIVATE)
-        assert s.node._settings.odom_timeout == 0.3 and s.base.run(3).shape == (3, 2)
 
 
 def test_trajectory_starts_at_the_robot():

@@ -1,6 +1,5 @@
 """The schema as ROS parameters: all of it, with type, text and range; changes are judged before and applied after."""
 
-import signal
 import sys
 from contextlib import contextmanager
 
@@ -16,7 +15,6 @@ from ros_parts import stack
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.ros.main import main
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.parameters import declare, descriptor, fields, read
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -137,20 +135,6 @@ def test_unknown_parameter_refuses_the_start_and_is_named(word, message):
 def test_parameter_of_another_node_is_warned_of(capfd):
     with started_with("gadget:=true"):
         assert "without effect: unknown parameter 'gadget'; docs/parameters.md lists" in capfd.readouterr().err
-
-
-def test_node_with_an_unknown_parameter_ends_with_code_2(monkeypatch, capfd):
-    """Before it is configured, so nothing moves."""
-    monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", "weights.acros:=20.0"])
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        with pytest.raises(SystemExit) as end:
-            main()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    assert end.value.code == 2
-    assert capfd.readouterr().err.splitlines()[-1].startswith("error: unknown parameter 'weights.acros'; did you mean")
 
 
 def test_parameters_that_ros_declares_or_that_were_constants_are_accepted(capfd):

@@ -9,15 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context
-from ros_parts import CONFIG, DT, PATIENCE, FakeBase, in_name_space, stack
+from ros_parts import CONFIG, DT, PATIENCE, FakeBase, stack
 
 from diffdrive_mpc import load_trajectory
-from diffdrive_mpc.mpc.ros.node import TrackingNode
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 pytestmark = pytest.mark.system
 
@@ -175,18 +170,3 @@ def test_diagnostics_name_each_robot(driven):
 def test_robots_of_other_namespaces_are_no_rivals(driven):
     _, _, loops = driven
     assert all(loop.warning == loop.objection == "" for loop in loops)
-
-
-@pytest.mark.parametrize("name", ["", "r1"])
-def test_parameter_file_fits_every_namespace(name):
-    parameters = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
-    assert set(parameters) <= set(NodeSettings.model_fields)
-    context = Context()
-    rclpy.init(context=context, args=["--ros-args", "--params-file", str(NODE_YAML), *in_name_space(name)[1:]])
-    node = TrackingNode(context=context)
-    try:
-        assert {key: node.get_parameter(key).value for key in parameters} == parameters
-        assert node.resolve_topic_name("cmd_vel") == f"/{name}/cmd_vel".replace("//", "/")
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)

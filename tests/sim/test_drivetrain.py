@@ -9,7 +9,6 @@ from diffdrive_mpc import NotCompiledError, make_plant
 from diffdrive_mpc.models.compiled import cache, compiler
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.core import library
-from diffdrive_mpc.sim.plants import chassis
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, motor_work
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
@@ -156,20 +155,6 @@ def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
     for k in range(99):
         start = 1.0 + 0.01 * k
         np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
-
-
-def _drive_results() -> tuple[np.ndarray, ...]:
-    drive = drive_open_loop(make_plant("mujoco", seed=3), random_commands(3, smooth=False)[:150])
-    return drive.true_pose, drive.true_twist, drive.wheel_speeds, drive.yaw_rate
-
-
-def test_physics_called_through_python_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Physics are called through Python if MuJoCo's library is not found."""
-    assert library.physics_step() is not None
-    direct = _drive_results()
-    monkeypatch.setattr(chassis, "physics_step", lambda: None)
-    for first, second in zip(direct, _drive_results(), strict=True):
-        np.testing.assert_array_equal(first, second)
 
 
 def test_missing_compiler_error_names_the_wheel(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:

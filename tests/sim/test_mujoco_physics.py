@@ -239,22 +239,6 @@ def test_carpet_reduces_turning_as_coulomb_friction_predicts(surface: str) -> No
     assert gain == pytest.approx(1 / (1 + ratio**2), abs=0.01 if surface == "default" else 0.015)
 
 
-def test_two_contact_points_per_wheel_are_equivalent_to_one() -> None:
-    """The capsules of a nearly isotropic carpet behave like spheres."""
-    floor = load_surface("default").friction or 0.0
-    poses = []
-    for sideways in (1.0, 1.0 + 1e-9):
-        chassis = Chassis(ROBOT, TWIN, floor, STEP, sideways=sideways)
-        for k in range(1000):
-            target = np.array([3.0, 7.0, 3.0, 7.0]) * min(1.0, k / 200)
-            chassis.step(0.5 * (target - chassis.wheel_speeds))
-        assert chassis.wheels_on_floor == 4
-        assert chassis.wheel_loads.sum() == pytest.approx(ROBOT.mass * GRAVITY, rel=0.02)
-        poses.append(chassis.pose)
-    assert poses[0][2] > 0.5
-    np.testing.assert_allclose(poses[1], poses[0], rtol=0.01, atol=2e-3)
-
-
 @pytest.mark.parametrize(("friction", "is_held"), [(0.25, True), (0.1, False)])
 def test_robot_across_a_slope_of_ten_degrees_stays_or_slides_by_friction(friction: float, is_held: bool) -> None:
     """The tangent of the angle is 0.176: with less friction the acceleration is g (sin - friction cos) downhill."""

@@ -15,7 +15,7 @@ from diffdrive_mpc import integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion, intensity_features
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, load_command_parameters, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, VirtualTrack, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -206,22 +206,6 @@ def test_two_processes_give_equal_commands_and_drives_bit_for_bit(tmp_path: Path
     assert first == again
     digests = [line.split()[2] for line in first]
     assert len(set(digests)) == len(digests) == 6  # different seeds give different runs
-
-
-RANDOM = load_command_parameters().random
-
-
-@given(seed=st.integers(0, 10_000))
-def test_random_set_points_stay_in_their_ranges_and_hold_times(seed: int) -> None:
-    rows = random_commands(seed, smooth=False)
-    assert rows.shape == (round(RANDOM.duration / load_robot().sample_time), 2)
-    for column, (low, high) in enumerate((RANDOM.v_range, RANDOM.omega_range)):
-        assert rows[:, column].min() >= low
-        assert rows[:, column].max() <= high
-    changes = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1))
-    holds = np.diff(changes) * load_robot().sample_time
-    slack = load_robot().sample_time
-    assert np.all((holds >= RANDOM.hold_range[0] - slack) & (holds <= RANDOM.hold_range[1] + slack))
 
 
 def test_body_of_the_model_plant_follows_the_slip_laws_and_the_motion_beyond_the_model() -> None:

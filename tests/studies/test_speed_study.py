@@ -11,22 +11,10 @@ from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from studies.speed.measure import closed_loop_cost
-from studies.speed.results import time_statistics
 from studies.speed.settings import SubjectSettings, load_speed_settings, select_subjects
 from studies.speed.study import SpeedStudy
 
 pytestmark = pytest.mark.system
-
-
-def test_single_disturbance_counts_among_all_steps_but_not_among_ticks():
-    whole = np.full((3, 200), 1e-3)
-    whole[0, 7] = 1.0  # another process ran
-    whole[:, 9] = 5e-3  # a hard tick, every time
-    statistics = time_statistics(whole, whole / 2)
-    assert statistics["step_max_s"] == 1.0
-    assert statistics["tick_max_s"] == 5e-3
-    assert statistics["step_p50_s"] == 1e-3
-    assert statistics["solver_p50_s"] == 5e-4
 
 
 @pytest.fixture(scope="module")
