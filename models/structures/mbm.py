@@ -25,9 +25,9 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles and no zeros for each motor, a dead time for each command, "
-    "firmware track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
-    "outliers held back"
+    "output error (simulation from commands alone), two poles and no zeros for each motor, a dead time for each "
+    "command, firmware track with them; effective track from the steady yaw gain of the gyro; all records at once, "
+    "free initial states, outliers held back"
 )
 SIDES = (-1, 1, -1, 1)
 """-1 (left) or 1 (right) for each motor."""
