@@ -184,9 +184,9 @@ def identify(
         Mapping of columns or topics: name of a shipped mapping or path of a mapping file. None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the default topics.
     structure
-        "mbm", "mbm_modes", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive model; "lstm", a network trained on the
-        logs; or "hybrid", an sm with a small network for its residuals. Both networks need the extra `learn` and take
-        minutes.
+        "mbm", "mbm_modes", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive model; "lstm", a network trained on
+        the logs; or "hybrid", an sm with a small network for its residuals. Both networks need the extra `learn` and
+        take minutes.
     effects
         True to identify base effects in addition to an sm: slew, steps, tyres, veer. Takes minutes.
     robot

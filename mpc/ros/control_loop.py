@@ -237,7 +237,7 @@ class ControlLoop:
         # A reference with a frame is not moved to the robot.
         self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
         if self.state is LoopState.DRIVING:
-            self._followed = self._saved_reference = None
+            self._followed = self._saved = None
             self._start_controller(reference, self.inbox.now)
         elif self._settings.drive_on_reference and self.state is LoopState.IDLE:
             self._start_when_ready = True

@@ -84,7 +84,9 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     ]
     architecture, default = Architecture(), training_settings()
     for name, settings in ((LSTM, default), (LONGER, default.model_copy(update=study.longer.model_dump()))):
-        training, validation, _ = split_windows(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+        training, validation, _ = split_windows(
+            windows_of(twist_experiments(drive), architecture.window), settings.shares
+        )
         network = train(architecture, training, validation, settings).network
         twists = simulate_records(network, drives, "gyro")
         for record, motion, twist in zip(drives, motions, twists, strict=True):

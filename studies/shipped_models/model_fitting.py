@@ -466,7 +466,9 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     drive = logs.free(1, study.train_duration, study.paper_range)
     held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
     announce(1, 2)
-    training, validation, test = split_windows(windows_of(twist_experiments(drive), architecture.window), settings.shares)
+    training, validation, test = split_windows(
+        windows_of(twist_experiments(drive), architecture.window), settings.shares
+    )
     result = train(architecture, training, validation, settings)
     network = result.network
     held_out_windows = windows_of(twist_experiments(held_out), architecture.window)

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.structures.mbm import identify_mbm
 from diffdrive_mpc.models.structures.orders import compare_orders
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
-from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm, identify_ssm_orders
+from diffdrive_mpc.models.structures.ssm import identify_ssm, identify_ssm_orders
 from diffdrive_mpc.models.structures.structure import IdentificationConditions
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))

@@ -239,3 +239,14 @@ def test_resume_is_refused_if_not_waiting_and_a_new_reference_if_waiting():
     rig.loop.pause()
     assert rig.loop.start() == "resumed"
     assert rig.run(2.0)[-1, 0] > 0.2
+
+
+def test_reference_offered_during_a_goal_stays_after_the_goal():
+    rig = Rig()
+    rig.start_drive()
+    rig.loop.follow(load_trajectory("s"))
+    rig.run(1.0)
+    offered = load_trajectory("square")
+    rig.loop.offer(offered)
+    rig.loop.release()
+    assert rig.loop.reference is offered

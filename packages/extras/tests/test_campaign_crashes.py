@@ -11,8 +11,8 @@ from pathlib import Path
 from random import Random
 
 import pytest
-
 from crashes import KILLED, REFUSED, crash
+
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.campaign import engine
 from diffdrive_mpc_extras.campaign.definition import Definition

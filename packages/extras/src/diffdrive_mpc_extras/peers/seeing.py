@@ -1,8 +1,8 @@
 """Peers with obstacle avoidance: pursuit with Nav2's collision stop, and MPPI with detected obstacles in its cost.
 
-Both receive the obstacle data of this project's controller (`worlds.sight.Observation`): grid and persons. Both assume that
-persons stand still at their detected positions, as in a costmap. Nav2's paths have no times; here the reference time
-waits for a lagging robot.
+Both receive the obstacle data of this project's controller (`worlds.sight.Observation`): grid and persons. Both assume
+that persons stand still at their detected positions, as in a costmap. Nav2's paths have no times; here the reference
+time waits for a lagging robot.
 """
 
 from __future__ import annotations
