@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-from studies.predicted_error.calibrate import calibrated, coverage
-from studies.predicted_error.drives import DrivenPath, drive, keep, load_study, planned, read_kept
+from studies.predicted_error.calibrate import calibrate_scale, coverage
+from studies.predicted_error.drives import DrivenPath, drive, load_study, plan_drives, read_drives, write_drives
 from studies.predicted_error.study import PredictedErrorStudy
 
 from diffdrive_mpc.models.checked_yaml import check
@@ -28,14 +28,14 @@ def artificial_drives(count, seed, wider=1.0):
 
 @pytest.fixture(scope="module")
 def scale():
-    return calibrated(artificial_drives(60, 1), artificial_drives(400, 2), "lateral", 0.95)
+    return calibrate_scale(artificial_drives(60, 1), artificial_drives(400, 2), "lateral", 0.95)
 
 
 def test_calibration_covers_other_drives(scale):
-    covered = coverage(artificial_drives(1000, 3), scale, "lateral")
-    assert 0.93 < covered.at_each_place < 0.97
-    assert 0.92 < covered.everywhere.share < 0.98
-    assert covered.width < covered.width_everywhere
+    result = coverage(artificial_drives(1000, 3), scale, "lateral")
+    assert 0.93 < result.at_each_place < 0.97
+    assert 0.92 < result.everywhere.share < 0.98
+    assert result.width < result.width_everywhere
 
 
 def test_scale_depends_on_the_features_that_cause_the_error(scale):
@@ -62,12 +62,12 @@ def planned_names(study):
 
 def test_drive_is_reproducible_and_stored_unchanged(tmp_path):
     study = load_study(None, quick=True)
-    drawn = study.populations["drawn"]
-    plan = planned(drawn.fit, drawn.factors)[0]
+    population = study.populations["drawn"]
+    plan = plan_drives(population.fit, population.factors)[0]
     first, second = drive(study, plan), drive(study, plan)
     assert first.errors["lateral"].tobytes() == second.errors["lateral"].tobytes()
     assert first.features.shape == (len(first.errors["along"]), len(FEATURES))
-    keep([first], tmp_path / "set.npz")
-    (again,) = read_kept(tmp_path / "set.npz")
-    np.testing.assert_allclose(again.errors["lateral"], first.errors["lateral"], rtol=1e-6)
-    assert again.speed == pytest.approx(first.speed)
+    write_drives([first], tmp_path / "set.npz")
+    (stored,) = read_drives(tmp_path / "set.npz")
+    np.testing.assert_allclose(stored.errors["lateral"], first.errors["lateral"], rtol=1e-6)
+    assert stored.speed == pytest.approx(first.speed)
