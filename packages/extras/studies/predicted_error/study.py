@@ -29,12 +29,12 @@ from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, E
 CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
 _HEAD = """\
-# Written by `make study NAME=predicted-error`; study.yaml of that study contains its drives and seeds.
-# The scale of |error| is a sum of features (calibration.py) with these coefficients [m per unit of the feature],
-# fitted as the quantile `level`; a tube is a multiple of the scale. The multiples are conformal quantiles of held-out
-# robots, paths and seeds: at_each_place weights all drives equally, everywhere counts complete drives.
-# `calibrated` states the ranges of paths and models: maximum speed v [m/s] and yaw rate omega [rad/s] of a path, and
-# lag of the model including dead time [s], with a margin around the models of the populations.
+# Written by `make study NAME=predicted-error`; packages/extras/studies/predicted_error/study.yaml has drives and seeds.
+# The scale of |error| is the sum of the features (calibration.py) times these coefficients [m per unit], fitted as the
+# quantile `level`; a tube is a multiple of the scale. The multiples are conformal quantiles over robots, paths and
+# seeds that the fit did not use: at_each_place weighs all drives equally, everywhere counts whole drives.
+# `calibrated` has the ranges of the calibration with some margin: maximum speed v [m/s] and yaw rate omega [rad/s] of
+# the paths, and lag of the models, dead time included [s].
 """
 _COLUMNS = (
     "drives",
