@@ -538,14 +538,15 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
         for setting in configuration.limits
         if setting.name == channel
     }
-    limits = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
-    groups = {"limits": limits, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
+    reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
+    groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
     for key, stated in keys.items():
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{stated.value}'" if isinstance(stated.value, str) else stated.value
             groups[group].append(Setting(name, value, f"{stated.reason}, stated by the maker of {robot.name}"))
-    return replace(configuration, **{name: tuple(settings) for name, settings in groups.items()})
+    limits, wheels, free_space = (tuple(settings) for settings in groups.values())
+    return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 
 
 def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
