@@ -76,7 +76,7 @@ class Score:
         fit, agreement = self.fit - reference.fit, float(np.nan_to_num(self.agreement - reference.agreement))
         is_worse = min(float(fit.min()), agreement) < -settings.tolerance
         corrected_errors = reference.errors - self.errors
-        is_better = max(float(fit.mean()), agreement) > settings.least_gain or corrected_errors > 0
+        is_better = max(float(fit.mean()), agreement) > settings.min_gain or corrected_errors > 0
         gain = max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(corrected_errors, 0)
         return gain if is_better and not is_worse else 0.0
 
@@ -124,9 +124,9 @@ class Advice:
         fit, settings = _percent(self.after), identification_settings().advice
         if self.before is None:
             improvement = f"the held-out FIT is {fit}; without this mapping no model can be fitted"
-        elif float((self.after.fit - self.before.fit).mean()) > settings.least_gain:
+        elif float((self.after.fit - self.before.fit).mean()) > settings.min_gain:
             improvement = f"the held-out FIT becomes {fit} instead of {_percent(self.before)}"
-        elif self.after.agreement - self.before.agreement > settings.least_gain:
+        elif self.after.agreement - self.before.agreement > settings.min_gain:
             agreement = f"{self.after.agreement:.0f} % instead of {self.before.agreement:.0f} %"
             improvement = f"the agreement of the streams is {agreement}, and the held-out FIT remains {fit}"
         else:
@@ -150,12 +150,12 @@ class AdvisedError(UnsoundLogError):
     """
 
     def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
-        super().__init__(without_rejected(findings, advice))
+        super().__init__(drop_rejected(findings, advice))
         self.advice = advice
 
 
-def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Return the findings without proposed changes that are not part of the advice."""
+def drop_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
+    """Remove proposed changes from the findings that are not part of the advice."""
     advised = set() if advice is None else set(advice.changes)
     advised_keys = {(change.stream, change.key) for change in advised}
     return tuple(
@@ -179,7 +179,7 @@ def advise(
     start = best = _Trial.make(selection, mapping, ())
     rows = start.rows() if start else None
     before = score = start.score(rows) if start and rows else None
-    for _ in range(identification_settings().advice.most_changes):
+    for _ in range(identification_settings().advice.max_changes):
         applied = best.changes if best else ()
         scored = [
             (proposal, *_score_trial(trial, best, score, rows))

@@ -117,7 +117,7 @@ def read_data(
         Function that is called with each log, before `on_findings`.
     force
         True to use logs despite findings of severity "error".
-    most_rows
+    max_rows
         Maximum number of training rows and of validation rows, selected where the commands change most; None for all.
 
     Raises
@@ -268,7 +268,7 @@ def usable(records: Sequence[Record], signals: Sequence[str], use: str, warnings
     models.checked_yaml.ConfigError
         If no record has enough readings.
     """
-    min_readings = identification_settings().fewest_readings
+    min_readings = identification_settings().min_readings
     selected: list[Record] = []
     reason = ""
     for record in records:

@@ -184,7 +184,7 @@ class SsmStudy(StrictModel):
     """SSM of several orders, identified from one free drive."""
 
     train_duration: Positive = Field(description="duration of the training drive [s]")
-    largest_order: int = Field(ge=2, le=5)
+    max_order: int = Field(ge=2, le=5)
     test_drives: Count
     free_drives: Count
     free_duration: Positive = Field(description="duration of a free drive [s]")

@@ -171,11 +171,11 @@ def test_settling_time_is_that_of_the_step_response(name):
 @given(st.floats(0.01, 5.0), st.floats(0.001, 0.1))
 def test_horizon_covers_the_response_with_few_steps(lag, dt):
     pace = choose_pace(lag_of(lag), dt)
-    assert SETTINGS.least_steps <= pace.horizon <= SETTINGS.most_steps
+    assert SETTINGS.min_steps <= pace.horizon <= SETTINGS.max_steps
     assert pace.horizon * pace.sample_time >= SETTINGS.look_ahead * pace.settling * (1 - 1e-9)
     assert pace.sample_time == pytest.approx(pace.every * dt)
     if pace.every > 1:  # no longer than necessary
-        assert SETTINGS.look_ahead * pace.settling > SETTINGS.most_steps * (pace.every - 1) * dt * (1 - 1e-6)
+        assert SETTINGS.look_ahead * pace.settling > SETTINGS.max_steps * (pace.every - 1) * dt * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.01])

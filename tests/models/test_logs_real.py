@@ -73,7 +73,7 @@ def test_the_gyro_on_gravel_is_upside_down_and_that_is_found():
     assert [finding.kind for finding in log.findings] == ["wrong sign"]
 
 
-FEWEST = identification_settings().fewest_readings
+FEWEST = identification_settings().min_readings
 CUTS = ("at the step", "60 rows before", "anywhere")
 # Each log, and each way to cut, once; DIFFDRIVE_MPC_ALL=1 takes every log in every way.
 EACH_ONCE = tuple(zip(FOLDERS, CUTS, strict=True))

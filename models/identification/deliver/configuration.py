@@ -148,8 +148,8 @@ def choose_pace(model: VelocityModel, dt: float) -> Pace:
     """
     settings, settling = identification_settings(), settling_time(model)
     prediction_time = settings.look_ahead * settling
-    every = max(1, math.ceil(prediction_time / (settings.most_steps * dt) - 1e-9))
-    horizon = max(settings.least_steps, math.ceil(prediction_time / (every * dt) - 1e-9))
+    every = max(1, math.ceil(prediction_time / (settings.max_steps * dt) - 1e-9))
+    horizon = max(settings.min_steps, math.ceil(prediction_time / (every * dt) - 1e-9))
     return Pace(every * dt, every, horizon, settling)
 
 
@@ -447,7 +447,7 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
 
 def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
     """Return the noise settings that exceed the defaults."""
-    deviations, minima = sensor_noise(train), identification_settings().least_noise
+    deviations, minima = sensor_noise(train), identification_settings().min_noise
     return tuple(
         _setting(name, deviations[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
         for name in minima
@@ -478,7 +478,7 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
             key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
             deviation = parameters.deviation(key) if value < np.inf else 0.0
             # Subtract the uncertainty, so that the limit of the base remains inactive; keep a minimum share.
-            reduced, minimum = value - settings.certain * deviation, settings.least_slew * value
+            reduced, minimum = value - settings.certain * deviation, settings.min_slew * value
             sides.append(min(reduced if reduced > minimum else minimum, getattr(default, name)))
         reason = f"{_UNITS[name]} per second, within the limits of the base"
         slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
@@ -526,7 +526,7 @@ def _format_value(value: float | str) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
+def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
     """Reduce limits to those stated by the maker, and add stated values that the log does not determine.
 
     The base clips commands at the maker's limits, so the controller's model is wrong beyond them.

@@ -29,7 +29,7 @@ class EffectSettings(StrictModel):
     tracks: tuple[Positive, ...] = Field(description="factors that are applied to the track of the smoothed fit [-]")
     worth: Positive = Field(description="minimum decrease of the logarithm of the held-out error power [-]")
     certain: Positive = Field(description="minimum significance of the decrease [standard errors]")
-    most_lost: Positive = Field(description="maximum decrease of FIT relative to the plain model [percentage points]")
+    max_fit_loss: Positive = Field(description="maximum decrease of FIT by the effects [percentage points]")
     evaluations: int = Field(ge=2, description="maximum evaluations of a search [-]")
     trial: int = Field(ge=2, description="maximum evaluations of a search in a comparison [-]")
     difference: Positive = Field(description="finite-difference step, relative to the size of the parameter [-]")

@@ -158,7 +158,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
 
 
 def _part(records: Sequence[Record]) -> list[Record]:
-    return most_informative(records, identification_settings().most_rows["effects"])
+    return most_informative(records, identification_settings().max_rows["effects"])
 
 
 def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:

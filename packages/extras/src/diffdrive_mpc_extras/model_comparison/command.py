@@ -46,7 +46,7 @@ def compare(
             fit_share=settings.fit_share,
             wheels=False,
             on_findings=lambda _: None,
-            max_rows=settings.most_rows["effects"],
+            max_rows=settings.max_rows["effects"],
         )
         chosen = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
         begun, so_far = time.monotonic(), list[ModelComparison]()

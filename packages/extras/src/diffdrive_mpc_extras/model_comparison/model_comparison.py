@@ -254,7 +254,7 @@ def compare_models(
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
     """Return for each part the rest and the part, without short ends of stretches."""
-    folds, fewest = [], 2 * identification_settings().fewest_readings
+    folds, fewest = [], 2 * identification_settings().min_readings
     for k in range(parts):
         before, behind = divide(records, k / parts)
         part, after = divide(behind, 1.0 / (parts - k))

@@ -97,7 +97,7 @@ def estimate_stack(
         If a reading never changes, or the records are too short.
     """
     settings = stack_settings()
-    data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
+    data = replace(data, train=tuple(most_informative(data.train, identification_settings().max_rows["effects"])))
     geometry = wheel_geometry(data.train)
     max_command = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * max_command).tolist(), strict=True)) | dict(limits or {})
