@@ -21,7 +21,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_lags
-from diffdrive_mpc.models.identification.log_data import divide, most_informative, usable
+from diffdrive_mpc.models.identification.log_data import divide, most_informative, select_usable
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
@@ -316,10 +316,10 @@ class _Trial:
             part
             for log, log_spans in zip(self.logs, spans, strict=True)
             for record in log.records
-            for part in _within(record, log_spans)
+            for part in _cut(record, log_spans)
         ]
         gyro = ["yaw_rate"] if any(record.yaw_rate is not None for log in self.logs for record in log.records) else []
-        return usable(records, ("twist", *gyro), "for the trial of a mapping", [])
+        return select_usable(records, ("twist", *gyro), "for the trial of a mapping", [])
 
 
 @dataclass(frozen=True)
@@ -343,7 +343,7 @@ def _subtract(spans: Spans, removed: Spans) -> Spans:
     return spans
 
 
-def _within(record: Record, spans: Spans) -> list[Record]:
+def _cut(record: Record, spans: Spans) -> list[Record]:
     """Cut a record into spans [s]; time grids with slightly different starts result in the same rows."""
     pieces = []
     for span in spans:

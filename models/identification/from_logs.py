@@ -333,7 +333,7 @@ def identify_data(
         fitted.geometry,
         report.slip,
         stated=data.stated_track,
-        every_sample=predictor is not None,
+        keep_sample_time=predictor is not None,
         sensors=data.sensors,
         notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
     )

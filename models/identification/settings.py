@@ -41,7 +41,7 @@ class SensorSettings(StrictModel):
     min_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
     min_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
     min_slip: Positive = Field(description="ratio of encoder and pose distance above which the wheels slip [-]")
-    certain: Positive = Field(description="minimum significance of a delay or scale [standard deviations]")
+    significance: Positive = Field(description="minimum significance of a delay or scale [standard deviations]")
 
 
 class SlipSettings(StrictModel):
@@ -66,9 +66,9 @@ class IdentificationSettings(StrictModel):
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
     start_every: Positive = Field(description="time between the starts of two predictions [s]")
     limit_margin: float = Field(ge=1, description="ratio of predicted limit to commanded limit [-]")
-    certain: Positive = Field(description="margin of the slew limit [standard deviations]")
+    slew_margin: Positive = Field(description="margin of the slew limit [standard deviations]")
     min_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="minimum share of the identified slew [-]")
-    settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
+    settling_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
     look_ahead: Positive = Field(description="ratio of the horizon to the settling time [-]")
     min_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
     max_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")

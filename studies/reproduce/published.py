@@ -88,11 +88,11 @@ class FindingThresholds(StrictModel):
 
     worthwhile_fit_percent: float
     good_fit_percent: float
-    quicker: float
-    much_quicker: float
-    certain: float
+    max_time_ratio: float
+    min_speed_ratio: float
+    agreement_deviations: float
     significant_fit_percent: float
-    chance: float
+    max_chance_share: float
 
 
 class Published(StrictModel):

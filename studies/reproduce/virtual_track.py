@@ -122,13 +122,14 @@ def fit_line(tests: FloatArray) -> TrackLine:
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
     """Evaluate whether the printed line can result from the printed tests."""
-    threshold, printed = published.rules.certain, result.printed
+    threshold, printed = published.rules.agreement_deviations, result.printed
     within = f"within {threshold:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
     has_agreement = agree(printed, result.fitted_exchanged, threshold)
     # The exchange explains p1 only if few other exchanges fit as well, and if the printed radii support it.
     is_explanation = (
-        result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
+        result.by_radius_exchanged > result.by_radius
+        and result.fitting <= published.rules.max_chance_share * result.exchanges
     )
     return [
         PaperFinding(
@@ -317,7 +318,7 @@ def _format_estimate(value: float, deviation: float, digits: int) -> str:
 
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
     """Evaluate the sign of P3's slope on the simulated robot, and its causes; one verdict per surface."""
-    threshold, paper = published.rules.certain, published.virtual_track
+    threshold, paper = published.rules.agreement_deviations, published.virtual_track
     surfaces = ", ".join(result.surface for result in results)
     spot, _, speed = _SERIES
     return [

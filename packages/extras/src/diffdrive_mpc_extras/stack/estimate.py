@@ -23,8 +23,8 @@ from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.noise import MIN_READINGS, SECOND_DIFFERENCE, second_differences
 from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
-    at_the_rim,
     calibrate_wheels,
+    rim_speeds,
     twist_with_side_slip,
 )
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
@@ -190,7 +190,7 @@ class TwoRadii(ConstantTrack):
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Return the twist (..., 3) as in `SlipLaw`."""
         *radii, track, side_slip = coefficients
-        v, difference = at_the_rim(1.0, wheels * np.array(radii))
+        v, difference = rim_speeds(1.0, wheels * np.array(radii))
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
 
