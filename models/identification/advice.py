@@ -155,7 +155,7 @@ class AdvisedError(UnsoundLogError):
 
 
 def drop_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Remove proposed changes from the findings that are not part of the advice."""
+    """Remove the proposed changes that are not part of the advice from the findings."""
     advised = set() if advice is None else set(advice.changes)
     advised_keys = {(change.stream, change.key) for change in advised}
     return tuple(
@@ -171,7 +171,7 @@ def advise(
 ) -> Advice | None:
     """Find the best mapping among the proposals of the findings; None if no proposal improves the prediction."""
     proposals = _proposals(findings)
-    mapping = _mapping_of(selection) if proposals else None
+    mapping = _read_mapping(selection) if proposals else None
     if mapping is None:
         return None
     if on_progress:
@@ -181,12 +181,12 @@ def advise(
     before = score = start.score(rows) if start and rows else None
     for _ in range(identification_settings().advice.max_changes):
         applied = best.changes if best else ()
-        scored = [
+        trials = [
             (proposal, *_score_trial(trial, best, score, rows))
             for proposal in proposals
             if (trial := _Trial.make(selection, mapping, (*applied, *proposal))) is not None and trial.has_valid_clock()
         ]
-        accepted = max(scored, key=lambda row: row[1], default=None)
+        accepted = max(trials, key=lambda row: row[1], default=None)
         if accepted is None or accepted[1] <= 0:
             break
         proposal, _, best, score, rows = accepted
@@ -200,7 +200,7 @@ def advise(
     return Advice(selection, best.mapping, best.changes, before, score)
 
 
-def _mapping_of(selection: LogSelection) -> LogMapping | None:
+def _read_mapping(selection: LogSelection) -> LogMapping | None:
     try:
         return base_mapping(selection.logs[0], selection.mapping)
     except ConfigError:

@@ -196,7 +196,7 @@ class DrivenTrack:
     ----------
     surface
         Name of the surface.
-    tests, alone
+    tests, series
         Results (n, 4) of the paper's tests, and of drives with constant v or constant yaw rate: v [m/s], yaw rate
         [rad/s], virtual track [m], and ratio of wheel speed and true speed [-].
     line

@@ -62,7 +62,7 @@ class TargetResult:
     quantity: str
     where: str
     limit: float
-    format_cell: dict[str, float]
+    reached: dict[str, float]
 
     def met_by(self, model: str) -> bool:
         """Return True if `model` stays within the limit."""

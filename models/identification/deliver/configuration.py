@@ -97,8 +97,8 @@ class Pace:
     ----------
     sample_time
         Time between two commands [s].
-    every
-        Sample time of the controller, in samples of the log.
+    log_samples
+        Time between two commands, in samples of the log.
     horizon
         Prediction horizon [steps].
     settling
@@ -114,8 +114,8 @@ class Pace:
 def settling_time(model: VelocityModel) -> float:
     """Compute the settling time of the slower channel after a command step, including dead time [s].
 
-    The tolerance is the share `settled` of the steady-state value (see `settings.yaml`). The settling time of a model
-    without lag and dead time is 0.
+    The tolerance is the share `settling_tolerance` of the steady-state value (see `settings.yaml`). The settling time
+    of a model without lag and dead time is 0.
     """
     share = identification_settings().settling_tolerance
     # After seven time constants, the slowest pole has decayed to a thousandth.
@@ -127,8 +127,9 @@ def settling_time(model: VelocityModel) -> float:
     settling = 0.0
     for row, step in enumerate(np.eye(2)):
         response = model.discretise(dt).simulate(np.tile(step, (_SAMPLES, 1)))[:, row]
-        (unsettled,) = np.nonzero(np.abs(response - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
-        settling = max(settling, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
+        gain = model.dc_gain[row, row]
+        (samples,) = np.nonzero(np.abs(response - gain) > share * abs(gain))
+        settling = max(settling, dt * (samples[-1] + 1) if samples.size else 0.0)
     return settling
 
 
@@ -137,8 +138,8 @@ def round_period(dt: float) -> float:
 
     Because of jitter of the stamps, the median step of a log may be 0.0500001 s for a period of 0.05 s.
     """
-    rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
-    return next((period for period in rounded if abs(period - dt) <= _PERIOD_TOLERANCE * dt), dt)
+    candidates = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
+    return next((period for period in candidates if abs(period - dt) <= _PERIOD_TOLERANCE * dt), dt)
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
@@ -248,7 +249,7 @@ class IdentifiedConfiguration:
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
     def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
-        """Scale the limits of "v" and "omega", and the corresponding predicted limits, by `shares`."""
+        """Multiply the limits of "v" and "omega", and the corresponding predicted limits, by `shares`."""
 
         def reduce(setting: Setting) -> Setting:
             share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
