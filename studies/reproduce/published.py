@@ -92,7 +92,7 @@ class FindingThresholds(StrictModel):
     min_speed_ratio: float
     agreement_deviations: float
     significant_fit_percent: float
-    max_chance_share: float
+    max_chance: float
 
 
 class Published(StrictModel):

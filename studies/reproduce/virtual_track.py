@@ -129,7 +129,7 @@ def virtual_track_findings(result: VirtualTrackResult, published: Published) -> 
     # The exchange explains p1 only if few other exchanges fit as well, and if the printed radii support it.
     is_explanation = (
         result.by_radius_exchanged > result.by_radius
-        and result.fitting <= published.rules.max_chance_share * result.exchanges
+        and result.fitting <= published.rules.max_chance * result.exchanges
     )
     return [
         PaperFinding(
