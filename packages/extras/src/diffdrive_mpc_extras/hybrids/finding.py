@@ -163,7 +163,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> HybridPredictor:
 
 
 def _part(records: Sequence[Record]) -> list[Record]:
-    return most_informative(records, identification_settings().most_rows["effects"])
+    return most_informative(records, identification_settings().max_rows["effects"])
 
 
 def _log_error_ratio(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:

@@ -22,8 +22,8 @@ from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.noise import MIN_READINGS, SECOND_DIFFERENCE, second_differences
 from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
-    at_the_rim,
     calibrate_wheels,
+    rim_speeds,
     twist_with_side_slip,
 )
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
@@ -96,7 +96,7 @@ def estimate_stack(
         If a reading never changes, or the records are too short.
     """
     settings = stack_settings()
-    data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
+    data = replace(data, train=tuple(most_informative(data.train, identification_settings().max_rows["effects"])))
     geometry = wheel_geometry(data.train)
     max_command = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * max_command).tolist(), strict=True)) | dict(limits or {})
@@ -189,7 +189,7 @@ class TwoRadii(ConstantTrack):
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Return the twist (..., 3) as in `SlipLaw`."""
         *radii, track, side_slip = coefficients
-        v, difference = at_the_rim(1.0, wheels * np.array(radii))
+        v, difference = rim_speeds(1.0, wheels * np.array(radii))
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
 
