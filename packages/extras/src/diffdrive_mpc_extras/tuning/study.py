@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.rooms import plain_key
 from diffdrive_mpc_extras.bootstrap import BootstrapEstimate
-from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed
+from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed_runs
 from diffdrive_mpc_extras.tuning.tune_file import TunePlan, load_plan
 
 CONFIG = "config.yaml"
@@ -57,7 +57,7 @@ class Comparison:
     @property
     def failures(self) -> tuple[int, int]:
         """Numbers of failed runs of the start configuration and of the best point."""
-        return int(failed(self.start).sum()), int(failed(self.best).sum())
+        return int(failed_runs(self.start).sum()), int(failed_runs(self.best).sum())
 
     @property
     def is_better(self) -> bool:
@@ -265,7 +265,7 @@ def _comparison_table(comparison: Comparison) -> Table:
     rows = []
     for name, runs in (groups | {"all": np.ones(len(names), dtype=bool)}).items():
         start, best, change = comparison.start_errors[runs], comparison.best_errors[runs], comparison.change(runs)
-        failures = [str(int(failed(table[runs]).sum())) for table in (comparison.start, comparison.best)]
+        failures = [str(int(failed_runs(table[runs]).sum())) for table in (comparison.start, comparison.best)]
         cells = (number(1e3 * start.mean(), 3), number(1e3 * best.mean(), 3), _percent(change.value))
         rows.append((name, *cells, f"{_percent(change.low)} to {_percent(change.high)}", *failures))
     means = [
