@@ -62,8 +62,8 @@ class Comparison:
     @property
     def is_better(self) -> bool:
         """True if the 95 % interval of the change is below zero and no more runs fail."""
-        before, after = self.failures
-        return self.change().high < 0.0 and after <= before
+        start_failures, best_failures = self.failures
+        return self.change().high < 0.0 and best_failures <= start_failures
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class TuningOutcome:
             return "no better than the start configuration: no point has a smaller error on the tuning seeds"
         comparison, change = self.comparison, self.comparison.change()
         verdict = "better" if comparison.is_better else "no better"
-        before, after = comparison.failures
+        start_failures, best_failures = comparison.failures
         return (
             f"{verdict} than the start configuration: position RMSE {1e3 * comparison.best_errors.mean():.3g} mm "
             f"instead of {1e3 * comparison.start_errors.mean():.3g} mm on {len(comparison.best)} runs of the report "
             f"seeds ({_percent(change.value)}, 95 % interval {_percent(change.low)} to {_percent(change.high)}), "
-            f"{after} failed runs instead of {before}"
+            f"{best_failures} failed runs instead of {start_failures}"
         )
 
 
