@@ -123,8 +123,8 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
     """Identify a model from the logs; messages of errors contain the options of the command line."""
     robot = options.get("robot")
     if robot is not None:
-        stated = load_stated_robot(robot)
-        for line in (f"{stated.name}, values stated by its maker, not identified:", *stated.lines()):
+        maker = load_stated_robot(robot)
+        for line in (f"{maker.name}, values stated by its maker, not identified:", *maker.lines()):
             _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
