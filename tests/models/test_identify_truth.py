@@ -8,6 +8,7 @@ import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
 from limit_population import drawn_case
 
+from diffdrive_mpc.models.identification.log_data import divide
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.record import Record
@@ -288,11 +289,13 @@ def test_uneven_command_times_do_not_shorten_the_dead_time():
 
 
 @pytest.mark.system
-def test_ssm_explains_its_training_rows_at_least_as_well_as_sm():
-    records = drawn_case(2104).records
+@pytest.mark.parametrize("seed", [2104, 8106])
+def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_others(seed):
+    records, held_out = divide(drawn_case(seed).records, 0.6)
     models = choose_order(records).identified, identify_sm(records)
     gain = np.subtract(*(validate(model.system, records).fit_percent for model in models))
     assert gain.mean() > -1e-3 and gain.min() > -0.25
+    assert np.subtract(*(validate(model.system, held_out).fit_percent for model in models)).min() > -0.5
 
 
 def test_order_with_a_fit_below_the_floor_is_not_chosen(ladder):

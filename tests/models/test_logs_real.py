@@ -17,11 +17,13 @@ from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.mapping import MAPPINGS, load_mapping
 from diffdrive_mpc.models.output_error.experiment import join_experiments, twist_experiments
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.structures.structure import IdentificationConditions
 from oracle.second_order import fit_second_order, response
 
 
@@ -134,6 +136,24 @@ def test_cut_without_known_past_costs_little_fit(log, cut):
     train = stretches(train, cut, past=False)
     fits = validate(identify_sm(train, limits=False).system, held_out).fit_percent
     assert (fits > baseline_fit(train, held_out) - 0.5).all(), fits
+
+
+@pytest.mark.long
+@pytest.mark.real_logs
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("log", FOLDERS)
+def test_no_structure_is_behind_the_better_baseline(log, quarter):
+    """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
+    before, rest = divide(sum(halves(log), []), quarter / 4)
+    held_out, after = divide(rest, 1 / (4 - quarter))
+    train = [*before, *after]
+    conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
+    models = [STRUCTURES[name].identify(train, conditions).identified for name in ("sm", "mbm_modes", "ssm")]
+    fits = np.array([validate(model.system, held_out).fit_percent for model in models])
+    for clip in (False, True):
+        assert (fits > baseline_fit(train, held_out, clip) - 0.5).all(), fits
+    gain = np.subtract(*(validate(model.system, train).fit_percent for model in models[::-2]))
+    assert gain.mean() > -1e-3 and gain.min() > -0.25, gain
 
 
 ENCODER_TRACK = 0.480865
