@@ -106,27 +106,19 @@ def choose_order(
     if blocks is None or largest < _DECOUPLED:
         return choice
     experiments = twist_experiments(train, yaw)
-    joined = join_experiments(experiments)
-    channel_blocks = [
-        block_fit(channel.fit, [experiment.channel(row, row) for experiment in joined])
-        for row, channel in enumerate(channels)
-    ]
-    simpler = np.concatenate([fit for fit in channel_blocks if fit is not None])
-    if simpler.mean() <= blocks.mean():
+    parts = [[part.channel(row, row) for part in join_experiments(experiments)] for row in range(len(channels))]
+    simpler = [block_fit(channel.fit, part) for channel, part in zip(channels, parts, strict=True)]
+    score = np.concatenate([fit for fit in simpler if fit is not None]).mean()
+    if score <= blocks.mean():
         return choice
     fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
     if fit.sandwich.condition > estimator_settings().warn.condition:
         return choice
     models[_DECOUPLED - 1] = _build_model(fit, yaw)
-    held_out = [row.block_fit_percent for row in choice.rows]
-    held_out[_DECOUPLED - 1] = simpler
-    rows = compare_orders(models, train, validation, yaw, requested=_DECOUPLED).rows
-    return OrderChoice(
-        tuple(replace(row, block_fit_percent=fits) for row, fits in zip(rows, held_out, strict=True)),
-        _DECOUPLED,
-        f"SM as a state space; its mean FIT on blocks held out in turn, {simpler.mean():.2f} %, is above that of order "
-        f"{choice.order}, {blocks.mean():.2f} %",
+    reason = (
+        f"SM as a state space; its mean FIT on blocks held out in turn is {score:.2f} % ({blocks.mean():.2f} %)"
     )
+    return replace(compare_orders(models, train, validation, yaw, requested=_DECOUPLED), reason=reason)
 
 
 def identify_ssm_orders(

@@ -146,7 +146,7 @@ def test_no_structure_is_behind_the_better_baseline(log, quarter):
     """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
     before, rest = divide(sum(halves(log), []), quarter / 4)
     held_out, after = divide(rest, 1 / (4 - quarter))
-    train = [*before, *after]
+    train = before + after
     conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
     models = [STRUCTURES[name].identify(train, conditions).identified for name in ("sm", "mbm_modes", "ssm")]
     fits = np.array([validate(model.system, held_out).fit_percent for model in models])
