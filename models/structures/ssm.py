@@ -115,9 +115,7 @@ def choose_order(
     if fit.sandwich.condition > estimator_settings().warn.condition:
         return choice
     models[_DECOUPLED - 1] = _build_model(fit, yaw)
-    reason = (
-        f"SM as a state space; its mean FIT on blocks held out in turn is {score:.2f} % ({blocks.mean():.2f} %)"
-    )
+    reason = f"SM as a state space; its mean FIT on blocks held out in turn is {score:.2f} % ({blocks.mean():.2f} %)"
     return replace(compare_orders(models, train, validation, yaw, requested=_DECOUPLED), reason=reason)
 
 

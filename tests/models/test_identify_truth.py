@@ -211,8 +211,8 @@ def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_
     truth = {f"{motor}.gain": gain for motor, gain in gains.items()}
     check_agreement(modes.parameters, SM_TRUTH | truth | {"effective_track": track})
     fits = [validate(model.system, held_out).fit_percent for model in (modes, motors, identify_sm(train))]
-    assert (fits[0] > fits[1] + [0.2, 5.0]).all()
-    assert (fits[0] > fits[2] - [0.0, 1e-3]).all()  # v follows from both commands
+    # v follows from both commands; omega is that of SM.
+    assert (fits[0] > np.maximum(fits[1] + [0.2, 5.0], fits[2] - [0.0, 1e-3])).all()
 
 
 def test_invalid_input_raises_one_clear_line():

@@ -3,7 +3,7 @@
 import os
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise, product
+from itertools import chain, pairwise, product
 
 import numpy as np
 import pytest
@@ -144,7 +144,7 @@ def test_cut_without_known_past_costs_little_fit(log, cut):
 @pytest.mark.parametrize("log", FOLDERS)
 def test_no_structure_is_behind_the_better_baseline(log, quarter):
     """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
-    before, rest = divide(sum(halves(log), []), quarter / 4)
+    before, rest = divide([*chain(*halves(log))], quarter / 4)
     held_out, after = divide(rest, 1 / (4 - quarter))
     train = before + after
     conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
