@@ -124,7 +124,7 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
-        for line in (f"{stated.name}, values stated by its maker, not identified:", *stated.lines()):
+        for line in (f"{stated.name}, values stated by the manufacturer, not identified:", *stated.lines()):
             _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
@@ -261,7 +261,7 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         raise ConfigError(f"{target}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
-    echo(f"{target}: guesses with reasons; correct them\n")
+    echo(f"{target}: draft with reasons; check and correct it\n")
     echo(text)
     try:
         findings = [str(finding) for finding in read_log(logs[0], target).findings]

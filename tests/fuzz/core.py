@@ -69,7 +69,7 @@ def spoil_solutions(random: Random) -> None:
 class CoreFuzzer:
     """Drives of the controller in a process with the sanitized core: no byte or command out of bounds."""
 
-    name, longest, count, is_reducible = "core", 300.0, 1, False
+    name, time_limit, count, is_reducible = "core", 300.0, 1, False
 
     def draw(self, random: Random) -> Case:
         """Draw the seed and the number of the drives."""

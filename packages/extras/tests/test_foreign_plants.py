@@ -1,4 +1,4 @@
-"""Robots of foreign physics follow a path as plants of the closed loop."""
+"""Robots with independent physics follow a path as plants of the closed loop."""
 
 import numpy as np
 import pytest

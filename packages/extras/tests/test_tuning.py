@@ -22,8 +22,8 @@ from diffdrive_mpc_extras.tuning.tune_file import load_plan
 def tuned_folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder of a tuning, and the output of its command."""
     folder = tmp_path_factory.mktemp("tuned")
-    words = ("tune", "ssm", "--plan", write_plan(folder), "--points", "8", "--out", folder / "out", "--jobs", "1")
-    return folder / "out", " ".join(call(*words).split())
+    arguments = ("tune", "ssm", "--plan", write_plan(folder), "--points", "8", "--out", folder / "out", "--jobs", "1")
+    return folder / "out", " ".join(call(*arguments).split())
 
 
 def search_points(folder: Path, jobs: int = 1, **changes: object) -> list[TunePoint]:
@@ -97,7 +97,7 @@ def run_rows(errors: list[float], completed: list[bool]) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("factor", "failures", "is_better"), [(0.8, 0, True), (0.8, 1, False), (1.0, 0, False), (1.2, 0, False)]
 )
-def test_better_needs_a_lower_error_and_no_more_failures(factor: float, failures: int, is_better: bool) -> None:
+def test_better_requires_a_lower_error_and_no_more_failures(factor: float, failures: int, is_better: bool) -> None:
     noise = np.random.default_rng(3)
     start = noise.uniform(1e-3, 9e-3, 40)
     best = factor * start + noise.normal(0.0, 1e-5, 40)

@@ -25,7 +25,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc_extras.excitation.drive_information import TOLD, DriveInformation
+from diffdrive_mpc_extras.excitation.drive_information import REPORTED, DriveInformation
 from diffdrive_mpc_extras.excitation.model_excitation import (
     ModelDrive,
     Room,
@@ -71,7 +71,7 @@ class Excitation:
         """Describe the result and the fence settings of the node's configuration."""
         seconds = len(self.drive.twists) * model_excitation_settings().tick
         least_worth = min(self.drive.worth.values())
-        better = np.exp((max(self.drive.worth.values()) - least_worth) / (2 * len(CHANNELS) * len(TOLD)))
+        better = np.exp((max(self.drive.worth.values()) - least_worth) / (2 * len(CHANNELS) * len(REPORTED)))
         return [
             f"{out}: {self.drive.family}, {seconds:.0f} s. Standard deviations from the other family are {better:.2f} "
             "times as large (geometric mean).",
@@ -82,7 +82,7 @@ class Excitation:
     def table(self) -> Table:
         """Return a table of the expected accuracy of the parameters."""
         shown = self.expected.derived(
-            [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
+            [f"{channel}.{name}" for channel in CHANNELS for name in (*REPORTED, _LATE)],
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
         )
         rows = []
