@@ -178,7 +178,7 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
         (0.0, 0.3, 0.0), use_tf=True, tf_timeout=0.5, trajectory="''", drive_on_reference=True, diagnostics_rate=20.0
     )
     s = robot.s
-    heard = s.listen(DiagnosticArray, "/diagnostics")
+    received = s.listen(DiagnosticArray, "/diagnostics")
     send(s, straight("map", (0.0, 0.3, 0.0), length=4.0))
     s.base.run(60)
     robot.published.discard("odom")
@@ -187,9 +187,9 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     assert "the transform of 'map' in 'odom' is 0.5" in s.loop.last.message
     s.base.run(BRAKING)
     assert s.loop.last.mode == Mode.STOPPED
-    heard.clear()
-    s.base.until(lambda: heard, "diagnostics")
-    assert heard[-1].status[0].level == DiagnosticStatus.ERROR
+    received.clear()
+    s.base.until(lambda: received, "diagnostics")
+    assert received[-1].status[0].level == DiagnosticStatus.ERROR
     robot.published.add("odom")
     s.base.run(60)
     assert s.loop.last.mode == Mode.TRACKING
