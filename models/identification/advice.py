@@ -21,7 +21,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_lags
-from diffdrive_mpc.models.identification.log_data import divide, most_informative, usable
+from diffdrive_mpc.models.identification.log_data import divide, most_informative, select_usable
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
@@ -76,7 +76,7 @@ class Score:
         fit, agreement = self.fit - reference.fit, float(np.nan_to_num(self.agreement - reference.agreement))
         is_worse = min(float(fit.min()), agreement) < -settings.tolerance
         corrected_errors = reference.errors - self.errors
-        is_better = max(float(fit.mean()), agreement) > settings.least_gain or corrected_errors > 0
+        is_better = max(float(fit.mean()), agreement) > settings.min_gain or corrected_errors > 0
         gain = max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(corrected_errors, 0)
         return gain if is_better and not is_worse else 0.0
 
@@ -124,9 +124,9 @@ class Advice:
         fit, settings = _percent(self.after), identification_settings().advice
         if self.before is None:
             improvement = f"the held-out FIT is {fit}; without this mapping no model can be fitted"
-        elif float((self.after.fit - self.before.fit).mean()) > settings.least_gain:
+        elif float((self.after.fit - self.before.fit).mean()) > settings.min_gain:
             improvement = f"the held-out FIT becomes {fit} instead of {_percent(self.before)}"
-        elif self.after.agreement - self.before.agreement > settings.least_gain:
+        elif self.after.agreement - self.before.agreement > settings.min_gain:
             agreement = f"{self.after.agreement:.0f} % instead of {self.before.agreement:.0f} %"
             improvement = f"the agreement of the streams is {agreement}, and the held-out FIT remains {fit}"
         else:
@@ -150,12 +150,12 @@ class AdvisedError(UnsoundLogError):
     """
 
     def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
-        super().__init__(without_rejected(findings, advice))
+        super().__init__(drop_rejected(findings, advice))
         self.advice = advice
 
 
-def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Return the findings without proposed changes that are not part of the advice."""
+def drop_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
+    """Remove the proposed changes that are not part of the advice from the findings."""
     advised = set() if advice is None else set(advice.changes)
     advised_keys = {(change.stream, change.key) for change in advised}
     return tuple(
@@ -171,7 +171,7 @@ def advise(
 ) -> Advice | None:
     """Find the best mapping among the proposals of the findings; None if no proposal improves the prediction."""
     proposals = _proposals(findings)
-    mapping = _mapping_of(selection) if proposals else None
+    mapping = _read_mapping(selection) if proposals else None
     if mapping is None:
         return None
     if on_progress:
@@ -179,14 +179,14 @@ def advise(
     start = best = _Trial.make(selection, mapping, ())
     rows = start.rows() if start else None
     before = score = start.score(rows) if start and rows else None
-    for _ in range(identification_settings().advice.most_changes):
+    for _ in range(identification_settings().advice.max_changes):
         applied = best.changes if best else ()
-        scored = [
+        trials = [
             (proposal, *_score_trial(trial, best, score, rows))
             for proposal in proposals
             if (trial := _Trial.make(selection, mapping, (*applied, *proposal))) is not None and trial.has_valid_clock()
         ]
-        accepted = max(scored, key=lambda row: row[1], default=None)
+        accepted = max(trials, key=lambda row: row[1], default=None)
         if accepted is None or accepted[1] <= 0:
             break
         proposal, _, best, score, rows = accepted
@@ -200,7 +200,7 @@ def advise(
     return Advice(selection, best.mapping, best.changes, before, score)
 
 
-def _mapping_of(selection: LogSelection) -> LogMapping | None:
+def _read_mapping(selection: LogSelection) -> LogMapping | None:
     try:
         return base_mapping(selection.logs[0], selection.mapping)
     except ConfigError:
@@ -316,10 +316,10 @@ class _Trial:
             part
             for log, log_spans in zip(self.logs, spans, strict=True)
             for record in log.records
-            for part in _within(record, log_spans)
+            for part in _cut(record, log_spans)
         ]
         gyro = ["yaw_rate"] if any(record.yaw_rate is not None for log in self.logs for record in log.records) else []
-        return usable(records, ("twist", *gyro), "for the trial of a mapping", [])
+        return select_usable(records, ("twist", *gyro), "for the trial of a mapping", [])
 
 
 @dataclass(frozen=True)
@@ -343,7 +343,7 @@ def _subtract(spans: Spans, removed: Spans) -> Spans:
     return spans
 
 
-def _within(record: Record, spans: Spans) -> list[Record]:
+def _cut(record: Record, spans: Spans) -> list[Record]:
     """Cut a record into spans [s]; time grids with slightly different starts result in the same rows."""
     pieces = []
     for span in spans:

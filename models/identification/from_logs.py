@@ -15,16 +15,16 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import checked_call, wrong_type
-from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, without_rejected
+from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, drop_rejected
 from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
     NODE_FILE,
     IdentifiedConfiguration,
+    apply_stated_values,
     configure,
     node_text,
     round_period,
-    within_stated,
 )
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.deliver.trust import refusals
@@ -245,12 +245,12 @@ def identify(
                 mapping=effective_mapping,
                 fit_share=share,
                 wheels=selected_structure.needs_wheels,
-                on_findings=(lambda findings: on_findings(without_rejected(findings, None)))
+                on_findings=(lambda findings: on_findings(drop_rejected(findings, None)))
                 if on_findings
                 else (lambda _: None),
                 on_log=on_log,
                 force=force,
-                max_rows=identification_settings().most_rows["effects" if effects else "plain"],
+                max_rows=identification_settings().max_rows["effects" if effects else "plain"],
             )
         except UnsoundLogError as error:
             raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
@@ -262,7 +262,7 @@ def identify(
         data,
         train=corrections.correct(data.train),
         validation=corrections.correct(data.validation),
-        findings=(*without_rejected(data.findings, advice), *corrections.findings),
+        findings=(*drop_rejected(data.findings, advice), *corrections.findings),
         sensors=corrections.settings,
         advice=advice,
     )
@@ -333,12 +333,12 @@ def identify_data(
         fitted.geometry,
         report.slip,
         stated=data.stated_track,
-        every_sample=predictor is not None,
+        keep_sample_time=predictor is not None,
         sensors=data.sensors,
         notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
     )
     if robot is not None:
-        configuration = within_stated(configuration, robot)
+        configuration = apply_stated_values(configuration, robot)
     model: VelocityModel | NonlinearModel
     content: Any
     if fitted.predictor is None:

@@ -117,7 +117,7 @@ def read_data(
         Function that is called with each log, before `on_findings`.
     force
         True to use logs despite findings of severity "error".
-    most_rows
+    max_rows
         Maximum number of training rows and of validation rows, selected where the commands change most; None for all.
 
     Raises
@@ -154,8 +154,8 @@ def read_data(
         train, validation = most_informative(train, max_rows), most_informative(validation, max_rows)
     on_findings(omitted)
     warnings: list[Doubt] = []
-    usable_train = usable(train, signals, "for identification", warnings)
-    usable_validation = usable(validation, signals, "for validation", warnings)
+    usable_train = select_usable(train, signals, "for identification", warnings)
+    usable_validation = select_usable(validation, signals, "for validation", warnings)
     comparison = compare_logs(training_logs)
     report_findings(comparison)
     data = LogData(
@@ -260,24 +260,24 @@ def most_informative(records: Sequence[Record], max_rows: int) -> list[Record]:
     return [records[i].part(start, min(start + span, len(records[i].command))) for i, start in sorted(selected)]
 
 
-def usable(records: Sequence[Record], signals: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
-    """Select the records with enough readings of every signal; append a doubt to `warnings` for each other record.
+def select_usable(records: Sequence[Record], names: Sequence[str], use: str, doubts: list[Doubt]) -> tuple[Record, ...]:
+    """Select the records with enough readings of the signals `names`; append a doubt to `doubts` for each other record.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If no record has enough readings.
     """
-    min_readings = identification_settings().fewest_readings
+    min_readings = identification_settings().min_readings
     selected: list[Record] = []
     reason = ""
     for record in records:
-        missing = next((name for name in signals if _count_readings(record, name) < min_readings), None)
+        missing = next((name for name in names if _count_readings(record, name) < min_readings), None)
         if missing is None:
             selected.append(record)
             continue
         reason = f"{record.name}: {_count_readings(record, missing)} readings of {missing}, fewer than {min_readings}"
-        warnings.append(Doubt("stretch left out", f"{reason}; the stretch is not used {use}"))
+        doubts.append(Doubt("stretch left out", f"{reason}; the stretch is not used {use}"))
     if not selected:
         raise ConfigError(f"no data {use}: {reason or 'no rows remain'}; log this signal, or record a longer log")
     return tuple(selected)

@@ -18,7 +18,7 @@ class JudgementSettings(StrictModel):
     low_fit: float = Field(description="FIT below which a doubt is raised [%]")
     refused_fit: float = Field(description="FIT below which no configuration is written [%]")
     unknown_delay: Positive = Field(description="relative standard deviation of an unknown delay [-]")
-    least_unknown_delay: Positive = Field(description="minimum standard deviation of an unknown delay [s]")
+    min_unknown_delay: Positive = Field(description="minimum standard deviation of an unknown delay [s]")
     fit_drop: Positive = Field(description="decrease of FIT from training to validation [percentage points]")
     unexplained: Positive = Field(description="ratio of a correlation of residuals with commands to its 95 % bound [-]")
     lever_arm: Positive = Field(description="distance of the pose point from the centre of rotation [m]")
@@ -28,8 +28,8 @@ class AdviceSettings(StrictModel):
     """Settings of the rule that accepts changes of the mapping."""
 
     rows: int = Field(gt=0, description="number of training rows, and of held-out rows, of a trial [-]")
-    most_changes: int = Field(gt=0, description="maximum number of combined proposals [-]")
-    least_gain: Positive = Field(description="minimum gain of FIT or agreement of the streams [percentage points]")
+    max_changes: int = Field(gt=0, description="maximum number of combined proposals [-]")
+    min_gain: Positive = Field(description="minimum gain of FIT or agreement of the streams [percentage points]")
     tolerance: Positive = Field(description="maximum loss of FIT or agreement [percentage points]")
     clock_tolerance: Positive = Field(description="maximum difference of wheels and poses after a clock change [-]")
 
@@ -37,11 +37,11 @@ class AdviceSettings(StrictModel):
 class SensorSettings(StrictModel):
     """Thresholds above which a sensor counts as late or scaled."""
 
-    least_delay: Positive = Field(description="minimum delay [s]")
-    least_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
-    least_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
-    least_slip: Positive = Field(description="ratio of encoder and pose distance above which the wheels slip [-]")
-    certain: Positive = Field(description="minimum significance of a delay or scale [standard deviations]")
+    min_delay: Positive = Field(description="minimum delay [s]")
+    min_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
+    min_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
+    min_slip: Positive = Field(description="ratio of encoder and pose distance above which the wheels slip [-]")
+    significance: Positive = Field(description="minimum significance of a delay or scale [standard deviations]")
 
 
 class SlipSettings(StrictModel):
@@ -56,25 +56,25 @@ class IdentificationSettings(StrictModel):
 
     fit_share: Positive = Field(description="share of each log for the identification [-]")
     shares: tuple[Positive, Positive] = Field(description="minimum and maximum of `fit_share` [-]")
-    most_rows: dict[str, int] = Field(
+    max_rows: dict[str, int] = Field(
         description="maximum number of training rows and of validation rows, without and with effects [-]"
     )
     part_time: Positive = Field(description="length of the parts selected from a long log [s]")
     block_time: Positive = Field(description="length of the resampled blocks for the uncertainty of a comparison [s]")
-    fewest_readings: int = Field(gt=0, description="minimum number of readings of each signal in a record [-]")
+    min_readings: int = Field(gt=0, description="minimum number of readings of each signal in a record [-]")
     pose_window: Positive = Field(description="window over which displacements are compared with poses [s]")
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
     start_every: Positive = Field(description="time between the starts of two predictions [s]")
     limit_margin: float = Field(ge=1, description="ratio of predicted limit to commanded limit [-]")
-    certain: Positive = Field(description="margin of the slew limit [standard deviations]")
-    least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="minimum share of the identified slew [-]")
-    settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
+    slew_margin: Positive = Field(description="margin of the slew limit [standard deviations]")
+    min_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="minimum share of the identified slew [-]")
+    settling_tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
     look_ahead: Positive = Field(description="ratio of the horizon to the settling time [-]")
-    least_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
-    most_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")
+    min_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
+    max_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")
     lengths: dict[str, Positive] = Field(description="default lengths by dotted key of the configuration [m]")
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that belong under `expert:`")
-    least_noise: dict[str, Positive] = Field(description="minimum noise by key of the group estimator [SI units]")
+    min_noise: dict[str, Positive] = Field(description="minimum noise by key of the group estimator [SI units]")
     sensors: SensorSettings
     slip: SlipSettings = Field(description="prior of the filter's initial slip estimate")
     warn: JudgementSettings

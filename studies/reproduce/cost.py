@@ -120,18 +120,18 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperF
     paper, rules = published.cost, published.rules
     return [
         PaperFinding(
-            f"a simulation of SM takes less than {rules.quicker:g} of the time of a simulation of MBM",
+            f"a simulation of SM takes less than {rules.max_time_ratio:g} of the time of a simulation of MBM",
             "P0, Table 3",
             f"{paper['sm'].simulation_time[0] / paper['mbm'].simulation_time[0]:.2f}",
             f"{simulation_times['sm'] / simulation_times['mbm']:.2f}",
-            (simulation_times["sm"] < rules.quicker * simulation_times["mbm"],),
+            (simulation_times["sm"] < rules.max_time_ratio * simulation_times["mbm"],),
         ),
         PaperFinding(
-            f"a step of SM takes less than {rules.quicker:g} of the time of a step of MBM",
+            f"a step of SM takes less than {rules.max_time_ratio:g} of the time of a step of MBM",
             "P0, Table 3",
             f"{paper['sm'].time_per_step[0] / paper['mbm'].time_per_step[0]:.2f}",
             f"{step_times['sm'] / step_times['mbm']:.2f}",
-            (step_times["sm"] < rules.quicker * step_times["mbm"],),
+            (step_times["sm"] < rules.max_time_ratio * step_times["mbm"],),
         ),
         PaperFinding(
             "a simulation of SM requires less memory than a simulation of MBM",
@@ -141,13 +141,13 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperF
             (memory["sm"] < memory["mbm"],),
         ),
         PaperFinding(
-            f"a step of SSM is more than {rules.much_quicker:g} times as fast as a step of SM",
+            f"a step of SSM is more than {rules.min_speed_ratio:g} times as fast as a step of SM",
             "P0, Table 3 and P1, Table 5",
             f"{paper['sm'].time_per_step[0] / paper['ssm'].time_per_step[0]:.0f} times",
             f"{step_times['sm'] / step_times['ssm']:.1f} times",
-            (step_times["sm"] > rules.much_quicker * step_times["ssm"],),
+            (step_times["sm"] > rules.min_speed_ratio * step_times["ssm"],),
         ),
-        *([_network_finding(step_times, paper, rules.much_quicker)] if NETWORK in step_times else []),
+        *([_network_finding(step_times, paper, rules.min_speed_ratio)] if NETWORK in step_times else []),
     ]
 
 

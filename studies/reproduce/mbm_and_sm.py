@@ -172,7 +172,8 @@ def _compare(
     results: Sequence[MbmSmResult], published: Published, model: str, description: str, quantity: str
 ) -> PaperFinding:
     ours, sm_errors = _rmse(results, model, quantity), _rmse(results, SM, quantity)
-    printed = [_printed(published, model_name, list(results[0].errors[SM]), quantity) for model_name in ("mbm", "sm")]
+    names = list(results[0].errors[SM])
+    printed = [_paper_rmse(published, paper_model, names, quantity) for paper_model in ("mbm", "sm")]
     return PaperFinding(
         f"{description} predicts the {quantity} better than SM on every trajectory (RMSE)",
         "P0, Table 2" if model == MBM else "P0, Table 2; tracks identified by this project",
@@ -185,7 +186,7 @@ def _compare(
 def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> PaperFinding:
     names = list(results[0].errors[SM])
     circle = names.index(_CIRCLE)
-    printed = {model_name.upper(): _printed(published, model_name, names, "position") for model_name in ("mbm", "sm")}
+    printed = {name.upper(): _paper_rmse(published, name, names, "position") for name in ("mbm", "sm")}
     ours = {model_name: _rmse(results, model_name, "position") for model_name in (MBM, SM)}
     worst_trajectories = np.array([table.argmax(axis=1) for table in ours.values()])
     return PaperFinding(
@@ -202,7 +203,7 @@ def _rmse(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArr
     return np.array([[getattr(error, quantity).rmse for error in result.errors[model].values()] for result in results])
 
 
-def _printed(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
+def _paper_rmse(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
     """Return the published RMSE (trajectories,), which is the first published statistic."""
     return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
 

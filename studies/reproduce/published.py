@@ -88,11 +88,11 @@ class FindingThresholds(StrictModel):
 
     worthwhile_fit_percent: float
     good_fit_percent: float
-    quicker: float
-    much_quicker: float
-    certain: float
+    max_time_ratio: float
+    min_speed_ratio: float
+    agreement_deviations: float
     significant_fit_percent: float
-    chance: float
+    max_chance: float
 
 
 class Published(StrictModel):
@@ -184,7 +184,7 @@ class SsmStudy(StrictModel):
     """SSM of several orders, identified from one free drive."""
 
     train_duration: Positive = Field(description="duration of the training drive [s]")
-    largest_order: int = Field(ge=2, le=5)
+    max_order: int = Field(ge=2, le=5)
     test_drives: Count
     free_drives: Count
     free_duration: Positive = Field(description="duration of a free drive [s]")

@@ -97,7 +97,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
     logs = RobotLogs(repetition)
     train = logs.free(1, study.train_duration)
     test = logs.free(study.test_drives, study.free_duration)
-    choice = choose_order(train, test, largest=study.largest_order, limits=False)
+    choice = choose_order(train, test, largest=study.max_order, limits=False)
     drives = logs.free(study.free_drives, study.free_duration)
     identified = choice.rows[PAPERS_ORDER - 1].identified
     fast = identify_ssm(logs.free(1, study.train_duration, study.paper_range), PAPERS_ORDER, limits=False)
@@ -157,15 +157,10 @@ def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Pap
         for order in range(PAPERS_ORDER, len(results[0].orders) + 1)
     }
     printed = {order: np.array(row.values[:2]) for order, row in published.orders.items()}
-    has_all_orders, rules = set(printed) <= set(fits), published.rules
-    findings = (
-        [
-            _improvement(fits, printed, rules.worthwhile_fit_percent),
-            _best_fit(fits, printed, rules.significant_fit_percent),
-        ]
-        if has_all_orders
-        else []
-    )
+    findings, rules = list[PaperFinding](), published.rules
+    if set(printed) <= set(fits):
+        findings.append(_improvement(fits, printed, rules.worthwhile_fit_percent))
+        findings.append(_best_fit(fits, printed, rules.significant_fit_percent))
     if _MAX_ORDER in fits:
         findings.append(_overfit(fits, printed, rules.significant_fit_percent))
     return [
@@ -254,8 +249,7 @@ def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
     train_columns = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
     note = (
         "Published: P1, Table 1, test. Ours: pooled validation drives, mean over repetitions. Order 1 is a lower "
-        "bound: one state cannot describe both channels. Schwarz criterion: training drive, minus the minimum of all "
-        "orders."
+        "bound. Schwarz criterion: training drive, minus the minimum of all orders."
     )
     return Table("SSM by order", ("order", *test_columns, *train_columns), tuple(rows), note=note)
 

@@ -103,6 +103,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             key=lambda result: -result.repetition,
         )
         runs_virtual_track, published = "virtual_track" in self._only, load_published()
+        rules = published.rules
         return ReproduceResults(
             ssm=tuple(result for result in results if isinstance(result, state_space.SsmResult)),
             mbm_sm=tuple(result for result in results if isinstance(result, mbm_and_sm.MbmSmResult)),
@@ -111,7 +112,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             drive_models=tuple(drive_results),
             driven_track=tuple(result for result in results if isinstance(result, virtual_track.DrivenTrack)),
             cost=cost.measure_cost(self.settings.cost, bar.advance) if runs_cost else None,
-            virtual_track=virtual_track.check_virtual_track(published.virtual_track, published.rules.certain)
+            virtual_track=virtual_track.check_virtual_track(published.virtual_track, rules.agreement_deviations)
             if runs_virtual_track
             else None,
         )

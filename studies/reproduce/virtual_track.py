@@ -122,13 +122,14 @@ def fit_line(tests: FloatArray) -> TrackLine:
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
     """Evaluate whether the printed line can result from the printed tests."""
-    threshold, printed = published.rules.certain, result.printed
+    threshold, printed = published.rules.agreement_deviations, result.printed
     within = f"within {threshold:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
     has_agreement = agree(printed, result.fitted_exchanged, threshold)
     # The exchange explains p1 only if few other exchanges fit as well, and if the printed radii support it.
     is_explanation = (
-        result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
+        result.by_radius_exchanged > result.by_radius
+        and result.fitting <= published.rules.max_chance * result.exchanges
     )
     return [
         PaperFinding(
@@ -195,7 +196,7 @@ class DrivenTrack:
     ----------
     surface
         Name of the surface.
-    tests, alone
+    tests, series
         Results (n, 4) of the paper's tests, and of drives with constant v or constant yaw rate: v [m/s], yaw rate
         [rad/s], virtual track [m], and ratio of wheel speed and true speed [-].
     line
@@ -317,7 +318,7 @@ def _format_estimate(value: float, deviation: float, digits: int) -> str:
 
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
     """Evaluate the sign of P3's slope on the simulated robot, and its causes; one verdict per surface."""
-    threshold, paper = published.rules.certain, published.virtual_track
+    threshold, paper = published.rules.agreement_deviations, published.virtual_track
     surfaces = ", ".join(result.surface for result in results)
     spot, _, speed = _SERIES
     return [

@@ -76,7 +76,7 @@ def _rows(part: Schema, schema: Schema, prefix: str, requirement: str = "require
             yield from _rows(group, schema, f"{prefix}{name}.", group_requirement)
             continue
         default = requirement if name in required else _default(field)
-        yield f"| `{prefix}{name}` | {default} | {_cell(_allowed(field, schema))} | {_cell(_meaning(field, schema))} |"
+        yield f"| `{prefix}{name}` | {default} | {_cell(_values(field, schema))} | {_cell(_meaning(field, schema))} |"
 
 
 def _group(field: Schema, schema: Schema) -> Schema | None:
@@ -95,7 +95,7 @@ def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
     return [] if field.get("type") == "null" else [field]
 
 
-def _allowed(field: Schema, schema: Schema) -> str:
+def _values(field: Schema, schema: Schema) -> str:
     return " or ".join(dict.fromkeys(filter(None, map(_allowed_values, _alternatives(field, schema)))))
 
 

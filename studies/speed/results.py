@@ -231,8 +231,8 @@ def _by_horizon(
 
     columns = {f"N = {n}{unit}": cell_at(n) for n in results.horizons}
     if isinstance(models, str):
-        entries = [((solver,), (solver, models)) for solver in results.solvers]
-        return Table.build(title, ("solver",), columns, entries, note)
+        solver_rows = [((solver,), (solver, models)) for solver in results.solvers]
+        return Table.build(title, ("solver",), columns, solver_rows, note)
     entries = [((model.upper(), solver), (solver, model)) for model in models for solver in results.solvers]
     return Table.build(title, ("model", "solver"), columns, entries, note)
 

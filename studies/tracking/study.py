@@ -80,9 +80,9 @@ def evaluate_targets(rows: DataFrame) -> list[TargetResult]:
     for target in load_targets().targets:
         selected = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
         value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.quantity)
-        reached = {model: value(group) for model, group in by(selected, "driver").items()}
-        if reached:
-            verdicts.append(TargetResult(target.quantity, target.place, target.limit, reached))
+        values = {model: value(group) for model, group in by(selected, "driver").items()}
+        if values:
+            verdicts.append(TargetResult(target.quantity, target.place, target.limit, values))
     return verdicts
 
 
@@ -93,7 +93,7 @@ def target_table(verdicts: Sequence[TargetResult]) -> Table:
     def format_value(value: float) -> str:
         return f"{value:.3g}" if np.isfinite(value) else "-"
 
-    def reached(verdict: TargetResult, model: str) -> str:
+    def format_cell(verdict: TargetResult, model: str) -> str:
         if model not in verdict.reached:
             return "-"
         return format_value(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
@@ -103,7 +103,7 @@ def target_table(verdicts: Sequence[TargetResult]) -> Table:
             target.quantity,
             target.where,
             format_value(target.limit),
-            *(reached(target, model) for model in models),
+            *(format_cell(target, model) for model in models),
             "yes" if target.met else "no",
         )
         for target in verdicts

@@ -30,7 +30,7 @@ from degraded_logs import (
 from scipy.signal import lfilter
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.models.identification.advice import LogSelection, advise, without_rejected
+from diffdrive_mpc.models.identification.advice import LogSelection, advise, drop_rejected
 from diffdrive_mpc.models.identification.fit.sensors import find_corrections
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
@@ -145,7 +145,7 @@ def test_change_without_better_prediction_is_not_advised(tmp_path, name):
     paths, mapping = logs_of(NOT_CORRECTED[name], tmp_path)
     findings = findings_of(paths, mapping)
     assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None
-    assert "in the mapping" not in " ".join(map(str, without_rejected(findings, None)))
+    assert "in the mapping" not in " ".join(map(str, drop_rejected(findings, None)))
 
 
 def test_late_response_of_the_robot_is_not_treated_as_shifted_commands(tmp_path):

@@ -135,7 +135,7 @@ def test_settling_time_is_that_of_the_step_response(name):
     for row in range(2):
         system = control.ss(model.A, model.B[:, [row]], model.C[[row]], 0)
         time, response = control.step_response(system, T=np.linspace(0, 3, 6001))
-        (off,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settled * abs(response[-1]))
+        (off,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settling_tolerance * abs(response[-1]))
         late = max(late, time[off[-1]] + model.dead_time[row])
     assert settling_time(model) == pytest.approx(late, abs=0.02)
 
@@ -144,11 +144,11 @@ def test_settling_time_is_that_of_the_step_response(name):
 @given(st.floats(0.01, 5.0), st.floats(0.001, 0.1))
 def test_horizon_covers_the_response_with_few_steps(lag, dt):
     pace = choose_pace(lag_of(lag), dt)
-    assert SETTINGS.least_steps <= pace.horizon <= SETTINGS.most_steps
+    assert SETTINGS.min_steps <= pace.horizon <= SETTINGS.max_steps
     assert pace.horizon * pace.sample_time >= SETTINGS.look_ahead * pace.settling * (1 - 1e-9)
-    assert pace.sample_time == pytest.approx(pace.every * dt)
-    if pace.every > 1:  # no longer than necessary
-        assert SETTINGS.look_ahead * pace.settling > SETTINGS.most_steps * (pace.every - 1) * dt * (1 - 1e-6)
+    assert pace.sample_time == pytest.approx(pace.log_samples * dt)
+    if pace.log_samples > 1:  # no longer than necessary
+        assert SETTINGS.look_ahead * pace.settling > SETTINGS.max_steps * (pace.log_samples - 1) * dt * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.01])

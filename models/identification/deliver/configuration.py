@@ -69,7 +69,7 @@ def node_text(topics: Topics) -> str:
         "pose_source": ("pose", "topic" if "pose" in readable_topics else "odometry"),
     }
     lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
-    lines += [f"    {name}: {value}{_reason(topics, role)}" for name, (role, value) in values.items()]
+    lines += [f"    {name}: {value}{_topic_comment(topics, role)}" for name, (role, value) in values.items()]
     for role, (topic, message_type) in topics.items():
         if role in _TYPES and role not in readable_topics:
             expected = " or ".join(_TYPES[role])
@@ -77,7 +77,7 @@ def node_text(topics: Topics) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _reason(topics: Topics, role: str) -> str:
+def _topic_comment(topics: Topics, role: str) -> str:
     return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # the log has no {role}"
 
 
@@ -97,8 +97,8 @@ class Pace:
     ----------
     sample_time
         Time between two commands [s].
-    every
-        Sample time of the controller, in samples of the log.
+    log_samples
+        Time between two commands, in samples of the log.
     horizon
         Prediction horizon [steps].
     settling
@@ -106,7 +106,7 @@ class Pace:
     """
 
     sample_time: float
-    every: int
+    log_samples: int
     horizon: int
     settling: float
 
@@ -114,10 +114,10 @@ class Pace:
 def settling_time(model: VelocityModel) -> float:
     """Compute the settling time of the slower channel after a command step, including dead time [s].
 
-    The tolerance is the share `settled` of the steady-state value (see `settings.yaml`). The settling time of a model
-    without lag and dead time is 0.
+    The tolerance is the share `settling_tolerance` of the steady-state value (see `settings.yaml`). The settling time
+    of a model without lag and dead time is 0.
     """
-    share = identification_settings().settled
+    share = identification_settings().settling_tolerance
     # After seven time constants, the slowest pole has decayed to a thousandth.
     max_time_constant = max((-1.0 / pole.real for pole in model.poles), default=0.0)
     duration = float(np.max(model.dead_time)) + 7.0 * max_time_constant
@@ -127,8 +127,9 @@ def settling_time(model: VelocityModel) -> float:
     settling = 0.0
     for row, step in enumerate(np.eye(2)):
         response = model.discretise(dt).simulate(np.tile(step, (_SAMPLES, 1)))[:, row]
-        (unsettled,) = np.nonzero(np.abs(response - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
-        settling = max(settling, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
+        gain = model.dc_gain[row, row]
+        (samples,) = np.nonzero(np.abs(response - gain) > share * abs(gain))
+        settling = max(settling, dt * (samples[-1] + 1) if samples.size else 0.0)
     return settling
 
 
@@ -137,8 +138,8 @@ def round_period(dt: float) -> float:
 
     Because of jitter of the stamps, the median step of a log may be 0.0500001 s for a period of 0.05 s.
     """
-    rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
-    return next((period for period in rounded if abs(period - dt) <= _PERIOD_TOLERANCE * dt), dt)
+    candidates = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
+    return next((period for period in candidates if abs(period - dt) <= _PERIOD_TOLERANCE * dt), dt)
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
@@ -148,9 +149,9 @@ def choose_pace(model: VelocityModel, dt: float) -> Pace:
     """
     settings, settling = identification_settings(), settling_time(model)
     prediction_time = settings.look_ahead * settling
-    every = max(1, math.ceil(prediction_time / (settings.most_steps * dt) - 1e-9))
-    horizon = max(settings.least_steps, math.ceil(prediction_time / (every * dt) - 1e-9))
-    return Pace(every * dt, every, horizon, settling)
+    log_samples = max(1, math.ceil(prediction_time / (settings.max_steps * dt) - 1e-9))
+    horizon = max(settings.min_steps, math.ceil(prediction_time / (log_samples * dt) - 1e-9))
+    return Pace(log_samples * dt, log_samples, horizon, settling)
 
 
 MODEL_FILE, CONFIG_FILE = "model.yaml", "config.yaml"
@@ -248,7 +249,7 @@ class IdentifiedConfiguration:
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
     def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
-        """Scale the limits of "v" and "omega", and the corresponding predicted limits, by `shares`."""
+        """Multiply the limits of "v" and "omega", and the corresponding predicted limits, by `shares`."""
 
         def reduce(setting: Setting) -> Setting:
             share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
@@ -270,13 +271,13 @@ class IdentifiedConfiguration:
 
     def text(self) -> str:
         """Format the configuration file, with a reason for each value."""
-        slew = any(setting.name.endswith("_slew") for setting in self.limits)
+        has_slew = any(setting.name.endswith("_slew") for setting in self.limits)
         lines = [
             f"# Controller of {plain_line(self.name)}. "
             "Missing keys have the schema's default: diffdrive-mpc config schema",
             *(f"# {plain_line(note)}" for note in self.notes),
             *(setting.line() for setting in self.general),
-            "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
+            "limits:" if has_slew else f"limits:   {_UNKNOWN_SLEW}",
             *(f"  {setting.line()}" for setting in self._select("limits", expert=False)),
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
@@ -314,7 +315,7 @@ def configure(
     slip: SlipPrior,
     *,
     stated: float | None = None,
-    every_sample: bool = False,
+    keep_sample_time: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
     notes: tuple[str, ...] = (),
 ) -> IdentifiedConfiguration:
@@ -334,7 +335,7 @@ def configure(
         Initial slip estimate of the filter.
     stated
         Track stated by the mapping [m], for a log without wheel speeds.
-    every_sample
+    keep_sample_time
         True if the predicting model requires the sample time of the log.
     sensors
         Delays and scales of the sensors, by input.
@@ -350,27 +351,27 @@ def configure(
     commanded = np.abs(commands)
     base = identified.base_effects.wheel_command
     gain = np.diag(identified.model.dc_gain)
-    limit, speeds = _speeds(identified, commands, base, gain)
-    limits = [*_slew(identified), *speeds]
+    limit, speeds = _speed_limits(identified, commands, base, gain)
+    limits = [*_slew_limits(identified), *speeds]
     if stated is not None and geometry is None:
         geometry = WheelGeometry(np.nan, stated)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
-    width = track or load_robot().track
-    max_side_speed = _max_side_speed(identified, train, geometry.track if geometry else width)
-    limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), max_side_speed))
+    assumed_track = track or load_robot().track
+    max_side_speed = _max_side_speed(identified, train, geometry.track if geometry else assumed_track)
+    limits.append(_rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed))
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
         ]
-    lengths = _lengths(limit[0] * gain[0], geometry)
+    lengths = _scaled_lengths(limit[0] * gain[0], geometry)
     return IdentifiedConfiguration(
         name,
-        _general(identified, train[0].dt, every_sample=every_sample),
+        _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time),
         (*limits, *lengths.get("limits", ())),
         tuple(wheels),
-        (*_noises(train), *_slip(slip)),
+        (*_noise_settings(train), *_slip_settings(slip)),
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
         sensors=sensors or {},
@@ -378,7 +379,7 @@ def configure(
     )
 
 
-def _speeds(
+def _speed_limits(
     identified: IdentifiedModel, commands: FloatArray, base: WheelCommand | None, gain: FloatArray
 ) -> tuple[FloatArray, list[Setting]]:
     """Choose the speed limits: maxima (2,) of the commands (K, 2), and settings of commanded and predicted limits.
@@ -414,7 +415,7 @@ def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
     return source
 
 
-def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
+def _scaled_lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
     """Scale lengths, by group, for a robot larger or faster than the papers' robot; empty for other robots."""
     default = load_robot()
     speed_ratio = speed / default.limits.v
@@ -429,11 +430,12 @@ def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Set
     return settings
 
 
-def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> tuple[Setting, ...]:
+def _general_settings(identified: IdentifiedModel, dt: float, *, keep_sample_time: bool) -> tuple[Setting, ...]:
     pace = choose_pace(identified.model, dt)
-    if every_sample:
-        pace = replace(pace, sample_time=dt, every=1)
-    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, because the robot responds slowly"
+    if keep_sample_time:
+        pace = replace(pace, sample_time=dt, log_samples=1)
+    samples = pace.log_samples
+    source = "of the log" if samples == 1 else f"{samples} samples of the log, because the robot responds slowly"
     return (
         Setting("model", MODEL_FILE),
         Setting("sample_time", round_period(pace.sample_time), f"s, {source}: period of the calls of `step`"),
@@ -445,9 +447,9 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
     )
 
 
-def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
+def _noise_settings(train: Sequence[Record]) -> tuple[Setting, ...]:
     """Return the noise settings that exceed the defaults."""
-    deviations, minima = sensor_noise(train), identification_settings().least_noise
+    deviations, minima = sensor_noise(train), identification_settings().min_noise
     return tuple(
         _setting(name, deviations[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
         for name in minima
@@ -455,7 +457,7 @@ def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
     )
 
 
-def _slip(prior: SlipPrior) -> list[Setting]:
+def _slip_settings(prior: SlipPrior) -> list[Setting]:
     """Return the settings of the filter's initial slip estimate."""
     side_slip, load_shift = prior.estimate.values
     return [
@@ -465,7 +467,7 @@ def _slip(prior: SlipPrior) -> list[Setting]:
     ]
 
 
-def _slew(identified: IdentifiedModel) -> list[Setting]:
+def _slew_limits(identified: IdentifiedModel) -> list[Setting]:
     """Choose slew limits below the identified acceleration limits of the base, at which the model is nonlinear."""
     parameters, settings = identified.parameters, identification_settings()
     default, limits = load_robot().command_slew, limits_in(identified.base_effects)
@@ -478,7 +480,7 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
             key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
             deviation = parameters.deviation(key) if value < np.inf else 0.0
             # Subtract the uncertainty, so that the limit of the base remains inactive; keep a minimum share.
-            reduced, minimum = value - settings.certain * deviation, settings.least_slew * value
+            reduced, minimum = value - settings.slew_margin * deviation, settings.min_slew * value
             sides.append(min(reduced if reduced > minimum else minimum, getattr(default, name)))
         reason = f"{_UNITS[name]} per second, within the limits of the base"
         slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
@@ -493,16 +495,14 @@ def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track:
     return float(np.nanpercentile(np.abs(twist) @ [1.0, 0.5 * track], 99.5))
 
 
-def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, maximum: float) -> Setting:
+def _rim_limit(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, maximum: float) -> Setting:
     """Choose the limit of the wheel speed; `commands` (K, 2) are magnitudes of the commands in the log."""
-    rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
-    if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
+    limit = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
+    if base is not None and base.top_speed is not None and gain * base.top_speed < limit:
         return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim; the motors saturate")
-    if maximum < rim:
-        return _setting(
-            "wheel_speed", maximum, "m/s at the rim, the maximum in the log of a robot that limits its speed"
-        )
-    return _setting("wheel_speed", rim, "m/s at the rim, the maximum command of a side in the log, with a margin")
+    if maximum < limit:
+        return _setting("wheel_speed", maximum, "m/s at the rim, maximum in the log of a robot that limits its speed")
+    return _setting("wheel_speed", limit, "m/s at the rim, the maximum command of a side in the log, with a margin")
 
 
 def _setting(name: str, value: float, reason: str) -> Setting:
@@ -526,7 +526,7 @@ def _format_value(value: float | str) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
+def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
     """Reduce limits to those stated by the maker, and add stated values that the log does not determine.
 
     The base clips commands at the maker's limits, so the controller's model is wrong beyond them.
@@ -538,14 +538,15 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
         for setting in configuration.limits
         if setting.name == channel
     }
-    limits = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
-    groups = {"limits": limits, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
+    reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
+    groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
     for key, stated in keys.items():
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{stated.value}'" if isinstance(stated.value, str) else stated.value
             groups[group].append(Setting(name, value, f"{stated.reason}, stated by the maker of {robot.name}"))
-    return replace(configuration, **{name: tuple(settings) for name, settings in groups.items()})
+    limits, wheels, free_space = (tuple(settings) for settings in groups.values())
+    return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 
 
 def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:

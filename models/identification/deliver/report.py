@@ -128,7 +128,7 @@ class IdentificationReport:
         """Limits of the base that the log reaches, and limits that it does not reach."""
         return limit_lines(self.fitted.identified, self.data.train)
 
-    def in_short(self) -> list[str]:
+    def summary_lines(self) -> list[str]:
         """Return the findings and the verdict on the model."""
         return [*self.findings_summary, f"Trust: {self.verdict}."]
 
@@ -171,8 +171,8 @@ class IdentificationReport:
         estimate = fitted.predictor.estimate if fitted.predictor else None
         return {
             "model": fitted.structure,
-            "train_fit_percent": _channels(fitted.train.fit_percent),
-            "validation_fit_percent": _channels(fitted.validation.fit_percent),
+            "train_fit_percent": _by_channel(fitted.train.fit_percent),
+            "validation_fit_percent": _by_channel(fitted.validation.fit_percent),
             "pose_error": [
                 {
                     "horizon_s": drift.horizon,
@@ -200,7 +200,7 @@ class IdentificationReport:
         parts = [
             f"# {plain_line(self.name)}",
             "",
-            *(first or _bullets(self.in_short())),
+            *(first or _bullets(self.summary_lines())),
             "",
             *self._facts(),
             "",
@@ -275,7 +275,7 @@ def _bullets(lines: Sequence[str]) -> list[str]:
     return [f"* {line}" for line in lines] or ["None."]
 
 
-def _channels(values: FloatArray) -> dict[str, float]:
+def _by_channel(values: FloatArray) -> dict[str, float]:
     return {channel: float(value) for channel, value in zip(CHANNELS, values, strict=True)}
 
 

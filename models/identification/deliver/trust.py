@@ -84,7 +84,7 @@ def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
     delays = None if fitted.predictor else fitted.identified.delays
     for name, value, deviation in delays.rows if delays else ():
         response, _, kind = name.rpartition(".")
-        if kind == "sum" and not deviation <= max(limits.unknown_delay * value, limits.least_unknown_delay):
+        if kind == "sum" and not deviation <= max(limits.unknown_delay * value, limits.min_unknown_delay):
             reasons.append(
                 f"the delay of {response} is unknown: {value:.2g} s, with a standard deviation of {deviation:.2g} s"
             )

@@ -74,7 +74,7 @@ class IdentifiedBase:
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
         """Simulate the readings (K, p) of each record in one free run; see `sensor_experiments`."""
-        return self._runs(self.point, records)
+        return self._simulate(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
         """Simulate true v [m/s] and yaw rate [rad/s] (K, 2) of each record in one free run, without sensor errors."""
@@ -82,7 +82,7 @@ class IdentifiedBase:
         ideal |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
-        for run in self._runs(ideal, records):
+        for run in self._simulate(ideal, records):
             twists.append(np.column_stack([travel * run[:, 0], run[:, -1]]))
         return twists
 
@@ -109,10 +109,10 @@ class IdentifiedBase:
         free = [name for name in (*linear, *selected) if name in self.point and name in effect_settings().parameters]
         data = weight_readings(join_experiments(sensor_experiments(records, self.identified.yaw)), self.point)
         point = fit_effects(self.point, free, data, near=True).point
-        content = {**_linear_content(point), "base_effects": rounded_effects(_effects(point, None))}
+        content = {**_linear_content(point), "base_effects": effects_content(_build_effects(point, None))}
         return replace(self.identified, content=content)
 
-    def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
+    def _simulate(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
         experiments = sensor_experiments(records, self.identified.yaw)
         return split_rows([free_run(point, run) for run in join_experiments(experiments)], experiments)
 
@@ -155,13 +155,13 @@ def identify_with_effects(
     selection = select_effects(join_experiments(sensor_experiments(records, yaw)), track, on_trial, limits)
     fit = selection.fit
     pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
-    effects = _effects(fit.point, pose)
+    effects = _build_effects(fit.point, pose)
     untested = [Doubt("unknown track", _NO_TRACK)] if track is None else []
     untested += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
-        content={**_linear_content(fit.point), "base_effects": rounded_effects(effects)},
+        content={**_linear_content(fit.point), "base_effects": effects_content(effects)},
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
         yaw=yaw,
@@ -172,7 +172,7 @@ def identify_with_effects(
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
 
-def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
+def effects_content(effects: BaseEffects) -> Mapping[str, Any]:
     """Return the group `base_effects` of a model file, without absent effects."""
     return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
 
@@ -193,7 +193,7 @@ def _linear_content(point: Point) -> Mapping[str, Any]:
     }
 
 
-def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
+def _build_effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
     effects: dict[str, Any] = {}
     if any(f"limit.{channel}" in point for channel in CHANNELS):
         effects["twist_range"] = {channel: point.get(f"limit.{channel}") for channel in CHANNELS}

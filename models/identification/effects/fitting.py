@@ -148,7 +148,7 @@ def _best_track(point: Point, data: Weighted) -> Point:
     def cost(candidate: Point) -> float:
         return float(sum(np.nansum(error**2) for error in data.errors(candidate)))
 
-    return min((with_track(share) for share in effect_settings().tracks), key=cost)
+    return min((with_track(share) for share in effect_settings().track_factors), key=cost)
 
 
 def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: int, *, smooth: bool) -> EffectFit:

@@ -66,7 +66,7 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     gains = np.array([point["gain.v"], point["gain.omega"]])
     wheels = np.empty_like(motor_twist)
     for row, channel in enumerate(("v", "omega")):
-        delayed = _delay(motor_twist[:, row], start[row], point[f"dead_time.{channel}"] / step)
+        delayed = _apply_delay(motor_twist[:, row], start[row], point[f"dead_time.{channel}"] / step)
         wheels[:, row] = gains[row] * two_lags(
             delayed, start[row], point[f"lag.{channel}"], point.get(f"damping.{channel}", 1.0), step
         )
@@ -76,7 +76,7 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     gyro = gyro + point.get("veer", 0.0) * wheels[:, 0] + point["gyro.offset"]
     readings = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
-        readings = _lag(readings, point["encoders.lag"], step)
+        readings = _apply_lag(readings, point["encoders.lag"], step)
     reading_times = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
     time_grid = np.arange(len(readings))
     encoder_readings = [np.interp(reading_times, time_grid, column) for column in readings.T]
@@ -155,7 +155,7 @@ def smooth_command(base: WheelCommand, twist: FloatArray) -> FloatArray:
     return base.twist(quantised + coasting * (coasting_speed - quantised))
 
 
-def _delay(values: FloatArray, initial: float, steps: float) -> FloatArray:
+def _apply_delay(values: FloatArray, initial: float, steps: float) -> FloatArray:
     """Delay `values` (n,) by `steps` steps with linear interpolation; `initial` is the value before the first step."""
     whole = int(steps)
     history = np.concatenate([np.full(whole + 1, initial), values])
@@ -163,7 +163,7 @@ def _delay(values: FloatArray, initial: float, steps: float) -> FloatArray:
     return np.asarray((1.0 - rest) * history[1 : 1 + len(values)] + rest * history[: len(values)])
 
 
-def _lag(values: FloatArray, lag: float, step: float) -> FloatArray:
+def _apply_lag(values: FloatArray, lag: float, step: float) -> FloatArray:
     """Apply a first-order lag [s] to `values` (n, 2), starting in steady state."""
     decay = np.exp(-step / lag)
     deviation = values - values[0]

@@ -44,10 +44,10 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
         Parameters estimated from encoders and gyro; see `fit_effects`.
     """
     records_with_pose = [record for record in records if record.pose is not None]
-    delay = _delay(records_with_pose, point) if records_with_pose else None
+    delay = _find_delay(records_with_pose, point) if records_with_pose else None
     if delay is None:
         return None
-    windows = [window for record in records_with_pose for window in _windows(record, point, delay)]
+    windows = [window for record in records_with_pose for window in _collect_windows(record, point, delay)]
     if len(windows) < _MIN_WINDOWS:
         return None
     regressors = np.array([window.regressors for window in windows])
@@ -69,7 +69,7 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     return join_estimates([ParameterEstimate(("pose.delay",), np.array([delay]), np.array([[sd**2]])), mount])
 
 
-def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:
+def _find_delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:
     """Find the delay [s] at which heading changes over one second agree best with the gyro."""
     low, high = effect_settings().pose.delays
     best: tuple[float, float] | None = None
@@ -94,7 +94,7 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
     return best[1] if best else None
 
 
-def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
+def _collect_windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
     """Collect the displacements between new poses, in windows without overlap."""
     if record.twist is None or record.pose is None:
         return []

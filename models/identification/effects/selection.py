@@ -71,7 +71,7 @@ class FoldFits:
 
 def fit_folds(fit: EffectFit, data: Weighted) -> FoldFits:
     """Repeat the fit without each block in turn; the initial values are those of `fit`."""
-    trial = effect_settings().trial
+    trial = effect_settings().trial_evaluations
     folds = blocks(data.experiments)
     fits = [fit_effects(fit.point, fit.free, data.part(rest), trial, near=True) for rest, _ in folds]
     return FoldFits(fit, tuple(fold.point for fold in fits))
@@ -213,8 +213,8 @@ def select_effects(
         announce(effect)
         candidate = fit_folds(_fit_with(model.fit, effect, data, clipping if effect == _CLIPPED else {}), data)
         score = gain(model, candidate, data)
-        significant = score.gain > settings.certain * score.error
-        selected = significant and score.gain > settings.worth and 2 * score.blocks > len(model.points)
+        significant = score.gain > settings.significance * score.error
+        selected = significant and score.gain > settings.min_gain and 2 * score.blocks > len(model.points)
         trials.append(EffectTrial(effect, score.gain, score.blocks, selected, again=False))
         if selected:
             effects.append(effect)
@@ -223,7 +223,7 @@ def select_effects(
         announce(f"without {effect}")
         candidate = fit_folds(_fit_without(model.fit, effect, data), data)
         score = gain(candidate, model, data)
-        selected = score.gain > settings.worth
+        selected = score.gain > settings.min_gain
         trials.append(EffectTrial(effect, score.gain, score.blocks, selected, again=True))
         if not selected:
             effects.remove(effect)
@@ -253,11 +253,12 @@ def _fit_with(fit: EffectFit, effect: str, data: Weighted, initial_limits: Point
         return fit_effects(start, free, data)
 
     def with_step(step: float) -> EffectFit:
-        return fit_effects({**start, "wheels.resolution": step}, free, data, settings.trial)
+        return fit_effects({**start, "wheels.resolution": step}, free, data, settings.trial_evaluations)
 
     best = min(map(with_step, settings.resolutions), key=_cost)
     coarse_step = best.point["wheels.resolution"]
-    for factor in settings.finer:  # start from the best fit so far, because the coarse search may be incomplete
+    # Start from the best fit so far, because the coarse search may be incomplete.
+    for factor in settings.resolution_factors:
         start = dict(best.point)
         best = min(best, with_step(factor * coarse_step), key=_cost)
     return fit_effects(best.point, free, data, near=True)
@@ -275,7 +276,7 @@ def _fit_with_track(fit: EffectFit, data: Weighted) -> EffectFit:
         max_speed = float((commands[:, 0] + half * commands[:, 1]).max())
         unit = base_track({**fit.point, _TRACK: 1.0})
         guess = {"wheels.top_speed": 0.9 * max_speed, _TRACK: float(np.clip(2.0 * half / unit, low, high))}
-        return fit_effects({**fit.point, **guess}, (*fit.free, *guess), data, settings.trial)
+        return fit_effects({**fit.point, **guess}, (*fit.free, *guess), data, settings.trial_evaluations)
 
     best = min(map(fit_from, settings.wheel_bases), key=_cost)
     return fit_effects(best.point, best.free, data, near=True)

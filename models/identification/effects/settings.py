@@ -24,14 +24,14 @@ class EffectSettings(StrictModel):
 
     parameters: dict[str, tuple[float, float, float]] = Field(description="minimum, maximum, initial value by name")
     resolutions: tuple[Positive, ...] = Field(description="initial values of the step of the rim speed [m/s]")
-    finer: tuple[Positive, ...] = Field(description="factors of the best resolution for a second search [-]")
+    resolution_factors: tuple[Positive, ...] = Field(description="factors of the best resolution for a refinement [-]")
     wheel_bases: tuple[Positive, ...] = Field(description="relative initial values of an unknown track [-]")
-    tracks: tuple[Positive, ...] = Field(description="factors that are applied to the track of the smoothed fit [-]")
-    worth: Positive = Field(description="minimum decrease of the logarithm of the held-out error power [-]")
-    certain: Positive = Field(description="minimum significance of the decrease [standard errors]")
-    most_lost: Positive = Field(description="maximum decrease of FIT relative to the plain model [percentage points]")
+    track_factors: tuple[Positive, ...] = Field(description="candidate factors of the track of the smoothed fit [-]")
+    min_gain: Positive = Field(description="minimum decrease of the logarithm of the held-out error power [-]")
+    significance: Positive = Field(description="minimum significance of the decrease [standard errors]")
+    max_fit_loss: Positive = Field(description="maximum decrease of FIT by the effects [percentage points]")
     evaluations: int = Field(ge=2, description="maximum evaluations of a search [-]")
-    trial: int = Field(ge=2, description="maximum evaluations of a search in a comparison [-]")
+    trial_evaluations: int = Field(ge=2, description="maximum evaluations of a search in a comparison [-]")
     difference: Positive = Field(description="finite-difference step, relative to the size of the parameter [-]")
     pose: PoseSettings
 

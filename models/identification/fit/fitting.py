@@ -199,7 +199,7 @@ def explain_rejection(base: IdentifiedBase, plain: IdentifiedModel, records: Seq
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(effect_powers, axis=0)])
     fits = 100.0 * (1.0 - rms / output_spread(experiments))
     gain = fits[1] - fits[0]
-    if gain.min() > -settings.most_lost and gain.mean() > 0.0:
+    if gain.min() > -settings.max_fit_loss and gain.mean() > 0.0:
         return None
     changes = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
     effects = ", ".join(base.effects) or "a delay of the encoders"

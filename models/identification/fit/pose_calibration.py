@@ -78,7 +78,7 @@ class ConstantTrack:
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Compute (..., 3) as in `SlipLaw`."""
         radius, track, side_slip = coefficients
-        v, difference = at_the_rim(radius, wheels)
+        v, difference = rim_speeds(radius, wheels)
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
 
@@ -100,7 +100,7 @@ class GrowingTrack(ConstantTrack):
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Compute (..., 3) as in `SlipLaw`."""
         radius, p0, p1, side_slip = coefficients
-        v, difference = at_the_rim(radius, wheels)
+        v, difference = rim_speeds(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
         return twist_with_side_slip(v, omega, side_slip)
 
@@ -129,7 +129,7 @@ class SlipPolynomial:
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Compute (..., 3) as in `SlipLaw`."""
-        v, difference = at_the_rim(self.wheel_radius, wheels)
+        v, difference = rim_speeds(self.wheel_radius, wheels)
         return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
 
 
@@ -138,7 +138,7 @@ def twist_with_side_slip(v: FloatArray, omega: FloatArray, side_slip: float) -> 
     return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
-def at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
+def rim_speeds(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Compute mean rim speed, and right minus left rim speed [m/s], from rates (..., 2) left, right [rad/s]."""
     left, right = wheels[..., 0], wheels[..., 1]
     return 0.5 * radius * (left + right), radius * (right - left)
@@ -309,14 +309,14 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
         for h, part in zip(halves, wheels, strict=True)
     ]
     encoders = (
-        _lag(wheels, ahead, [2.0 * np.sin(h) for h in halves]).renamed("wheels").part(["wheels.lag", "wheels.scale"])
+        _fit_lag(wheels, ahead, [2 * np.sin(h) for h in halves]).renamed("wheels").part(["wheels.lag", "wheels.scale"])
     )
     if any(record.yaw_rate is None for record in records):
         return encoders
     gyro = pose_windows(records, "yaw_rate", share=_LAG_WINDOW)
     turns = [part.displacement[:, 2] for part in gyro]
     return join_estimates(
-        [encoders, _lag(gyro, turns, [np.ones_like(turn) for turn in turns]).renamed("gyro").part(["gyro.lag"])]
+        [encoders, _fit_lag(gyro, turns, [np.ones_like(turn) for turn in turns]).renamed("gyro").part(["gyro.lag"])]
     )
 
 
@@ -335,13 +335,13 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
     for _ in range(_SHIFTS):
         gyro = pose_windows(records, "yaw_rate", steps * dt, _LAG_WINDOW)
         turns = [part.displacement[:, 2] for part in gyro]
-        remaining = _lag(gyro, turns, [np.ones_like(turn) for turn in turns]).part(["lag"])
+        remaining = _fit_lag(gyro, turns, [np.ones_like(turn) for turn in turns]).part(["lag"])
         delay = steps * dt - remaining.value("lag")
         estimate, steps = ParameterEstimate(("pose.delay",), np.array([delay]), remaining.covariance), round(delay / dt)
     return estimate
 
 
-def _lag(
+def _fit_lag(
     windows: Sequence[PoseWindows], motion: Sequence[FloatArray], disturbance: Sequence[FloatArray]
 ) -> ParameterEstimate:
     """Fit lag and scale of the first column of a signal, and the factor of `disturbance` (n,), to `motion` (n,)."""

@@ -192,7 +192,7 @@ class PoseResults:
 
     def at_rotation_centre(self, records: Sequence[Record]) -> list[Record]:
         """Return the records with poses, converted to poses of the rotation centre."""
-        return [replace(r, pose=rotation_centre(np.asarray(r.pose), self.place)) for r in _with_pose(records)]
+        return [replace(r, pose=rotation_centre(np.asarray(r.pose), self.place)) for r in _select_with_pose(records)]
 
 
 class PosePoint(NamedTuple):
@@ -214,7 +214,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
 
     Results for which there are too few poses are omitted with a warning.
     """
-    train, validation = _with_pose(data.train), _with_pose(data.validation)
+    train, validation = _select_with_pose(data.train), _select_with_pose(data.validation)
     if not train and not validation:
         return NO_POSES
     warnings: list[Doubt] = []
@@ -242,7 +242,7 @@ def _slip_laws(
     """Calibrate the law with a constant track and, for a log with wheel speeds, the other laws."""
     if not train:
         return ()
-    records = train if geometry else [_unit_wheels(record) for record in train]
+    records = train if geometry else [_add_unit_wheels(record) for record in train]
     size = geometry or _UNIT_WHEELS
     candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*size)} | (
         {"virtual track": GrowingTrack(*size), "slip polynomial": SlipPolynomial(*size)} if geometry else {}
@@ -287,7 +287,7 @@ def _predict_with_model(
 
 def _predict_with_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
     """Predict the twist by a model with base effects; return predictions for poses without mount, and pose point."""
-    records = _with_pose(data.validation)
+    records = _select_with_pose(data.validation)
     predictions = list(zip(records, base.body_twists(records), strict=True))
     if base.pose is None:
         return predictions, PosePoint()
@@ -314,11 +314,11 @@ def _compute_drift(predictions: Predictions, point: PosePoint, warnings: list[Do
     return tuple(drift)
 
 
-def _with_pose(records: Sequence[Record]) -> list[Record]:
+def _select_with_pose(records: Sequence[Record]) -> list[Record]:
     return [record for record in records if record.pose is not None]
 
 
-def _unit_wheels(record: Record) -> Record:
+def _add_unit_wheels(record: Record) -> Record:
     """Add the rates of fictitious wheels, with 1 m radius and 1 m track, that correspond to the record's twist."""
     if record.twist is None:
         return record

@@ -108,7 +108,8 @@ def find_corrections(
     """
     inferred: dict[str, dict[str, float]] = {}
     findings: list[Finding] = []
-    rule = identification_settings().sensors
+    limits = identification_settings().sensors
+    certainty = limits.significance
 
     def report(kind: str, text: str) -> None:
         findings.append(Finding(kind, "warning", name, f"{text}; `identify` sets 'sensors' in config.yaml"))
@@ -116,43 +117,43 @@ def find_corrections(
     with_pose = [record for record in records if record.pose is not None]
     try:
         has_gyro = bool(with_pose) and all(record.yaw_rate is not None for record in with_pose)
-        if has_gyro and (level := _clipping_level(with_pose, rule.least_scale)):
+        if has_gyro and (level := _clipping_level(with_pose, limits.min_scale)):
             text = f"the gyro is clipped at {level:.3g} rad/s: increase its range, or do not use it"
             findings.append(Finding("clipped sensor", "warning", name, text))
         elif has_gyro:
             estimate = calibrate_delay(with_pose)
             delay, deviation = estimate.value("pose.delay"), estimate.deviation("pose.delay")
-            if abs(delay) > max(rule.least_delay, rule.certain * deviation):
+            if abs(delay) > max(limits.min_delay, limits.significance * deviation):
                 readings, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
                 inferred[key] = {"delay": round(abs(delay), 3)}
                 text = f"{readings} are {abs(delay):.3f} +- {1.96 * deviation:.3f} s older than their stamps"
                 report("late sensor", text)
             gyro = calibrate_gyro(with_pose, delay).parameters
             scale, deviation = gyro.value("gyro_scale"), gyro.deviation("gyro_scale")
-            if abs(scale - 1.0) > max(rule.least_scale, rule.certain * deviation):
+            if abs(scale - 1.0) > max(limits.min_scale, limits.significance * deviation):
                 inferred["yaw_rate"] = {"scale": round(scale, 4), **inferred.get("yaw_rate", {})}
                 text = f"rotation of the gyro is {scale:.4f} +- {1.96 * deviation:.4f} times that of the poses"
                 report("scaled sensor", text)
         if with_pose and all(record.twist is not None for record in with_pose):
             lags = calibrate_lags(SensorCorrections({}, inferred).correct(with_pose))
             scale, deviation = lags.value("wheels.scale"), lags.deviation("wheels.scale")
-            is_scaled = abs(math.log(scale)) > rule.least_wheel_scale and abs(scale - 1.0) > rule.certain * deviation
+            is_scaled = abs(math.log(scale)) > limits.min_wheel_scale and abs(scale - 1.0) > certainty * deviation
             if is_scaled and _commands_agree_with_poses(with_pose, scale):
                 inferred["wheels"] = {"scale": round(scale, 4)}
                 text = f"encoder distance is {scale:.3f} +- {1.96 * deviation:.3f} times that of poses and commands"
                 report("scaled sensor", text)
-            elif abs(math.log(scale)) > rule.least_scale and abs(scale - 1.0) > rule.certain * deviation:
-                findings.append(_pose_scale_finding(name, scale, 1.96 * deviation, rule.least_slip))
+            elif abs(math.log(scale)) > limits.min_scale and abs(scale - 1.0) > certainty * deviation:
+                findings.append(_pose_scale_finding(name, scale, 1.96 * deviation, limits.min_slip))
     except ValueError:  # too few windows for an estimate
         pass
     loaded_mapping = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     return SensorCorrections(stated_corrections(loaded_mapping), inferred, tuple(findings))
 
 
-def _pose_scale_finding(name: str, scale: float, interval: float, least_slip: float) -> Finding:
+def _pose_scale_finding(name: str, scale: float, interval: float, min_slip: float) -> Finding:
     """Return the finding for encoders and commands whose distance is `scale` times the distance of the poses."""
     text = f"distance of encoders and commands is {scale:.3f} +- {interval:.3f} times that of the poses: "
-    if scale > least_slip:
+    if scale > min_slip:
         text += "the wheels slip or lose contact; drive slower, or on a surface with more grip"
         return Finding("slipping wheels", "warning", name, text)
     slip = "the wheels slip, or " if scale > 1.0 else ""

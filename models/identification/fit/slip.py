@@ -61,7 +61,7 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
 
 def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
     """Estimate the parameters `NAMES`; None without encoders, or with too few poses or turns."""
-    table = np.array([window for record in records for window in _windows(record)])
+    table = np.array([window for record in records for window in _window_means(record)])
     if len(table) < _MIN_WINDOWS:
         return None
     terms, lateral_speed = table[:, :2], table[:, 2]
@@ -74,12 +74,12 @@ def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
     return ParameterEstimate(NAMES, values, covariance)
 
 
-def _windows(record: Record) -> list[FloatArray]:
+def _window_means(record: Record) -> list[FloatArray]:
     """Compute the means (3,) over each window: -v omega [m/s^2], a omega [m/s^3] and speed to the left [m/s]."""
     dt, span = record.dt, max(2, round(identification_settings().pose_window / record.dt))
     if record.pose is None or record.twist is None or record.fresh_pose is None or len(record.pose) <= span:
         return []
-    v, omega = record.twist[:, 0], _yaw_rate(record)
+    v, omega = record.twist[:, 0], _scaled_yaw_rate(record)
     terms = np.column_stack([-v * omega, np.gradient(v, dt) * omega])
     windows = []
     for first in range(0, len(v) - span, span):
@@ -88,20 +88,20 @@ def _windows(record: Record) -> list[FloatArray]:
         if fresh.sum() < _MIN_POSES or not (np.isfinite(terms[part]).all() and np.isfinite(v[part]).all()):
             continue
         # The integrated yaw rate, aligned with all poses of the window, has less noise than the headings of the poses.
-        rotation = _integral(omega[part], dt)
+        rotation = _integrate(omega[part], dt)
         theta = rotation + float(np.mean((pose[:, 2] - rotation)[fresh]))
         left = np.column_stack([-np.sin(theta), np.cos(theta)])
         forward = np.column_stack([np.cos(theta), np.sin(theta)])
         # Least-squares slope over time, in the lateral direction at the middle: the rotation in a window is small.
         time = np.flatnonzero(fresh) - np.mean(np.flatnonzero(fresh))
         slope = time / (dt * time @ time)
-        paths = [_integral(terms[part, k, None] * left, dt) for k in range(2)]
-        paths.append(pose[:, :2] - _integral(v[part, None] * forward, dt))
+        paths = [_integrate(terms[part, k, None] * left, dt) for k in range(2)]
+        paths.append(pose[:, :2] - _integrate(v[part, None] * forward, dt))
         windows.append(np.array([slope @ path[fresh] @ left[len(left) // 2] for path in paths]))
     return windows
 
 
-def _yaw_rate(record: Record) -> FloatArray:
+def _scaled_yaw_rate(record: Record) -> FloatArray:
     """Return the yaw rate (K,) [rad/s] of the gyro; without a gyro, that of the encoders, scaled to fit the poses."""
     if record.yaw_rate is not None:
         return record.yaw_rate
@@ -113,7 +113,7 @@ def _yaw_rate(record: Record) -> FloatArray:
     return np.asarray(wheels * scale)
 
 
-def _integral(rows: FloatArray, dt: float) -> FloatArray:
+def _integrate(rows: FloatArray, dt: float) -> FloatArray:
     """Integrate `rows` (K, ...) by the trapezoidal rule, starting with zero."""
     steps = 0.5 * dt * (rows[1:] + rows[:-1])
     return np.asarray(np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)]))

@@ -189,7 +189,7 @@ def test_the_node_predicts_for_the_identified_robot(folder):
     expected = predict_by_drives(config, str(folder / "short.yaml"), own_plant(config), 20)
     assert summary["population"] == "own"
     assert summary["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
-    with one_line_error(ConfigError, match="with follow_error_limit give a population"):
+    with one_line_error(ConfigError, match="use another population with follow_error_limit"):
         ErrorPredictor.build(controller, settings.model_copy(update={"follow_error_limit": 0.1}), config)
     with one_line_error(ConfigError, match="neither plant.yaml"):
         ErrorPredictor.build(controller, settings, str(folder / "elsewhere" / "config.yaml"))

@@ -1,4 +1,4 @@
-"""`log replay` repeats every tick of a drive of `simulate` or of the node, and prints how the commands differ."""
+"""`log replay`: replay of drives of `simulate` and of the node, and the printed differences of commands."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.replay.replay import replay
 DT = 0.0202
 EQUAL = "recorded and replayed commands are equal at every tick"
 
-# Every kind of model, and every cause of another mode or solver path.
+# All kinds of models, and all causes of other modes or solver paths.
 CASES = {
     "circle": Case(),
     "sm": Case(model="sm", trajectory="square"),
@@ -46,7 +46,7 @@ CASES = {
 }
 
 
-def logged(case, folder):
+def run_and_log(case, folder):
     """Run a case; return the run, its log and the configuration."""
     controller, plant, reference = build(case)
     run = simulate(controller, plant, reference)
@@ -56,44 +56,44 @@ def logged(case, folder):
     return run, path, controller.config
 
 
-def recorded(path):
+def read_log(path):
     return read_recording(path, LoggedConfigs(path, path.parent))
 
 
-def log_replay(*words, code=0):
+def log_replay(*arguments, code=0):
     """Run `log replay`; return its output with single spaces."""
-    return " ".join(call("log", "replay", *words, code=code).split())
+    return " ".join(call("log", "replay", *arguments, code=code).split())
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_log_replays_to_the_same_commands(name, tmp_path):
-    run, path, config = logged(CASES[name], tmp_path)
-    recording = recorded(path)
+    run, path, config = run_and_log(CASES[name], tmp_path)
+    recording = read_log(path)
     replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.array_equal(recording.command, run.command)
     assert np.abs(replayed.command - run.command).max() < 1e-9
     assert replayed.modes == run.modes and not recording.notes
-    # With the trajectory itself the commands are equal to the last bit.
+    # With the original trajectory the commands are equal to the last bit.
     exact = replay(recording, config, (load_trajectory(CASES[name].trajectory, config),), as_recorded=False)
     assert np.array_equal(exact.command, run.command)
     assert exact.messages == run.messages
 
 
-def test_slew_of_another_configuration_counts_from_the_recorded_command(tmp_path):
-    _, path, _ = logged(Case(), tmp_path)
-    recording = recorded(path)
-    heavy = load_config("ssm", {"weights.across": 400.0, "limits.v_slew": 0.9})
-    replayed = replay(recording, heavy, recording.references, as_recorded=False)
+def test_slew_limit_of_another_configuration_applies_to_the_recorded_command(tmp_path):
+    _, path, _ = run_and_log(Case(), tmp_path)
+    recording = read_log(path)
+    config = load_config("ssm", {"weights.across": 400.0, "limits.v_slew": 0.9})
+    replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.abs(replayed.command - recording.command).max() > 0.01
     change = np.abs(replayed.command[1:] - recording.command[:-1])
-    assert (change[:, 1] <= heavy.limits.omega_slew * DT + 1e-9).all()
+    assert (change[:, 1] <= config.limits.omega_slew * DT + 1e-9).all()
 
 
-def test_own_trajectory_is_interpolated_with_a_note_and_exact_with_its_file(tmp_path):
-    path = tmp_path / "own.yaml"
+def test_unshipped_trajectory_is_interpolated_with_a_note_and_exact_with_its_file(tmp_path):
+    path = tmp_path / "path.yaml"
     path.write_text("segments:\n- {v: 0.4, omega: 0.3, duration: 3.0}\n- {v: 0.3, omega: -0.4, duration: 3.0}\n")
-    run, log, config = logged(Case(trajectory=str(path), plant="model:ssm"), tmp_path)
-    recording = recorded(log)
+    run, log, config = run_and_log(Case(trajectory=str(path), plant="model:ssm"), tmp_path)
+    recording = read_log(log)
     replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.abs(replayed.command - run.command).max() < 1e-9
     assert "--trajectory with its file makes the replay exact" in recording.notes[0]
@@ -102,18 +102,18 @@ def test_own_trajectory_is_interpolated_with_a_note_and_exact_with_its_file(tmp_
 
 @pytest.fixture(scope="module")
 def mcap(tmp_path_factory):
-    """Log of a drive whose model and configuration files are gone."""
+    """Return the log of a drive with deleted model and configuration files."""
     folder = tmp_path_factory.mktemp("mcap")
-    model, config, log = folder / "mine.yaml", folder / "config.yaml", folder / "drive.mcap"
+    model, config, log = folder / "model.yaml", folder / "config.yaml", folder / "drive.mcap"
     model.write_text(model_path("sm").read_text())
-    config.write_text("model: mine.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
+    config.write_text("model: model.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
     call("simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log)
     model.unlink()
     config.unlink()
     return log
 
 
-def test_mcap_log_replays_with_its_own_configuration(mcap):
+def test_mcap_log_replays_with_the_configuration_that_it_contains(mcap):
     output = log_replay(mcap)
     assert EQUAL in output and "v [m/s] 0 0" in output and "omega [rad/s] 0 0" in output
 
@@ -122,51 +122,51 @@ def test_changed_setting_is_compared_with_the_recorded_commands(mcap):
     output = log_replay(mcap, "--set", "weights.across=500")
     assert "recorded and replayed commands differ" in output
     row = output.split("v [m/s] ")[1].split()
-    # RMS, largest difference, its time, ticks that differ, time of the first one.
+    # RMS, maximum difference, its time, ticks that differ, time of the first one.
     assert 0.0 < float(row[0]) < float(row[1]) < 1.0 and int(row[3]) > 0 and float(row[4]) <= float(row[2])
 
 
 @pytest.fixture
 def log(tmp_path):
-    _, path, _ = logged(Case(plant="model:ssm", trajectory="circle"), tmp_path)
+    _, path, _ = run_and_log(Case(plant="model:ssm", trajectory="circle"), tmp_path)
     return path
 
 
-def cut_off(content):
+def truncate(content):
     return content[: len(content) // 2]
 
 
-BROKEN = {
-    "cut off": (cut_off, 0, "the end of the file is missing"),
+INVALID_LOGS = {
+    "truncated": (truncate, 0, "the end of the file is missing"),
     "empty": (lambda content: b"", 2, "only these can be replayed"),
     "a CSV log": (lambda content: b"t_s,v_ref_m_s\n0,0\n", 2, "only these can be replayed"),
 }
 
 
-@pytest.mark.parametrize("name", BROKEN)
-def test_broken_log_is_read_or_refused_with_one_line(name, log):
-    change, code, words = BROKEN[name]
+@pytest.mark.parametrize("name", INVALID_LOGS)
+def test_invalid_log_is_read_partly_or_refused_in_one_line(name, log):
+    change, code, message = INVALID_LOGS[name]
     log.write_bytes(change(log.read_bytes()))
-    assert words in log_replay(log, "--model", "ssm", code=code)
+    assert message in log_replay(log, "--model", "ssm", code=code)
 
 
 def test_log_of_a_few_ticks_is_refused(tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text("segments: [{v: 0.1, omega: 0.0, duration: 0.02}]\ntiming: commanded\n")
-    _, log, _ = logged(Case(trajectory=str(path), plant="model:ssm"), tmp_path)
+    _, log, _ = run_and_log(Case(trajectory=str(path), plant="model:ssm"), tmp_path)
     assert "at least 10 are needed; record for longer" in log_replay(log, code=2)
 
 
-def test_bad_option_is_refused_with_one_line(log):
+def test_wrong_sample_time_is_refused_in_one_line(log):
     output = log_replay(log, "--model", "ssm", "--set", "sample_time=0.1", code=2)
-    assert "its ticks come every 20.2 ms, sample_time is 100 ms" in output and "Traceback" not in output
+    assert "the period of its ticks is 20.2 ms, sample_time is 100 ms" in output and "Traceback" not in output
 
 
-def test_log_without_a_configuration_is_refused_with_one_line(tmp_path):
+def test_log_without_a_configuration_is_refused_in_one_line(tmp_path):
     controller, plant, reference = build(Case(plant="model:ssm"))
     write_log(simulate(controller, plant, reference), tmp_path / "drive.mcap")
     output = log_replay(tmp_path / "drive.mcap", code=2)
-    assert "the log does not hold a configuration; give --config or --model" in output
+    assert "the log does not contain a configuration; use --config or --model" in output
 
 
 CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))
@@ -180,7 +180,7 @@ def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
         folder = tmp_path / str(attempt)
         drive_over_dds(CASE, reference.duration, folder, lock_step=lock_step, timeout=120.0)
         (bag,) = folder.glob("*.mcap")
-        # In real time the node may start late, or before the robot has discovered the topics that it records.
+        # In real time the node may start late, or before the discovery of the recorded topics.
         with suppress(ConfigError):
             recording = read_recording(bag, LoggedConfigs(bag, tmp_path))
             if not recording.notes and len(recording.ticks) > 300:
@@ -194,7 +194,7 @@ def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
 
 
 def test_replay_of_an_eventful_drive_reproduces_its_commands(tmp_path):
-    """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
+    """The drive has pauses, changed limits, missing odometry, and a reset with a second start."""
     folder = tmp_path / "drives"
     with stack(drive=True, record=True, record_folder=str(folder), trajectory="k_turn", start_at_robot=True) as s:
         s.base.run(40)
@@ -220,10 +220,10 @@ def test_replay_of_an_eventful_drive_reproduces_its_commands(tmp_path):
     assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
     assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
     assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)
-    again = replay(recording, recording.config, recording.references, as_recorded=True)
-    # A path that was laid somewhere is sampled in Python and in C, which round otherwise.
-    assert np.abs(again.command - recording.command).max() < 1e-12
-    assert again.messages == tuple(tick.message for tick in recording.ticks)
+    replayed = replay(recording, recording.config, recording.references, as_recorded=True)
+    # A transformed path is sampled in Python and in C, with different rounding.
+    assert np.abs(replayed.command - recording.command).max() < 1e-12
+    assert replayed.messages == tuple(tick.message for tick in recording.ticks)
 
 
 def test_configuration_is_read_if_it_does_not_enable_a_removed_group():

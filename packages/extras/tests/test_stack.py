@@ -1,4 +1,4 @@
-"""Parameters for other packages: exact for clean logs, and a reason for each undetermined parameter."""
+"""Parameters for other packages: values from clean logs, intervals, files, and reasons for missing values."""
 
 import math
 import re
@@ -44,7 +44,7 @@ def drawn_log(
     noise: float = 1.0,
     seconds: float | None = None,
     limit: float | None = None,
-    pose: bool = True,
+    has_pose: bool = True,
     damping: float | None = None,
 ) -> DrawnLog:
     """Simulate a log of the robot of a seed.
@@ -56,8 +56,8 @@ def drawn_log(
     noise
         Factor on noise, disturbance and bias [-].
     seconds, limit
-        Duration of the log [s] and clipping level of commands [-], in place of the settings.
-    pose
+        Duration of the log [s] and clipping level over the maximum command [-]; by default from the settings.
+    has_pose
         True if the log has poses.
     damping
         Damping ratio of an overshooting robot with the same delay [-].
@@ -68,32 +68,32 @@ def drawn_log(
     dt, track, radius = settings.sample_time, build.robot.track, build.robot.wheel_radius
     stride = round(dt / _FINE)
     count = round((seconds or settings.seconds) / dt)
-    size = np.array([draw["speed"], draw["turning"]])
+    max_command = np.array([draw["speed"], draw["turning"]])
     hold = round(draw["hold"] / dt)
-    command = size * np.repeat(stream.uniform(-1, 1, (count // hold + 1, 2)), hold, axis=0)[:count]
+    command = max_command * np.repeat(stream.uniform(-1, 1, (count // hold + 1, 2)), hold, axis=0)[:count]
     effective_track = track * (1.0 if build.twin.chassis.castors else draw["widening"])
     gain = np.array([1.0, build.firmware.track / effective_track])
-    level, slew = (limit or draw["limit"]) * size, size / draw["slew_time"]
+    level, slew = (limit or draw["limit"]) * max_command, max_command / draw["slew_time"]
     lags = np.array([[build.firmware.lag_v, draw["second_lag"]], [build.firmware.lag_omega, draw["second_lag"]]])
     twist = _motor_response(
         np.repeat(np.clip(command, -level, level), stride, axis=0), slew, lags, build.twin.link.dead_time, damping
     )
-    twist = twist * gain + noise * settings.disturbance * size * gain * _coloured_noise(
+    twist = twist * gain + noise * settings.disturbance * max_command * gain * _coloured_noise(
         stream, len(twist), settings.correlation
     )
     sides = np.column_stack(
         [twist[:, 0] - 0.5 * effective_track * twist[:, 1], twist[:, 0] + 0.5 * effective_track * twist[:, 1]]
     )
     radii = radius * np.array(build.twin.chassis.rolling_radii)
-    reading = sides[::stride] / radii + noise * settings.wheel_noise / radius * stream.normal(size=(count, 2))
-    odometry = np.column_stack([0.5 * radius * reading.sum(axis=1), radius * np.diff(reading)[:, 0] / track])
-    source = build.sensors.pose
-    poses = _delayed_poses(twist, stride, source.latency) + noise * stream.normal(size=(count, 3)) * [
-        source.position_sd,
-        source.position_sd,
-        source.heading_sd,
+    wheel_speeds = sides[::stride] / radii + noise * settings.wheel_noise / radius * stream.normal(size=(count, 2))
+    odometry = np.column_stack([0.5 * radius * wheel_speeds.sum(axis=1), radius * np.diff(wheel_speeds)[:, 0] / track])
+    sensor = build.sensors.pose
+    poses = _delayed_poses(twist, stride, sensor.latency) + noise * stream.normal(size=(count, 3)) * [
+        sensor.position_sd,
+        sensor.position_sd,
+        sensor.heading_sd,
     ]
-    fresh = np.diff(np.floor(dt * np.arange(-1, count) / max(source.period or dt, dt) + 1e-9)) > 0
+    fresh = np.diff(np.floor(dt * np.arange(-1, count) / max(sensor.period or dt, dt) + 1e-9)) > 0
     rate = twist[::stride, 1] + noise * (draw["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
     record = Record(
         f"robot {seed}",
@@ -102,9 +102,9 @@ def drawn_log(
         command,
         twist=odometry,
         yaw_rate=rate,
-        pose=poses if pose else None,
-        wheels=reading,
-        fresh_pose=fresh if pose else None,
+        pose=poses if has_pose else None,
+        wheels=wheel_speeds,
+        fresh_pose=fresh if has_pose else None,
     )
     train, validation = divide([record], 0.75)
     data = LogData(tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro", (), (), track)
@@ -127,7 +127,7 @@ _DRAWN_PARAMETERS = ("hold", "speed", "turning", "widening", "limit", "slew_time
 def _motor_response(
     commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_time: float, damping: float | None
 ) -> FloatArray:
-    """Simulate the responses (n, 2) of the motors to commands (n, 2): slope limit, dead time, and two poles."""
+    """Simulate the responses (n, 2) of the motors to commands (n, 2): slew limit, dead time, and two poles."""
     ramped = np.empty_like(commands)
     current = np.zeros(2)
     for k, target in enumerate(commands):
@@ -158,14 +158,14 @@ def _delayed_poses(twist: FloatArray, stride: int, latency: float) -> FloatArray
     return np.concatenate([np.zeros((delay, 3)), poses])[: len(poses)][::stride]
 
 
-CLEAN = 1e-3
+LOW_NOISE = 1e-3
 SEED = 1
 
 
 @pytest.fixture(scope="module")
 def exact():
-    """Log with almost no noise in which both channels are clipped, and its estimate."""
-    log = drawn_log(SEED, noise=CLEAN, seconds=60.0, limit=0.7)
+    """Return a log with almost no noise in which both channels are clipped, and its estimate."""
+    log = drawn_log(SEED, noise=LOW_NOISE, seconds=60.0, limit=0.7)
     return log, estimate_stack(log.data)
 
 
@@ -176,7 +176,7 @@ def test_clean_log_determines_all_quantities(exact):
         assert quantities[name].value == pytest.approx(truth, abs=tolerance), name
 
 
-def test_files_have_the_packages_structure(exact):
+def test_files_have_the_structure_of_the_packages(exact):
     files = {package: yaml.safe_load(package_text(package, exact[1])) for package in packages()}
     assert set(files["ros2_control"]) == {"/**", "imu_sensor_broadcaster"}
     for content in files.values():
@@ -194,22 +194,22 @@ def test_files_have_the_packages_structure(exact):
 
 def test_gyro_determines_the_multiplier_of_a_log_without_poses():
     """A body that turns more slowly for equal wheel speeds has a larger multiplier."""
-    log = drawn_log(SEED, noise=CLEAN, seconds=60.0, pose=False)
+    log = drawn_log(SEED, noise=LOW_NOISE, seconds=60.0, has_pose=False)
     quantities = estimate_stack(log.data)
     assert quantities["left_radius_multiplier"].value is None
     assert "pose" in quantities["left_radius_multiplier"].reason
     multiplier = quantities["separation_multiplier"].value
     assert multiplier == pytest.approx(log.truth["separation_multiplier"], rel=0.02)
     slow_records = [replace(record, yaw_rate=0.8 * record.yaw_rate) for record in log.data.train]
-    slower = estimate_stack(replace(log.data, train=tuple(slow_records)))
-    assert slower["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
+    slow = estimate_stack(replace(log.data, train=tuple(slow_records)))
+    assert slow["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
 
 
 def test_quantities_without_finite_intervals_have_no_value(monkeypatch):
     """With a singular covariance, estimates and derived quantities have a reason in place of a value."""
     covariance = "diffdrive_mpc_extras.stack.estimate.covariance"
     monkeypatch.setattr(covariance, lambda fit, _: np.full((len(fit.free), len(fit.free)), math.nan))
-    quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=30.0, limit=0.7, pose=False).data)
+    quantities = estimate_stack(drawn_log(SEED, noise=LOW_NOISE, seconds=30.0, limit=0.7, has_pose=False).data)
     for name in ("delay.v", "delay.omega", "separation_multiplier", "max.v", "rate.omega", "look_ahead_time"):
         assert quantities[name].value is None, name
     assert all("not finite" in quantities[name].reason for name in ("max.v", "look_ahead"))
@@ -220,12 +220,12 @@ def test_quantities_without_finite_intervals_have_no_value(monkeypatch):
 
 
 def test_look_ahead_keeps_the_phase_margin():
-    """Check the phase of 2 (p + 1) exp(-theta p) / p^2 at gain one."""
+    """The phase of 2 (p + 1) exp(-theta p) / p^2 at gain one is -pi plus the margin."""
     margin = math.radians(45.0)
     theta = 1.0 / look_ahead_factor(margin)
-    crossing = math.sqrt(2.0 + math.sqrt(8.0))
-    assert abs(2 * (1 + 1j * crossing) / crossing**2) == pytest.approx(1.0)
-    assert math.atan(crossing) - theta * crossing == pytest.approx(margin)
+    crossover = math.sqrt(2.0 + math.sqrt(8.0))
+    assert abs(2 * (1 + 1j * crossover) / crossover**2) == pytest.approx(1.0)
+    assert math.atan(crossover) - theta * crossover == pytest.approx(margin)
 
 
 def test_look_ahead_of_a_clipping_robot_is_that_of_its_maximum_speed(exact):
@@ -238,8 +238,8 @@ def test_reason_of_a_limit_names_its_multipliers(exact):
     """If the separation multiplier is missing, the limit applies to the command before gain and multiplier."""
     log, quantities = exact
     assert "only with the separation multiplier of ros2_control.yaml" in quantities["max.omega"].reason
-    bare = [replace(record, wheels=None) for record in log.data.train]
-    uncorrected = estimate_stack(replace(log.data, train=tuple(bare)))["max.omega"]
+    records = [replace(record, wheels=None) for record in log.data.train]
+    uncorrected = estimate_stack(replace(log.data, train=tuple(records)))["max.omega"]
     firmware, multiplier = draw_robot(SEED).build.firmware, log.truth["separation_multiplier"]
     level = log.truth["max.omega"] * multiplier * log.data.stated_track / firmware.track
     assert uncorrected.value == pytest.approx(level, rel=0.02)
@@ -247,7 +247,7 @@ def test_reason_of_a_limit_names_its_multipliers(exact):
 
 
 @pytest.mark.parametrize("seed", [801, 803, 805])
-def test_delays_of_robots_that_overshoot(seed):
+def test_delays_of_overshooting_robots(seed):
     """Reserved seeds with a damping ratio of 0.4 to 0.9 and noise."""
     damping = float(np.random.default_rng(seed).uniform(0.4, 0.9))
     log = drawn_log(seed, damping=damping)
@@ -264,7 +264,7 @@ def test_unknown_package_error_lists_the_known_packages(tmp_path):
 @pytest.mark.long
 def test_intervals_contain_the_truth_of_drawn_robots():
     """For reserved seeds, 95 % of the errors are within the tolerances, and the coverage is consistent with 95 %."""
-    tolerances, inside, within = POPULATION.tolerances, [], []
+    tolerances, is_covered, is_accurate = POPULATION.tolerances, [], []
     for seed in range(1000, 1040, 2):
         log = drawn_log(seed)
         quantities = estimate_stack(log.data)
@@ -274,7 +274,7 @@ def test_intervals_contain_the_truth_of_drawn_robots():
                 continue
             assert log.reached.get(name, True), f"{name} is stated but was not reached"
             error = abs(quantity.value - truth) / (1.0 if name.startswith("delay") else truth)
-            within.append(error <= tolerances[name.partition(".")[0]])
-            inside.append(quantity.interval[0] <= truth <= quantity.interval[1])
-    assert Rate.of_runs(sum(inside), len(inside)).high >= 0.95
-    assert np.mean(within) >= 0.95
+            is_accurate.append(error <= tolerances[name.partition(".")[0]])
+            is_covered.append(quantity.interval[0] <= truth <= quantity.interval[1])
+    assert Rate.of_runs(sum(is_covered), len(is_covered)).high >= 0.95
+    assert np.mean(is_accurate) >= 0.95

@@ -1,4 +1,4 @@
-"""Statistics of drawn runs with bootstrap intervals."""
+"""Statistics of runs with bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from diffdrive_mpc.models.interface import FloatArray
 
 CONFIDENCE = 0.95
 TAIL = 0.05
-"""Share of the worst runs that CVaR is the mean of."""
+"""Share of the worst runs in the conditional value at risk (CVaR) [-]."""
 _RESAMPLES = 2000
 _SEED = 17
 
 
 @dataclass(frozen=True)
 class BootstrapEstimate:
-    """A figure over runs with its bootstrap interval (percentiles)."""
+    """Statistic of runs with its percentile bootstrap interval."""
 
     value: float
     low: float
     high: float
 
     @classmethod
-    def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """Return `figure(values, axis=-1)` of (n,) values; NaN without any, its interval with fewer than two."""
+    def of_runs(cls, values: ArrayLike, statistic: Callable[..., FloatArray]) -> BootstrapEstimate:
+        """Estimate `statistic(values, axis=-1)` of values (n,); NaN for n = 0, and interval NaN for n = 1."""
         sample = np.asarray(values, dtype=float)
         if sample.size == 0:
             return cls(np.nan, np.nan, np.nan)
-        value = float(figure(sample, axis=-1))
+        value = float(statistic(sample, axis=-1))
         if sample.size < 2 or np.ptp(sample) == 0.0:
-            same = value if sample.size > 1 else np.nan
-            return cls(value, same, same)
+            end = value if sample.size > 1 else np.nan
+            return cls(value, end, end)
         interval = bootstrap(
             (sample,),
-            figure,
+            statistic,
             n_resamples=_RESAMPLES,
             batch=100,
             confidence_level=CONFIDENCE,
@@ -49,16 +49,16 @@ class BootstrapEstimate:
         return cls(value, float(interval.low), float(interval.high))
 
     @classmethod
-    def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """Return `figure(*tables)` of tables (..., n) of the same n runs, drawn together along the last axis."""
+    def of_same_runs(cls, tables: Sequence[FloatArray], statistic: Callable[..., FloatArray]) -> BootstrapEstimate:
+        """Estimate `statistic(*tables)` of tables (..., n) of n runs, resampled jointly along the last axis."""
 
-        def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:
-            return figure(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
+        def joint_statistic(runs: ArrayLike, axis: int = -1) -> FloatArray:
+            return statistic(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
 
         with warnings.catch_warnings():
-            # Tables that are the same have an interval without width.
+            # Equal tables have an interval of width zero.
             warnings.simplefilter("ignore", DegenerateDataWarning)
-            return cls.of_runs(np.arange(tables[0].shape[-1], dtype=float), drawn)
+            return cls.of_runs(np.arange(tables[0].shape[-1], dtype=float), joint_statistic)
 
 
 def mean(values: FloatArray, axis: int = -1) -> FloatArray:
@@ -72,12 +72,12 @@ def median(values: FloatArray, axis: int = -1) -> FloatArray:
 
 
 def cvar(values: ArrayLike, axis: int = -1) -> FloatArray:
-    """Return the conditional value at risk: the mean of the worst twentieth along an axis.
+    """Return the conditional value at risk: the mean of the largest 5 % along an axis.
 
-    Where a twentieth of n is no whole number, the last of the worst counts by the part that is left (Rockafellar,
-    Uryasev, J. Banking & Finance 26, 2002, for a sample).
+    If 5 % of n is not an integer, the last value has a fractional weight (Rockafellar, Uryasev, J. Banking & Finance
+    26, 2002).
     """
-    worst = -np.sort(-np.moveaxis(np.asarray(values, dtype=float), axis, -1), axis=-1)
-    mass = max(TAIL * worst.shape[-1], np.finfo(float).tiny)
-    weights = np.clip(mass - np.arange(worst.shape[-1]), 0.0, 1.0)
-    return np.asarray(worst @ (weights / weights.sum()))
+    descending = -np.sort(-np.moveaxis(np.asarray(values, dtype=float), axis, -1), axis=-1)
+    count = max(TAIL * descending.shape[-1], np.finfo(float).tiny)
+    weights = np.clip(count - np.arange(descending.shape[-1]), 0.0, 1.0)
+    return np.asarray(descending @ (weights / weights.sum()))

@@ -1,4 +1,4 @@
-"""Structures of velocity models that this package registers; `models.function_structure` states their attributes."""
+"""Velocity-model structures that this package registers; see `models.function_structure.FunctionStructure`."""
 
 from pathlib import Path
 

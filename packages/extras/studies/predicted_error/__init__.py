@@ -1,1 +1,1 @@
-"""The calibration of the predicted error, and how far it holds on drives that played no part in it."""
+"""Calibration of the predicted error, and its coverage on held-out drives."""

@@ -1,4 +1,4 @@
-"""From drives to coefficients and quantiles, and how far they hold on other drives."""
+"""Coefficients and quantiles of the predicted error from drives, and their coverage on other drives."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
 _PLACES = 40
 """Places of each drive in the fit; adjacent places carry the same information."""
 _SEED = 5
-_LEAST_FLOOR = 0.05
-"""Over the median error [-]: a robot that stands on a perfect floor has an error, too."""
+_MIN_FLOOR = 0.05
+"""Minimum of the constant coefficient over the median error [-]: a standing robot has an error as well."""
 _DIGITS = 4
 
 
-def calibrated(
+def calibrate_scale(
     fit: Sequence[DrivenPath], calibration: Sequence[DrivenPath], direction: Direction, level: float
 ) -> ErrorScale:
-    """Fit the scale on some drives, and its quantiles on others."""
+    """Fit the coefficients of the scale to drives of one set, and its quantiles to drives of another set."""
     coefficients = _coefficients(fit, direction, level)
     rounded = {
         name: float(f"{value:.{_DIGITS}g}") for name, value in zip(FEATURES, coefficients, strict=True) if value > 0
@@ -41,56 +41,56 @@ def calibrated(
     }
     if not math.isfinite(sum(quantiles.values())):
         raise StudyFailedError(
-            f"no {direction} tube holds for {100 * level:g} % of {len(calibration)} drives: too many of them ended "
-            "early, or they are too few; give more runs"
+            f"no {direction} tube holds for {100 * level:g} % of {len(calibration)} drives: too many drives ended "
+            "early, or there are too few; increase the number of runs"
         )
-    # Rounded upwards: a tube that is too narrow is the error to avoid.
+    # Round up, because a tube must not be too narrow.
     return scale.model_copy(update={name: math.ceil(1e4 * value) / 1e4 for name, value in quantiles.items()})
 
 
-def _coefficients(driven: Sequence[DrivenPath], direction: Direction, level: float) -> FloatArray:
-    """Fit a quantile of |error| by the features with non-negative coefficients, as a linear program.
+def _coefficients(drives: Sequence[DrivenPath], direction: Direction, level: float) -> FloatArray:
+    """Fit a quantile of |error| to the features with non-negative coefficients, as a linear program.
 
-    Koenker, Bassett, "Regression quantiles", Econometrica 46, 1978.
+    Source: Koenker, Bassett, "Regression quantiles", Econometrica 46, 1978.
     """
     stream = np.random.default_rng(_SEED)
     rows, values = [], []
-    for path in driven:
+    for path in drives:
         error = path.errors[direction]
         places = stream.choice(len(error), min(_PLACES, len(error)), replace=False)
         places = places[np.isfinite(error[places])]
         rows.append(path.features[places])
         values.append(error[places])
     features, errors = np.concatenate(rows), np.concatenate(values)
-    unit, size = features.mean(axis=0) + 1e-12, float(np.median(errors))
+    feature_scale, error_scale = features.mean(axis=0) + 1e-12, float(np.median(errors))
     count, width = features.shape
     identity = scipy.sparse.eye(count)
-    lowest = np.zeros(width + 2 * count)
-    lowest[list(FEATURES).index("floor")] = _LEAST_FLOOR
+    lower_bounds = np.zeros(width + 2 * count)
+    lower_bounds[list(FEATURES).index("floor")] = _MIN_FLOOR
     solution = linprog(
         np.concatenate([np.zeros(width), np.full(count, level), np.full(count, 1.0 - level)]),
-        A_eq=scipy.sparse.hstack([scipy.sparse.csr_matrix(features / unit), identity, -identity]).tocsc(),
-        b_eq=errors / size,
-        bounds=np.column_stack([lowest, np.full(len(lowest), np.inf)]),
+        A_eq=scipy.sparse.hstack([scipy.sparse.csr_matrix(features / feature_scale), identity, -identity]).tocsc(),
+        b_eq=errors / error_scale,
+        bounds=np.column_stack([lower_bounds, np.full(len(lower_bounds), np.inf)]),
         method="highs",
     )
-    coefficients = solution.x[:width] * size / unit
-    # Less than a thousandth of the mean scale is nothing.
-    return np.asarray(np.where(coefficients * unit > 1e-3 * size, coefficients, 0.0))
+    coefficients = solution.x[:width] * error_scale / feature_scale
+    # Remove contributions below a thousandth of the error scale.
+    return np.asarray(np.where(coefficients * feature_scale > 1e-3 * error_scale, coefficients, 0.0))
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of drives inside the tubes of a scale.
+    """Coverage of the tubes of a scale.
 
     Attributes
     ----------
     at_each_place
-        Mean over drives of the share of places at which it is inside [-].
+        Mean over drives of the share of places inside the tube [-].
     everywhere
-        Drives that are inside all the way.
+        Rate of drives that are inside at all places.
     width, width_everywhere
-        Mean half width of both tubes [m].
+        Mean half widths of both tubes [m].
     """
 
     at_each_place: float
@@ -99,23 +99,23 @@ class Coverage:
     width_everywhere: float
 
 
-def coverage(driven: Sequence[DrivenPath], scale: ErrorScale, direction: Direction) -> Coverage:
-    """Count the drives inside."""
-    widths = [path.features @ scale.row for path in driven]
-    scores = [path.errors[direction] / width for path, width in zip(driven, widths, strict=True)]
-    inside = sum(float(score.max()) <= scale.everywhere for score in scores)
-    mean = float(np.mean([width.mean() for width in widths]))
+def coverage(drives: Sequence[DrivenPath], scale: ErrorScale, direction: Direction) -> Coverage:
+    """Compute the coverage of a scale on drives."""
+    widths = [path.features @ scale.row for path in drives]
+    scores = [path.errors[direction] / width for path, width in zip(drives, widths, strict=True)]
+    count_inside = sum(float(score.max()) <= scale.everywhere for score in scores)
+    mean_width = float(np.mean([width.mean() for width in widths]))
     return Coverage(
         float(np.mean([np.mean(score <= scale.at_each_place) for score in scores])),
-        Rate.of_runs(inside, len(driven)),
-        scale.at_each_place * mean,
-        scale.everywhere * mean,
+        Rate.of_runs(count_inside, len(drives)),
+        scale.at_each_place * mean_width,
+        scale.everywhere * mean_width,
     )
 
 
-def oracle_widths(driven: Sequence[DrivenPath], direction: Direction, level: float) -> tuple[float, float]:
-    """Return the mean half widths [m] of both tubes of the driven path: quantile at each place, and its multiple."""
-    errors = np.array([path.errors[direction] for path in driven])
+def oracle_widths(drives: Sequence[DrivenPath], direction: Direction, level: float) -> tuple[float, float]:
+    """Return the mean half widths [m] of the tubes at each place and everywhere, from quantiles of drives of a path."""
+    errors = np.array([path.errors[direction] for path in drives])
     tube = np.quantile(errors, level, axis=0, method="higher")
-    multiple = np.quantile((errors / tube).max(axis=1), level, method="higher")
-    return float(tube.mean()), float(multiple * tube.mean())
+    factor = np.quantile((errors / tube).max(axis=1), level, method="higher")
+    return float(tube.mean()), float(factor * tube.mean())

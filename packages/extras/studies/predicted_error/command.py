@@ -20,17 +20,17 @@ def run(
     store: Annotated[
         Path | None,
         typer.Option(
-            "--kept", metavar="FOLDER", help="Folder for driven sets, which a later run reads.", show_default=False
+            "--kept", metavar="FOLDER", help="Folder of stored sets of drives, read and written.", show_default=False
         ),
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Calibrate the predicted tracking error, and measure its coverage on other drives: a quarter of an hour."""
+    """Calibrate the predicted tracking error, and measure its coverage on other drives; about 15 minutes."""
     from studies.predicted_error.drives import load_study  # noqa: PLC0415
     from studies.predicted_error.study import PredictedErrorStudy  # noqa: PLC0415
 
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
 
     if quick and (study is not None or store is not None):
-        raise ValueError("--quick has a study of its own and keeps nothing; give it alone")
+        raise ValueError("--quick cannot be combined with --study or --kept; remove one of them")
     carry_out(PredictedErrorStudy(load_study(study, quick=quick), store), out, jobs)

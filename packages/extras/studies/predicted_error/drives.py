@@ -1,4 +1,4 @@
-"""Drives of the study: drawn, driven and stored."""
+"""Drives of the study: sets, simulation and storage."""
 
 from __future__ import annotations
 
@@ -28,83 +28,83 @@ from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, Calibrate
 
 Count = Annotated[int, Field(ge=1)]
 PARTS = ("fit", "calibration", "test")
-_QUICK = 20
-"""With fewer drives no bound holds for 95 % of them."""
-THINNED = 5
-"""Ticks that become one place: the largest |error| of them."""
-_DRAWN_FROM = 37
+_QUICK_RUNS = 20
+"""Number of runs of a quick study; fewer runs have no 95 % quantile."""
+TICKS_PER_PLACE = 5
+"""Number of ticks that form one place; its error is their maximum |error|."""
+_PATH_STREAM = 37
 
 
 class DriveSet(StrictModel):
-    """Drives that are drawn alike."""
+    """Set of drives with common factors."""
 
-    runs: Count = Field(description="how many")
-    draw_seed: int = Field(0, ge=0, description="of the factors")
-    robots: Literal["tuning", "reserved"] | None = Field(None, description="robots of the market; null: as factors say")
-    first_robot: int = Field(0, ge=0, description="the first one's number among those that can drive")
-    first_path: int | None = Field(None, ge=0, description="seed of the first random path; null: as factors say")
-    like: str | None = Field(None, description="population whose factors are taken, too")
-    factors: dict[str, object] = Field(default_factory=dict, description="as in a campaign")
+    runs: Count = Field(description="number of drives")
+    draw_seed: int = Field(0, ge=0, description="seed of the factors")
+    robots: Literal["tuning", "reserved"] | None = Field(None, description="robots of the market; null: from factors")
+    first_robot: int = Field(0, ge=0, description="index of the first robot among the drivable robots")
+    first_path: int | None = Field(None, ge=0, description="seed of the first random path; null: from factors")
+    like: str | None = Field(None, description="population whose factors apply as well")
+    factors: dict[str, object] = Field(default_factory=dict, description="factors, as in a campaign")
 
 
 class PopulationDrives(StrictModel):
-    """A population, and the sets that are drawn from it."""
+    """Population, and its sets of drives."""
 
-    description: str = Field(min_length=1, description="which robots and floors")
-    factors: dict[str, object] = Field(default_factory=dict, description="of all sets")
-    fit: DriveSet = Field(description="for the coefficients")
-    calibration: DriveSet = Field(description="for the quantiles")
-    test: DriveSet = Field(description="for coverage; robots, paths and seeds that played no part before")
+    description: str = Field(min_length=1, description="description of robots and surfaces")
+    factors: dict[str, object] = Field(default_factory=dict, description="common factors of all sets")
+    fit: DriveSet = Field(description="drives for the coefficients")
+    calibration: DriveSet = Field(description="drives for the quantiles")
+    test: DriveSet = Field(description="drives for the coverage, with held-out robots, paths and seeds")
 
 
 class Oracle(StrictModel):
-    """Paths that are driven often, to know their tubes."""
+    """Repeated drives of paths, for reference tubes."""
 
-    drives: Count = Field(description="of each path")
-    first_robot: int = Field(0, ge=0, description="number of the first reserved robot")
-    first_seed: int = Field(0, ge=0, description="seed of the first drive's noise")
-    draw_seed: int = Field(0, ge=0, description="of the factors on the first path")
+    drives: Count = Field(description="number of drives of each path")
+    first_robot: int = Field(0, ge=0, description="index of the first reserved robot")
+    first_seed: int = Field(0, ge=0, description="noise seed of the first drive")
+    draw_seed: int = Field(0, ge=0, description="seed of the factors for the first path")
     paths: tuple[int, ...] = Field(description="seeds of random paths")
 
 
 class PredictedErrorFile(StrictModel):
-    """Drives of the study."""
+    """Content of the study file."""
 
     level: float = Field(gt=0.5, lt=1.0, description="share of drives inside a tube [-]")
-    speed: CalibratedRange = Field(description="top speed of a path [m/s]")
-    yaw_rate: CalibratedRange = Field(description="top yaw rate of a path [rad/s]")
-    acceleration: Span = Field(description="over the usual accelerations of references [-]")
-    lag_v: CalibratedRange = Field(description="lag of v of the models, dead time included [s]")
-    lag_omega: CalibratedRange = Field(description="lag of omega of the models, dead time included [s]")
-    populations: dict[str, PopulationDrives] = Field(description="what is calibrated")
-    others: dict[str, DriveSet] = Field(default_factory=dict, description="what nothing was calibrated on")
-    oracle: Oracle = Field(Oracle(drives=1, paths=()), description="what an oracle drives")
+    speed: CalibratedRange = Field(description="range of the maximum speed of a path [m/s]")
+    yaw_rate: CalibratedRange = Field(description="range of the maximum yaw rate of a path [rad/s]")
+    acceleration: Span = Field(description="range of the factor on the default accelerations of references [-]")
+    lag_v: CalibratedRange = Field(description="range of the models' lag of v, including dead time [s]")
+    lag_omega: CalibratedRange = Field(description="range of the models' lag of omega, including dead time [s]")
+    populations: dict[str, PopulationDrives] = Field(description="calibrated populations")
+    others: dict[str, DriveSet] = Field(default_factory=dict, description="test sets outside the populations")
+    oracle: Oracle = Field(Oracle(drives=1, paths=()), description="repeated drives for reference tubes")
 
     @property
-    def calibrated(self) -> CalibratedRanges:
-        """For which paths and models the tubes are to hold."""
+    def calibrated_ranges(self) -> CalibratedRanges:
+        """Ranges of paths and models for which the tubes are calibrated."""
         return CalibratedRanges(v=self.speed, omega=self.yaw_rate, lag_v=self.lag_v, lag_omega=self.lag_omega)
 
     def path(self, seed: int) -> Trajectory:
-        """Return the random path of a seed, timed with limits drawn from it."""
-        stream = np.random.default_rng([seed, _DRAWN_FROM])
+        """Return the random path of a seed, timed with limits that the seed draws."""
+        stream = np.random.default_rng([seed, _PATH_STREAM])
         spans = (self.speed, self.yaw_rate, self.acceleration)
-        speed, yaw_rate, share = (float(np.exp(stream.uniform(*np.log(span)))) for span in spans)
-        usual = TrajectoryLimits.of_robot()
+        speed, yaw_rate, factor = (float(np.exp(stream.uniform(*np.log(span)))) for span in spans)
+        default = TrajectoryLimits.of_robot()
         limits = replace(
-            usual,
+            default,
             v=speed,
             omega=yaw_rate,
-            v_acceleration=share * usual.v_acceleration,
-            omega_acceleration=share * usual.omega_acceleration,
-            lateral_acceleration=share * usual.lateral_acceleration,
+            v_acceleration=factor * default.v_acceleration,
+            omega_acceleration=factor * default.omega_acceleration,
+            lateral_acceleration=factor * default.lateral_acceleration,
         )
         return load_trajectory(f"spline-{seed}", limits)
 
 
 @dataclass(frozen=True)
 class PlannedDrive:
-    """A run, and the seed of its random path; without one it is the path of the run."""
+    """Run of a campaign, and the seed of its random path; None for the path of the run."""
 
     definition: Definition
     path: int | None
@@ -112,18 +112,18 @@ class PlannedDrive:
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """Data of a drive, at n places.
+    """Data of a drive at n places.
 
     Attributes
     ----------
     features
-        (n, len(FEATURES)) of path and configuration.
+        (n, len(FEATURES)) features of path and configuration.
     errors
-        By direction |error| (n,) [m]; infinite from where the drive ended early.
+        |error| (n,) [m] by direction; infinite after an early end of the drive.
     speed
         Mean speed of the reference [m/s].
     friction
-        Of the floor; NaN where the plant has none.
+        Friction coefficient of the surface [-]; NaN for a plant without friction.
     """
 
     features: FloatArray
@@ -133,12 +133,15 @@ class DrivenPath:
 
 
 def load_study(path: Path | None, *, quick: bool = False) -> PredictedErrorFile:
-    """Read the study, by default the shipped one; a quick one has few drives. Raises ConfigError on a mistake."""
+    """Read a study file, by default the shipped one; a quick study has few drives.
+
+    Raises ConfigError if the file is invalid.
+    """
     study = load_checked(PredictedErrorFile, path or Path(__file__).with_name("study.yaml"))
     if not quick:
         return study
     name, first = next(iter(study.populations.items()))
-    sets = {part: getattr(first, part).model_copy(update={"runs": _QUICK}) for part in PARTS}
+    sets = {part: getattr(first, part).model_copy(update={"runs": _QUICK_RUNS}) for part in PARTS}
     return study.model_copy(
         update={
             "populations": {name: first.model_copy(update=sets)},
@@ -149,15 +152,15 @@ def load_study(path: Path | None, *, quick: bool = False) -> PredictedErrorFile:
 
 
 def planned_sets(study: PredictedErrorFile) -> dict[str, list[PlannedDrive]]:
-    """Plan all sets by name: POPULATION-fit, -calibration, -test, -oracle-SEED, and the others."""
+    """Plan all sets by name: POPULATION-fit, -calibration, -test and -oracle-SEED, and the names of other sets."""
     populations, oracle = study.populations, study.oracle
     sets = {
-        f"{name}-{part}": planned(getattr(population, part), population.factors)
+        f"{name}-{part}": plan_drives(getattr(population, part), population.factors)
         for name, population in populations.items()
         for part in PARTS
     }
     for name, drives in study.others.items():
-        sets[name] = planned(drives, populations[drives.like].factors if drives.like else {})
+        sets[name] = plan_drives(drives, populations[drives.like].factors if drives.like else {})
     for name, population in populations.items():
         for k, seed in enumerate(oracle.paths):
             changes = {
@@ -166,13 +169,13 @@ def planned_sets(study: PredictedErrorFile) -> dict[str, list[PlannedDrive]]:
                 "first_robot": oracle.first_robot + k * oracle.drives,
                 "factors": {"seed": {"each": oracle.first_seed + k * oracle.drives}},
             }
-            driven = planned(population.test.model_copy(update=changes), population.factors)
-            sets[f"{name}-oracle-{seed}"] = [replace(run, path=seed) for run in driven]
+            runs = plan_drives(population.test.model_copy(update=changes), population.factors)
+            sets[f"{name}-oracle-{seed}"] = [replace(run, path=seed) for run in runs]
     return sets
 
 
-def planned(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDrive]:
-    """Plan the drives of a set; raise ConfigError as a campaign does."""
+def plan_drives(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDrive]:
+    """Plan the drives of a set; raises ConfigError for invalid factors, as a campaign."""
     campaign = Campaign(
         description="a set", runs=drives.runs, draw_seed=drives.draw_seed, factors={**factors, **drives.factors}
     )
@@ -189,44 +192,44 @@ def planned(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDriv
 
 
 def drive(study: PredictedErrorFile, planned_drive: PlannedDrive) -> DrivenPath:
-    """Drive, and keep errors and features."""
+    """Simulate a drive and return its errors and features; raises StudyFailedError for a lag out of range."""
     with built(planned_drive.definition) as (controller, plant, reference):
         assert isinstance(controller, Controller)
         lags = controller.model.lag
         for value, (low, high) in zip(lags, (study.lag_v, study.lag_omega), strict=True):
             if not low <= value <= high:
-                raise StudyFailedError(f"lags of a model: {lags} s; let lag_v and lag_omega of the study hold them")
+                raise StudyFailedError(f"lags of a model: {lags} s; widen lag_v or lag_omega of the study")
         if planned_drive.path is not None:
             reference = study.path(planned_drive.path)  # noqa: PLW2901 - the path of the run is not driven
         run = simulate(controller, plant, reference)
         on_path = run.time <= reference.duration + 1e-9
-        beside = run.true_pose[on_path] - run.reference_pose[on_path]
-        along, _ = ahead_and_left(beside, run.reference_pose[on_path, 2])
+        offset = run.true_pose[on_path] - run.reference_pose[on_path]
+        along, _ = ahead_and_left(offset, run.reference_pose[on_path, 2])
         errors = {"lateral": run.errors.lateral[on_path], "along": along}
         twist = reference.sample(np.arange(int(reference.duration / run.sample_time) + 1) * run.sample_time).twist
-        return thinned(twist, errors, controller, run.sample_time, _friction(planned_drive.definition))
+        return summarise_drive(twist, errors, controller, run.sample_time, _friction(planned_drive.definition))
 
 
-def thinned(
+def summarise_drive(
     twist: FloatArray, errors: Mapping[str, FloatArray], controller: Controller, dt: float, friction: float
 ) -> DrivenPath:
-    """Thin the errors of a drive, and add the features of its reference, whose twist is (m, 2)."""
-    count = len(twist) // THINNED
+    """Reduce the errors of a drive to places, and add the features of its reference with `twist` (m, 2)."""
+    count = len(twist) // TICKS_PER_PLACE
     features = path_features(twist, dt, controller.config, controller.model.lag)
     return DrivenPath(
-        features[: count * THINNED].reshape(count, THINNED, len(FEATURES)).mean(axis=1),
-        {name: _largest(np.abs(values), count) for name, values in errors.items()},
+        features[: count * TICKS_PER_PLACE].reshape(count, TICKS_PER_PLACE, len(FEATURES)).mean(axis=1),
+        {name: _max_by_place(np.abs(values), count) for name, values in errors.items()},
         float(np.abs(twist[:, 0]).mean()),
         friction,
     )
 
 
-def _largest(values: FloatArray, count: int) -> FloatArray:
-    """Return the largest of each `THINNED` values, infinite where a drive has ended."""
-    whole = np.full(count * THINNED, np.inf)
-    some = values[: len(whole)]
-    whole[: len(some)] = np.where(np.isfinite(some), some, np.inf)
-    return np.asarray(whole.reshape(count, THINNED).max(axis=1))
+def _max_by_place(values: FloatArray, count: int) -> FloatArray:
+    """Return the maximum (count,) of the values at each place; infinite after the end of the drive."""
+    padded = np.full(count * TICKS_PER_PLACE, np.inf)
+    available = values[: len(padded)]
+    padded[: len(available)] = np.where(np.isfinite(available), available, np.inf)
+    return np.asarray(padded.reshape(count, TICKS_PER_PLACE).max(axis=1))
 
 
 def _friction(definition: Definition) -> float:
@@ -237,8 +240,8 @@ def _friction(definition: Definition) -> float:
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-def keep(driven: Sequence[DrivenPath], file: Path) -> None:
-    """Write a set that was driven."""
+def write_drives(driven: Sequence[DrivenPath], file: Path) -> None:
+    """Write the data of a set of drives as float32."""
     arrays = {
         f"{k}-{name}": values
         for k, path in enumerate(driven)
@@ -248,8 +251,8 @@ def keep(driven: Sequence[DrivenPath], file: Path) -> None:
     np.savez_compressed(file, **packed)
 
 
-def read_kept(file: Path) -> list[DrivenPath]:
-    """Read a set that was driven."""
+def read_drives(file: Path) -> list[DrivenPath]:
+    """Read the data of a set of drives."""
     with np.load(file) as arrays:
         count = sum(name.endswith("-of") for name in arrays.files)
         return [

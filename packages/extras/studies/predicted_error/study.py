@@ -1,4 +1,4 @@
-"""Calibrate the predicted error, and measure its coverage and width."""
+"""Study of the predicted error: calibration, coverage and width of the tubes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from functools import partial
 from pathlib import Path
 
 import yaml
-from studies.predicted_error.calibrate import DIRECTIONS, calibrated, coverage, oracle_widths
+from studies.predicted_error.calibrate import DIRECTIONS, calibrate_scale, coverage, oracle_widths
 from studies.predicted_error.drives import (
     DrivenPath,
     PlannedDrive,
     PredictedErrorFile,
     drive,
-    keep,
     planned_sets,
-    read_kept,
+    read_drives,
+    write_drives,
 )
 
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -49,14 +49,14 @@ _COLUMNS = (
 
 
 class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
-    """Drives of several populations: to fit, to calibrate, to test, and what an oracle sees.
+    """Study with drives of several populations for fit, calibration, test and reference tubes.
 
     Parameters
     ----------
     study
-        What is driven.
+        Content of the study file.
     store
-        Folder of driven sets, read and written; None to drive all.
+        Folder of stored sets of drives, read and written; None to simulate all drives.
     """
 
     name, title = "predicted-error", "Predicted tracking error"
@@ -65,18 +65,18 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         self._study, self._store = study, store
 
     def plan(self) -> dict[str, list[PlannedDrive]]:
-        """Plan all sets of drives; raise ConfigError for a factor that does not exist."""
+        """Plan all sets of drives; raises ConfigError for an unknown factor."""
         return planned_sets(self._study)
 
     def run(self, plan: dict[str, list[PlannedDrive]], jobs: int, bar: ProgressBar) -> Driven:
-        """Drive every set that is not kept."""
+        """Simulate every set that is not stored."""
         driven: dict[str, Sequence[DrivenPath]] = {}
         for name, drives in plan.items():
             file = None if self._store is None else self._store / f"{name}.npz"
             if file is not None and file.exists():
-                driven[name] = read_kept(file)
+                driven[name] = read_drives(file)
                 if len(driven[name]) != len(drives):
-                    raise ConfigError(f"{file}: {len(driven[name])} drives in place of {len(drives)}; remove it")
+                    raise ConfigError(f"{file}: {len(driven[name])} drives instead of {len(drives)}; remove the file")
                 continue
             bar.start_stage(f"driving {name}", len(drives))
             driven[name] = run_tasks(
@@ -84,18 +84,18 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
             )
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
-                keep(driven[name], file)
+                write_drives(driven[name], file)
         return driven
 
-    def report(self, results: Driven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """Report the calibration, coverage by set and class, and widths compared with the oracle's."""
+    def report(self, results: Driven, seconds: float) -> Report:  # noqa: ARG002 - interface
+        """Report the calibration, coverage by set and class, and widths compared with reference tubes."""
         level = self._study.level
         populations = {
             name: ErrorPopulation(
                 description=population.description,
                 drives={"fit": len(results[f"{name}-fit"]), "calibration": len(results[f"{name}-calibration"])},
                 **{
-                    direction: calibrated(results[f"{name}-fit"], results[f"{name}-calibration"], direction, level)
+                    direction: calibrate_scale(results[f"{name}-fit"], results[f"{name}-calibration"], direction, level)
                     for direction in DIRECTIONS
                 },
             )
@@ -104,7 +104,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         calibration = ErrorCalibration(
             level=level,
             provenance="studies/predicted_error; plants and configurations are those of its file",
-            calibrated=self._study.calibrated,
+            calibrated=self._study.calibrated_ranges,
             populations=populations,
         )
         tables = [
@@ -140,9 +140,9 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         rows = []
         for name in calibration.populations:
             driven = results[f"{name}-test"]
-            for words, is_member in _CLASSES:
+            for description, is_member in _CLASSES:
                 members = [path for path in driven if is_member(path)]
-                rows += _rows(f"{name}, {words}", name, members, calibration) if members else []
+                rows += _rows(f"{name}, {description}", name, members, calibration) if members else []
         return Table("Coverage by class", _COLUMNS, tuple(rows), text_columns=2)
 
     def _others(self, results: Driven, calibration: ErrorCalibration) -> Table:
@@ -159,10 +159,10 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         for name, population in calibration.populations.items():
             for seed, direction in itertools.product(oracle.paths, DIRECTIONS):
                 driven = results[f"{name}-oracle-{seed}"]
-                ours = coverage(driven, getattr(population, direction), direction)
-                known = oracle_widths(driven, direction, calibration.level)
-                ratios = [number(ours.width / known[0], 2), number(ours.width_everywhere / known[1], 2)]
-                rows.append((name, f"spline-{seed}", direction, *ratios, *map(millis, known)))
+                tubes = coverage(driven, getattr(population, direction), direction)
+                widths = oracle_widths(driven, direction, calibration.level)
+                ratios = [number(tubes.width / widths[0], 2), number(tubes.width_everywhere / widths[1], 2)]
+                rows.append((name, f"spline-{seed}", direction, *ratios, *map(millis, widths)))
         columns = ("population", "path", "direction", "ratio", "everywhere", "oracle [mm]", "everywhere [mm]")
         note = f"Width over that of the quantiles of {oracle.drives} drives of the path with robots of the population."
         return Table("Width beside an oracle", columns, tuple(rows), text_columns=3, note=note)
@@ -179,15 +179,15 @@ _CLASSES: tuple[tuple[str, Callable[[DrivenPath], bool]], ...] = (
 
 
 def _rows(
-    words: str, population: str, driven: Sequence[DrivenPath], calibration: ErrorCalibration
+    label: str, population: str, driven: Sequence[DrivenPath], calibration: ErrorCalibration
 ) -> list[tuple[str, ...]]:
     rows = []
     for direction in DIRECTIONS:
-        covered = coverage(driven, getattr(calibration.populations[population], direction), direction)
-        rate = covered.everywhere
-        shares = [number(100 * covered.at_each_place, 1), number(100 * rate.share, 1)]
+        result = coverage(driven, getattr(calibration.populations[population], direction), direction)
+        rate = result.everywhere
+        shares = [number(100 * result.at_each_place, 1), number(100 * rate.share, 1)]
         interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
         rows.append(
-            (words, direction, str(rate.of), *shares, interval, millis(covered.width), millis(covered.width_everywhere))
+            (label, direction, str(rate.of), *shares, interval, millis(result.width), millis(result.width_everywhere))
         )
     return rows

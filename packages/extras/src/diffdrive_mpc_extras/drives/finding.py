@@ -349,7 +349,7 @@ class DrivePredictor:
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> DriveModel:
         """Refit as `Predictor` describes, with the same dead times and priors."""
-        records = most_informative(records, identification_settings().most_rows["effects"])
+        records = most_informative(records, identification_settings().max_rows["effects"])
         return refit_drive(self.determined, records, yaw).model(f"{self.structure} of the held-out data")
 
     def content(self, fields: Mapping[str, Any]) -> ExperimentalFile | PhysicalFile:
@@ -369,7 +369,7 @@ def drive_finder(name: str, kind: Kind) -> Finder:
     """Return a finder for the drive named `name` in `models list`; it uses the most informative part of a log."""
 
     def find(data: LogData, fitted: Fitted) -> DrivePredictor:
-        records = most_informative(data.train, identification_settings().most_rows["effects"])
+        records = most_informative(data.train, identification_settings().max_rows["effects"])
         yaw = fitted.identified.yaw
         determined = identify_drive(fit_drive(kind, records, yaw), records, yaw)
         return DrivePredictor(name, determined, fitted.geometry)

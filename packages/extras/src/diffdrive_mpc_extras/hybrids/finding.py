@@ -104,9 +104,7 @@ class HybridPredictor:
         if self.decay is None:
             return None
         linear = self.identified.model.discretise(self.dt)
-        runs = training_runs(
-            linear, self.identified.system, join_experiments(twist_experiments(_select_rows(records), yaw))
-        )
+        runs = training_runs(linear, self.identified.system, join_experiments(twist_experiments(_part(records), yaw)))
         (network,) = train_corrections(linear, runs, (self.decay,), hybrid_settings())
         return hybrid_model(f"{self.structure} of the held-out data", linear, network)
 
@@ -150,7 +148,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> HybridPredictor:
     """
     identified, dt, settings = fitted.identified, data.train[0].dt, hybrid_settings()
     linear, system = identified.model.discretise(dt), identified.system
-    experiments = join_experiments(twist_experiments(_select_rows(data.train), identified.yaw))
+    experiments = join_experiments(twist_experiments(_part(data.train), identified.yaw))
     gains = []
     for rest, block in blocks(experiments):
         held_out, training = (training_runs(linear, system, extract(experiments, part)) for part in (block, rest))
@@ -164,8 +162,8 @@ def find_hybrid(data: LogData, fitted: Fitted) -> HybridPredictor:
     return HybridPredictor(identified, networks[-1], dt, settings.decays[best])
 
 
-def _select_rows(records: Sequence[Record]) -> list[Record]:
-    return most_informative(records, identification_settings().most_rows["effects"])
+def _part(records: Sequence[Record]) -> list[Record]:
+    return most_informative(records, identification_settings().max_rows["effects"])
 
 
 def _log_error_ratio(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:

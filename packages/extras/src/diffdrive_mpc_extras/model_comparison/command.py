@@ -46,7 +46,7 @@ def compare(
             fit_share=settings.fit_share,
             wheels=False,
             on_findings=lambda _: None,
-            max_rows=settings.most_rows["effects"],
+            max_rows=settings.max_rows["effects"],
         )
         names = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
         start, comparisons = time.monotonic(), list[ModelComparison]()

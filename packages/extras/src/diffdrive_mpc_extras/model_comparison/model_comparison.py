@@ -253,7 +253,7 @@ def compare_models(
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
     """Return the training and the held-out records of each fold, without records that are too short."""
-    folds, min_rows = [], 2 * identification_settings().fewest_readings
+    folds, min_rows = [], 2 * identification_settings().min_readings
     for k in range(parts):
         before, remainder = divide(records, k / parts)
         part, after = divide(remainder, 1.0 / (parts - k))

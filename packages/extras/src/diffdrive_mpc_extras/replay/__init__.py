@@ -1,1 +1,1 @@
-"""Repeat the ticks of a recorded drive and compare the commands."""
+"""Replay of the ticks of a recorded drive, and comparison of the commands."""

@@ -18,18 +18,18 @@ def replay(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
+            help="Velocity model that replaces the model of the configuration.", show_default="of --config or the log"
         ),
     ] = None,
     settings: Settings = None,
     trajectory: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Tracked reference.", show_default="the one in the log")
+        str | None, typer.Option(metavar="NAME|FILE", help="Tracked reference.", show_default="from the log")
     ] = None,
     trust_terms: TrustedFolders = None,
 ) -> None:
     """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
 
-    The controller gets the recorded measurements, and the recorded commands count as sent.
+    The controller gets the recorded measurements; after each tick its command is replaced by the recorded command.
     """
     from diffdrive_mpc_extras.replay.replay import ReplayRequest, replay_log  # noqa: PLC0415 - --help does not need it
 

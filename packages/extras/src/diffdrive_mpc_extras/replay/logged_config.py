@@ -1,4 +1,4 @@
-"""The configuration in a log, of which nothing is opened or run."""
+"""Configurations in a log, read without opening or running files that they name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc.mpc import ControllerConfig, load_config
 
 
 def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
-    """Return keys and values of the `text` of a configuration in a `log`; raise ConfigError if it has none."""
+    """Parse the `text` of a configuration in a `log`; raise ConfigError if it is not a YAML mapping."""
     try:
         values = parse_yaml(text)
     except yaml.YAMLError as error:
@@ -40,9 +40,9 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     Raises
     ------
     models.trust.UntrustedFileError
-        If it names a model, a term or a feature's file, other than shipped ones or those of the folders.
+        If it names a file of a model, term or feature that is neither shipped nor in a trusted folder.
     models.checked_yaml.ConfigError
-        As `load_config`.
+        If the configuration is invalid, see `load_config`.
     """
     try:
         config = load_config(values)

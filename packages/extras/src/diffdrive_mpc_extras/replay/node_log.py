@@ -1,4 +1,4 @@
-"""The drive of a node, from the records that it publishes for each tick: it can be repeated bit for bit."""
+"""Recorded drive of the node, from the records that it publishes at each tick; its replay is exact to the last bit."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class LoggedConfigs:
     log
         Path of the log.
     scratch
-        Folder for the texts of models that do not ship.
+        Folder for files of models that are not shipped.
     trusted
-        Folders whose files a configuration may name. With None a configuration that names other files is left out,
-        because another configuration drives.
+        Folders whose files a configuration may name. None omits configurations that name other files, because the
+        replay uses a configuration of the command line.
     """
 
     log: Path
@@ -44,7 +44,10 @@ class LoggedConfigs:
     trusted: Sequence[Path] | None = ()
 
     def read(self, config: Mapping[str, Any], model: str) -> ControllerConfig | None:
-        """Return the configuration, with the text of its `model` if that does not ship; raise as `config_from_log`."""
+        """Return the configuration; `model` is the text of its model file, empty for a shipped model.
+
+        Returns None for a configuration to omit. Raises the errors of `config_from_log`.
+        """
         values = dict(config)
         if model:
             file = self.scratch / f"{hashlib.sha256(model.encode()).hexdigest()[:12]}.yaml"
@@ -59,41 +62,41 @@ class LoggedConfigs:
 
 
 def recorded_drive(path: Path, ticks: Iterable[str], drives: Iterable[str], configs: LoggedConfigs) -> Recording:
-    """Return the drive in the lines of the topics ~/tick and ~/drive.
+    """Read the drive from the lines of the topics ~/tick and ~/drive.
 
-    Raises ConfigError if a line is no record, there is no tick, or a configuration names a file that is not trusted.
+    Raises ConfigError if a line is not a record, there is no tick, or a configuration names a file that is not trusted.
     """
     try:
-        tick_records = _numbered([TickRecord.read(line) for line in ticks])
-        drive_records = dict(_numbered([DriveRecord.read(line) for line in drives]))
+        tick_records = _with_drive_keys([TickRecord.read(line) for line in ticks])
+        drive_records = dict(_with_drive_keys([DriveRecord.read(line) for line in drives]))
     except TickRecordError as error:
         raise ConfigError(f"{path}: {error}") from error
     if not tick_records:
         raise ConfigError(f"{path}: the log holds no tick of the controller; record for longer")
-    config_of = {key: configs.read(drive.config, drive.model) for key, drive in drive_records.items()}
-    recorded: list[RecordedTick] = []
+    drive_configs = {key: configs.read(drive.config, drive.model) for key, drive in drive_records.items()}
+    recorded_ticks: list[RecordedTick] = []
     notes: list[str] = []
     current: tuple[int, int] | None = None
     for key, record in tick_records:
         start, config = None, None
         if key != current:
             is_first, current = current is None, key
-            start, config = _start(record.time, drive_records.get(key), config_of.get(key), is_first, notes)
+            start, config = _start(record.time, drive_records.get(key), drive_configs.get(key), is_first, notes)
         hold = None if record.hold is None else Hold(*record.hold)
         outcome = (record.command, record.mode, record.message)
-        recorded.append(
+        recorded_ticks.append(
             RecordedTick(record.time, record.measurement, *outcome, hold, start, config, record.stopped_after)
         )
     numbers = np.diff([record.number for _, record in tick_records])
     if missing := int((numbers[numbers > 1] - 1).sum()):
         notes.append(f"{missing} ticks are missing: commands differ after each gap until the estimate has settled.")
-    return Recording(path.name, tuple(recorded), next(iter(config_of.values()), None), tuple(notes))
+    return Recording(path.name, tuple(recorded_ticks), next(iter(drive_configs.values()), None), tuple(notes))
 
 
 def _start(
     time: float, drive: DriveRecord | None, config: ControllerConfig | None, is_first: bool, notes: list[str]
 ) -> tuple[Start | None, ControllerConfig | None]:
-    """Return the start before a tick, or the configuration that changed at it."""
+    """Return the start before a tick, or the configuration that applies from the tick on."""
     if drive is None:
         notes.append(_NO_DRIVE)
         return Start(None, time, is_reset=False), None
@@ -101,7 +104,7 @@ def _start(
         return None, config
     if is_first and config is not None and time - drive.t0 > _LATE_START * config.sample_time:
         notes.append(
-            f"The log begins {time - drive.t0:.1f} s after the start of the drive, without the estimate at that time: "
+            f"The log starts {time - drive.t0:.1f} s after the start of the drive and lacks the estimate of that time: "
             "commands may differ for some seconds."
         )
     reference = None if drive.reference is None else TabledTrajectory.read(drive.reference)
@@ -110,12 +113,12 @@ def _start(
     return start, None if drive.starts else config
 
 
-def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
-    """Pair each record with its activation of the node and its drive; numbers restart with an activation."""
-    activation, previous, numbered = 0, 0, []
+def _with_drive_keys(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
+    """Pair each record with a key: activation of the node, and number of the drive in this activation."""
+    activation, previous, pairs = 0, 0, []
     for record in records:
         number = record.number if isinstance(record, DriveRecord) else record.drive
         activation += number < previous
         previous = number
-        numbered.append(((activation, number), record))
-    return numbered
+        pairs.append(((activation, number), record))
+    return pairs

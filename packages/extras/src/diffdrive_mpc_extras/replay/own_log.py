@@ -1,4 +1,4 @@
-"""Read MCAP logs of `simulate` and of the node, tick by tick as the controller had them."""
+"""Reader of MCAP logs of `simulate` and of the node as recordings of controller ticks."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from diffdrive_mpc_extras.replay.reference import logged_reference
 _MIN_TICKS = 10
 _INTERPOLATED = (
     "The reference is known at the ticks and interpolated between them: commands may differ by up to 0.03 m/s or "
-    "rad/s where limits are active; --trajectory with its file makes the replay exact."
+    "rad/s if limits are active; --trajectory with its file makes the replay exact."
 )
-_LAPS = "The log is the last of several laps: the corrections that were learned before are not in it."
-_TEXTS = ("mode", "message")
-_FOREIGN = "is no log of `simulate --log FILE.mcap` or of the node; only these can be replayed"
+_LAPS = "The log contains the last of several laps, without the corrections that were learned before."
+_TEXT_COLUMNS = ("mode", "message")
+_UNKNOWN_FORMAT = "is not a log of `simulate --log FILE.mcap` or of the node; only these can be replayed"
 
 
 def read_recording(path: Path, configs: LoggedConfigs) -> Recording:
@@ -55,10 +55,10 @@ def read_recording(path: Path, configs: LoggedConfigs) -> Recording:
 
 def _read_mcap(path: Path, configs: LoggedConfigs) -> Recording:
     if not is_drive_log(path):
-        raise ConfigError(f"{path}: {_FOREIGN}")
+        raise ConfigError(f"{path}: {_UNKNOWN_FORMAT}")
     log = read_drive_log(path)
     numbers = {name: column for name, column in log.columns.items() if column.dtype != object}
-    texts = {name: list(log.columns[name]) for name in _TEXTS}
+    texts = {name: list(log.columns[name]) for name in _TEXT_COLUMNS}
     config = None
     if "configuration" in log.metadata:
         values = values_from_log(log.metadata["configuration"].get("yaml", ""), path)
@@ -70,7 +70,7 @@ def _read_mcap(path: Path, configs: LoggedConfigs) -> Recording:
 
 
 def _record_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Return the lines of the topics ~/tick and ~/drive; empty in a log of `simulate`."""
+    """Return the lines of the topics ~/tick and ~/drive; empty for a log of `simulate`."""
     lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
     for channel, _, data in messages(path):
         if channel.topic in lines:
@@ -86,7 +86,7 @@ def _recording(
     config: ControllerConfig | None,
     notes: Sequence[str],
 ) -> Recording:
-    """Make ticks of columns; the controller started at the first one, with the robot at rest."""
+    """Build a recording from columns; the start is at the first tick, with the robot at rest."""
     commands = np.column_stack([numbers["v_ref_m_s"], numbers["omega_ref_rad_s"]])
     name = f"{path.name}: reference"
     reference = logged_reference(numbers, name, config)

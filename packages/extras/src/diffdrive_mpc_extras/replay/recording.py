@@ -1,4 +1,4 @@
-"""A recorded drive as the ticks of its controller."""
+"""Recorded drive as a sequence of controller ticks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.hold import Hold
 
 
 class Start(NamedTuple):
-    """A start of the controller."""
+    """Start of the controller."""
 
     reference: Reference | None
     """Tracked reference; None if the log does not contain it."""
@@ -27,26 +27,26 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedTick:
-    """One tick of the recorded drive.
+    """Controller tick of a recorded drive.
 
     Attributes
     ----------
     time
         Time on the log's clock [s].
     measurement
-        Readings that arrived since the tick before.
+        Readings since the previous tick.
     command
-        (2,) sent v [m/s] and omega [rad/s]; NaN where unknown.
+        (2,) sent v [m/s] and omega [rad/s]; NaN if unknown.
     mode, message
-        Mode and message of the recorded controller; empty if they are not in the log.
+        Mode and message of the recorded controller; empty if the log lacks them.
     hold
-        Reason for which the controller was held.
+        Reason why the controller held the robot.
     start
         Start of the controller before this tick.
     config
         Weights and limits from this tick on, if they changed.
     stopped_after
-        Iterations after which the clock ended the solve; None if it did not.
+        Number of iterations after which the time limit ended the solve; None if it did not.
     """
 
     time: float
@@ -62,7 +62,7 @@ class RecordedTick:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded drive.
+    """Recorded drive.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Recording:
     config
         Configuration of the recorded controller, if the log contains it.
     notes
-        Approximations with their consequences and faults of the file, one sentence each.
+        Approximations of the replay and faults of the file, one sentence each.
     """
 
     name: str
@@ -83,12 +83,12 @@ class Recording:
 
     @property
     def time(self) -> FloatArray:
-        """(n,) times of the ticks [s]."""
+        """Times (n,) of the ticks [s]."""
         return np.array([tick.time for tick in self.ticks])
 
     @property
     def command(self) -> FloatArray:
-        """(n, 2) recorded commands v [m/s], omega [rad/s]."""
+        """Recorded commands (n, 2) v [m/s], omega [rad/s]."""
         return np.array([tick.command for tick in self.ticks]).reshape(-1, 2)
 
     @property
@@ -98,5 +98,5 @@ class Recording:
 
     @property
     def references(self) -> tuple[Reference, ...]:
-        """References of the starts, as far as the log contains them."""
+        """References of those starts for which the log contains one."""
         return tuple(start.reference for start in self.starts if start.reference is not None)

@@ -1,4 +1,4 @@
-"""The reference of a drive, from its table or from its samples at the ticks."""
+"""Reference of a recorded drive, from its table or from its samples at the ticks."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from diffdrive_mpc.mpc.trajectories.timing import TIMINGS
 _POSE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 _TWIST = ("reference_v_m_s", "reference_omega_rad_s")
 _TOLERANCE = 1e-9
-"""Two references are equal if they agree to this at every tick [m, rad, m/s, rad/s]."""
+"""Maximum difference of two equal references at any tick [m, rad, m/s, rad/s]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TabledTrajectory(Trajectory):
-    """A trajectory from a table.
+    """Trajectory from a table.
 
     Attributes
     ----------
     native
-        The table in the compiled core.
+        Table in the compiled core.
     """
 
     native: NativeTrajectory
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> TabledTrajectory:
-        """Return the trajectory of a result of `table_of`; raise ConfigError if it is something else."""
+        """Return the trajectory of a result of `table_of`; raises ConfigError for other data."""
         try:
             breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
             native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])
@@ -55,10 +55,10 @@ class TabledTrajectory(Trajectory):
 def logged_reference(
     columns: Mapping[str, FloatArray], name: str, config: ControllerConfig | None = None
 ) -> Trajectory | None:
-    """Return the tracked reference, whose time 0 is the first tick; None if the log does not contain it.
+    """Return the tracked reference with time 0 at the first tick; None if the log does not contain it.
 
-    A shipped trajectory, within the limits of `config` or the default ones, is recognised. Another reference is
-    exact at the ticks and interpolated between them; it ends at the first tick from which on it rests.
+    The columns are compared with the shipped trajectories, within the limits of `config` and the default limits. Other
+    references are exact at the ticks and interpolated between them; they end at the start of their final rest.
     """
     if not set(_POSE + _TWIST) <= set(columns) or len(columns["t_s"]) < 2:
         return None
@@ -73,8 +73,8 @@ def _shipped(
     pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None
 ) -> Trajectory | None:
     """Find the shipped trajectory with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]."""
-    limits_tried = (TrajectoryLimits.of_robot(), *(() if config is None else (config,)))[::-1]
-    for limits, name, timing in itertools.product(limits_tried, BUILT_IN, (None, *TIMINGS)):
+    candidate_limits = (TrajectoryLimits.of_robot(), *(() if config is None else (config,)))[::-1]
+    for limits, name, timing in itertools.product(candidate_limits, BUILT_IN, (None, *TIMINGS)):
         try:
             trajectory = load_trajectory(name, limits, timing)
         except BeyondLimitError:
@@ -88,7 +88,7 @@ def _shipped(
 
 
 def _hermite(name: str, time: FloatArray, pose: FloatArray, twist: FloatArray) -> SplineTrajectory:
-    """Interpolate poses (m, 3) with twists (m, 2) at `time` (m,) [s] by cubics, up to the final rest."""
+    """Interpolate poses (m, 3) with twists (m, 2) at `time` (m,) [s] by cubic splines, up to the final rest."""
     moving = np.flatnonzero((twist != 0.0).any(axis=1) | (np.diff(pose, axis=0, append=pose[-1:]) != 0.0).any(axis=1))
     end = max(2, min(len(time), int(moving[-1]) + 2 if len(moving) else 2))
     time, pose, twist = time[:end], pose[:end], twist[:end]

@@ -1,4 +1,4 @@
-"""Repeat a recorded drive: a fresh controller gets the measurements and takes the recorded commands as sent."""
+"""Replay of a recorded drive: a new controller gets the recorded measurements and previous commands."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
 from diffdrive_mpc_extras.replay.own_log import read_recording
 from diffdrive_mpc_extras.replay.recording import Recording
 
-_EQUAL = 1e-9
-"""Largest difference of two commands that counts as rounding [m/s, rad/s]."""
+_ROUNDING = 1e-9
+"""Maximum difference of two commands that counts as rounding [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +39,22 @@ class ReplayRequest:
     trusted: Sequence[Path] = ()
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """Results of a replay at the n ticks of a recording."""
 
     command: FloatArray
-    """(n, 2) v [m/s], omega [rad/s]."""
+    """Commands (n, 2) v [m/s], omega [rad/s]."""
     modes: tuple[str, ...]
     messages: tuple[str, ...]
 
 
 class Difference(NamedTuple):
-    """Difference of two columns of commands."""
+    """Differences of two columns of commands."""
 
     rms: float
-    largest: float
+    maximum: float
     time: float
-    """Time of the largest difference [s]."""
+    """Time of the maximum difference [s]."""
     ticks: int
     """Number of ticks that differ."""
     first: float
@@ -68,8 +68,8 @@ def replay(
     *,
     as_recorded: bool,
     on_step: Callable[[], None] = lambda: None,
-) -> Replayed:
-    """Step a fresh controller at every tick of `recording`.
+) -> ReplayResult:
+    """Step a new controller at every tick of `recording`.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def replay(
     references
         Reference of each start.
     as_recorded
-        True if weights and limits change as they did in the drive.
+        True to repeat the changes of weights and limits of the drive.
     on_step
         Called after each tick.
 
@@ -86,13 +86,13 @@ def replay(
     """
     controller = Controller(config)
     steps: list[StepResult] = []
-    waiting = iter(references)
+    next_references = iter(references)
     for index, tick in enumerate(recording.ticks):
         if tick.start is not None:
             if tick.start.is_reset and index:
                 controller.reset()
             start = controller.switch_reference if tick.start.goes_on else controller.start
-            start(next(waiting), tick.start.t0)
+            start(next(next_references), tick.start.t0)
         if tick.config is not None and as_recorded:
             limits = {name: value for name, value in tick.config.limits.model_dump().items() if value is not None}
             controller.update(weights=tick.config.weights.model_dump(), limits=limits)
@@ -101,43 +101,43 @@ def replay(
             controller.set_applied_commands([tick.command])
         on_step()
     modes, messages = tuple(str(step.mode) for step in steps), tuple(step.message for step in steps)
-    return Replayed(np.array([step.command for step in steps]), modes, messages)
+    return ReplayResult(np.array([step.command for step in steps]), modes, messages)
 
 
 def difference(time: FloatArray, recorded: FloatArray, replayed: FloatArray) -> Difference:
-    """Compare columns of commands (n,) at `time` (n,) [s] where the recorded one is known."""
-    known = np.isfinite(recorded)
-    if not known.any():
+    """Compare columns of commands (n,) at `time` (n,) [s], as far as the recorded commands are known."""
+    is_known = np.isfinite(recorded)
+    if not is_known.any():
         return Difference(np.nan, np.nan, np.nan, 0, np.nan)
-    time, apart = time[known], np.abs(recorded - replayed)[known]
-    differs = apart > _EQUAL
+    time, errors = time[is_known], np.abs(recorded - replayed)[is_known]
+    differs = errors > _ROUNDING
     first = float(time[np.argmax(differs)]) if differs.any() else np.nan
-    largest = int(np.argmax(apart))
-    rms = float(np.sqrt(np.mean(apart**2)))
-    return Difference(rms, float(apart[largest]), float(time[largest]), int(differs.sum()), first)
+    index = int(np.argmax(errors))
+    rms = float(np.sqrt(np.mean(errors**2)))
+    return Difference(rms, float(errors[index]), float(time[index]), int(differs.sum()), first)
 
 
 def replay_log(request: ReplayRequest) -> None:
-    """Replay a log and print how its commands differ; raise ConfigError or ValueError if something cannot be used."""
+    """Replay a log and print the differences of its commands; raises ConfigError or ValueError for invalid input."""
     with tempfile.TemporaryDirectory() as scratch:
-        named = _named_config(request)
-        configs = LoggedConfigs(request.log, Path(scratch), request.trusted if named is None else None)
+        requested = _requested_config(request)
+        configs = LoggedConfigs(request.log, Path(scratch), request.trusted if requested is None else None)
         recording = read_recording(request.log, configs)
-        config = named or recording.config
+        config = requested or recording.config
         if config is None:
-            raise ConfigError(f"{request.log}: the log does not hold a configuration; give --config or --model")
-        if named is None:
+            raise ConfigError(f"{request.log}: the log does not contain a configuration; use --config or --model")
+        if requested is None:
             config = replace_values(config, dict(single_settings(request.settings)))
         _check_sample_time(recording, config)
         references = _references(recording, config, request.trajectory)
         with ProgressBar("replaying") as bar:
             bar.start_stage("replaying", len(recording.ticks))
-            replayed = replay(recording, config, references, as_recorded=named is None, on_step=bar.advance)
-    _print(recording, replayed)
+            result = replay(recording, config, references, as_recorded=requested is None, on_step=bar.advance)
+    _print_differences(recording, result)
 
 
-def _named_config(request: ReplayRequest) -> ControllerConfig | None:
-    """Return the configuration of the command line; None if the one in the log counts."""
+def _requested_config(request: ReplayRequest) -> ControllerConfig | None:
+    """Return the configuration of the command line; None to use the configuration in the log."""
     if request.config is None and request.model is None:
         return None
     file = None if request.config is None else str(request.config)
@@ -146,11 +146,11 @@ def _named_config(request: ReplayRequest) -> ControllerConfig | None:
 
 def _check_sample_time(recording: Recording, config: ControllerConfig) -> None:
     steps = np.diff(recording.time)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else config.sample_time
-    if not 0.5 * config.sample_time < usual < 2.0 * config.sample_time:
+    period = float(np.median(steps[steps > 0])) if (steps > 0).any() else config.sample_time
+    if not 0.5 * config.sample_time < period < 2.0 * config.sample_time:
         raise ConfigError(
-            f"{recording.name}: its ticks come every {1e3 * usual:.3g} ms, sample_time is "
-            f"{1e3 * config.sample_time:.3g} ms; give the configuration of the drive"
+            f"{recording.name}: the period of its ticks is {1e3 * period:.3g} ms, sample_time is "
+            f"{1e3 * config.sample_time:.3g} ms; use the configuration of the drive"
         )
 
 
@@ -158,24 +158,24 @@ def _references(recording: Recording, config: ControllerConfig, trajectory: str 
     if trajectory is not None:
         return (load_trajectory(trajectory, config),) * len(recording.starts)
     if len(recording.references) < len(recording.starts):
-        raise ConfigError(f"{recording.name}: the log does not hold its reference; give --trajectory")
+        raise ConfigError(f"{recording.name}: the log does not contain its reference; use --trajectory")
     return recording.references
 
 
-def _print(recording: Recording, replayed: Replayed) -> None:
+def _print_differences(recording: Recording, result: ReplayResult) -> None:
     console = output_console()
     rows = []
-    differing = 0
+    different_ticks = 0
     for column, name in enumerate(("v [m/s]", "omega [rad/s]")):
-        pair = difference(recording.time, recording.command[:, column], replayed.command[:, column])
-        differing += pair.ticks
-        sizes = (f"{pair.rms:.3g}", f"{pair.largest:.3g}", number(pair.time, 2))
+        pair = difference(recording.time, recording.command[:, column], result.command[:, column])
+        different_ticks += pair.ticks
+        sizes = (f"{pair.rms:.3g}", f"{pair.maximum:.3g}", number(pair.time, 2))
         rows.append((name, *sizes, str(pair.ticks), number(pair.first, 2)))
-    modes = sum(tick.mode != mode for tick, mode in zip(recording.ticks, replayed.modes, strict=True) if tick.mode)
-    words = "are equal at every tick" if not differing and not modes else f"differ; modes differ at {modes} ticks"
+    modes = sum(tick.mode != mode for tick, mode in zip(recording.ticks, result.modes, strict=True) if tick.mode)
+    verdict = f"differ; modes differ at {modes} ticks" if different_ticks or modes else "are equal at every tick"
     time = f"{len(recording.ticks)} ticks from {recording.time[0]:.2f} to {recording.time[-1]:.2f} s"
-    for line in (f"{recording.name}, {time}: recorded and replayed commands {words}.", *recording.notes):
+    for line in (f"{recording.name}, {time}: recorded and replayed commands {verdict}.", *recording.notes):
         console.print(line, markup=False, highlight=False)
-    columns = ("command", "RMS", "largest", "at [s]", "ticks that differ", "first [s]")
-    note = f"Differences of recorded and replayed commands; up to {_EQUAL:g} m/s or rad/s they count as equal."
+    columns = ("command", "RMS", "maximum", "at [s]", "ticks that differ", "first [s]")
+    note = f"Differences of recorded and replayed commands; differences up to {_ROUNDING:g} m/s or rad/s are ignored."
     console.print(Table("Differences", columns, tuple(rows), note=note).rich())

@@ -14,7 +14,7 @@ from diffdrive_mpc_extras.stack.parameter_files import package_text
 
 @dataclass(frozen=True)
 class StackWriter:
-    """Writer of the parameter file of one package, from an estimate shared by the writers of all packages."""
+    """Writer of the parameter file of one package; all writers use the same estimate."""
 
     package: str
 

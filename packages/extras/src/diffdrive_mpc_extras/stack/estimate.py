@@ -1,8 +1,7 @@
-"""Estimate of tracks, radii, delays, limits and noises for the parameters of other packages, with intervals.
+"""Estimates of tracks, radii, delays, limits and noises for the parameters of other packages, with intervals.
 
 One fit of a free run to encoders and gyro (`effects`) gives delay, limits and the ratio of the two yaw rates with a
-common covariance. Poses determine the radii. A quantity that the log does not determine has a reason instead of a
-value.
+joint covariance. Poses determine the radii. A quantity that the log does not determine has a reason instead of a value.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.noise import MIN_READINGS, SECOND_DIFFERENCE, second_differences
 from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
-    at_the_rim,
     calibrate_wheels,
+    rim_speeds,
     twist_with_side_slip,
 )
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
@@ -59,7 +58,7 @@ class Quantity:
     unit
         Unit of value and interval.
     reason
-        Source of the value, or the reason for its absence.
+        Source of the value, or the reason why it is missing.
     """
 
     value: float | None
@@ -87,7 +86,7 @@ def estimate_stack(
     data
         Data of the log; only the training records are used.
     limits
-        Commands at which a model of the log clips, by channel; starting point of the search for limits.
+        Clipping levels of a model of the log by channel [m/s, rad/s]: initial values of the limits.
     base
         Identified model with all effects of the base; its effects replace the search for effects.
 
@@ -97,7 +96,7 @@ def estimate_stack(
         If a reading never changes, or the records are too short.
     """
     settings = stack_settings()
-    data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
+    data = replace(data, train=tuple(most_informative(data.train, identification_settings().max_rows["effects"])))
     geometry = wheel_geometry(data.train)
     max_command = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * max_command).tolist(), strict=True)) | dict(limits or {})
@@ -124,22 +123,22 @@ def estimate_stack(
 
 
 def _free_parameters(point: Point) -> list[str]:
-    """Return the parameters of a model with effects that are not at a bound, except the track of the log."""
+    """Return the names of parameters that are not at a bound, except the track of the log."""
     bounds = effect_settings().parameters
     names = [name for name in point if name in bounds and name != "encoders.track"]
     return [name for name in names if point[name] not in bounds[name][:2]]
 
 
 def _estimated_quantity(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
-    """Return the first parameter of an estimate with its 95 % interval, or a missing quantity if one is not finite."""
-    value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
+    """Return the first parameter of an estimate with its 95 % interval; a missing quantity if they are not finite."""
+    value, half_width = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
     if not math.isfinite(value):
         return _missing_quantity(
             unit, "the estimate is not a finite number: drive steps of both signs in v and in omega"
         )
-    if not math.isfinite(half):
+    if not math.isfinite(half_width):
         return _missing_quantity(unit, "its interval is not finite: the log does not separate it from other parameters")
-    return Quantity(value, (value - half, value + half), unit, reason)
+    return Quantity(value, (value - half_width, value + half_width), unit, reason)
 
 
 def _stated_quantity(value: float, unit: str, reason: str) -> Quantity:
@@ -184,22 +183,22 @@ class TwoRadii(ConstantTrack):
 
     @property
     def start(self) -> FloatArray:
-        """Start values (4,) of the coefficients."""
+        """Initial values (4,) of the coefficients."""
         return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """Return the twist (..., 3) as in `SlipLaw`."""
         *radii, track, side_slip = coefficients
-        v, difference = at_the_rim(1.0, wheels * np.array(radii))
+        v, difference = rim_speeds(1.0, wheels * np.array(radii))
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
 
 
 def _delayed_wheels(record: Record, lag: float) -> Record:
-    """Delay the wheel speeds of a record by `lag` [s], interpolated because rounding to samples biases the radius."""
+    """Delay the wheel speeds of a record by `lag` [s], with interpolation: rounding to samples biases the radius."""
     assert record.wheels is not None
-    known = np.isfinite(record.wheels).all(axis=1)
-    columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
+    is_known = np.isfinite(record.wheels).all(axis=1)
+    columns = [np.interp(record.time - lag, record.time[is_known], column[is_known]) for column in record.wheels.T]
     return replace(record, wheels=np.column_stack(columns))
 
 
@@ -223,8 +222,8 @@ def _wheel_quantities(
     if not isinstance(radii, str) and geometry and separation:
         radius_reason = f"radius from wheel speeds and poses, divided by {geometry.radius:.4g} m"
         for side in ("left", "right"):
-            part = radii.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
-            result[f"{side}_radius_multiplier"] = _estimated_quantity(part, "", radius_reason)
+            multiplier = radii.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
+            result[f"{side}_radius_multiplier"] = _estimated_quantity(multiplier, "", radius_reason)
         track = radii.part(["track"]).derived(["track"], lambda row: row / separation)
         reason = f"effective track from poses, divided by {separation:.4g} m; valid with the radii of this file"
         result["separation_multiplier"] = _checked_width(_estimated_quantity(track, "", reason))
@@ -269,17 +268,17 @@ def _delay_quantities(point: Point, estimate: ParameterEstimate, dt: float) -> d
 
         def total_delay(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
             values = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
-            dead, lag, damping = (values.get(name, 1.0) for name in names)
-            return np.array([dead + 2.0 * lag * damping - excess])
+            dead_time, lag, damping = (values.get(name, 1.0) for name in names)
+            return np.array([dead_time + 2.0 * lag * damping - excess])
 
-        dead = point[names[0]]
+        dead_time = point[names[0]]
         delay = _estimated_quantity(
-            estimate.derived(["delay"], total_delay), "s", f"dead time of {dead:.3g} s and lag of {channel}"
+            estimate.derived(["delay"], total_delay), "s", f"dead time of {dead_time:.3g} s and lag of {channel}"
         )
         if delay.value is not None:
             # Slow disturbances cause errors that the residuals do not show.
-            half = 0.5 * stack_settings().delay_widening * (delay.interval[1] - delay.interval[0])
-            delay = replace(delay, interval=(max(0.0, delay.value - half), delay.value + half))
+            half_width = 0.5 * stack_settings().delay_widening * (delay.interval[1] - delay.interval[0])
+            delay = replace(delay, interval=(max(0.0, delay.value - half_width), delay.value + half_width))
         result[f"delay.{channel}"] = delay
     return result
 
@@ -323,7 +322,7 @@ def _limit_quantities(
 
 
 def _limit_in_body(estimate: ParameterEstimate, kind: str, channel: str) -> ParameterEstimate | None:
-    """Return a limit of the command, with and without the gain; None if the model has no such limit."""
+    """Return a limit of the motion ("body") and of the command; None if the model has no such limit."""
     names = [f"{kind}.{channel}", f"gain.{channel}"]
     if names[0] not in estimate.names:
         return None
@@ -360,9 +359,10 @@ def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> Fl
     for record in records:
         span = max(1, round(identification_settings().block_time / record.dt))
         for first in range(0, len(record.command), span):
-            second = second_differences(record.part(first, min(first + span, len(record.command))), signal, [column])
-            if second.size >= MIN_READINGS:
-                variances.append(float(np.mean(second**2)) / SECOND_DIFFERENCE**2)
+            block = record.part(first, min(first + span, len(record.command)))
+            differences = second_differences(block, signal, [column])
+            if differences.size >= MIN_READINGS:
+                variances.append(float(np.mean(differences**2)) / SECOND_DIFFERENCE**2)
     return np.array(variances)
 
 
@@ -370,12 +370,12 @@ def look_ahead_factor(phase_margin: float) -> float:
     """Return the ratio of pure pursuit's minimum look-ahead time to the robot's delay [-], for a phase margin [rad].
 
     On a straight path pure pursuit steers with the curvature -2 (y + L psi) / L^2. With y' = v psi, psi' = v curvature,
-    p = s L / v and theta = delay v / L its open loop is 2 (p + 1) exp(-theta p) / p^2: its gain is 1 at w^2 = 2 +
-    sqrt(8), where the phase is atan(w) - w theta above -pi. So L / v = delay w / (atan(w) - margin). Source of the
-    method: Ollero, Heredia, "Stability analysis of mobile robot path tracking", IROS 1995.
+    p = s L / v and theta = delay v / L its open loop is 2 (p + 1) exp(-theta p) / p^2. Its gain is 1 at w^2 = 2 +
+    sqrt(8), and its phase there is -pi + atan(w) - w theta. Therefore L / v = delay w / (atan(w) - margin). Source of
+    the method: Ollero, Heredia, "Stability analysis of mobile robot path tracking", IROS 1995.
     """
-    crossing = math.sqrt(2.0 + math.sqrt(8.0))
-    return crossing / (math.atan(crossing) - phase_margin)
+    crossover = math.sqrt(2.0 + math.sqrt(8.0))
+    return crossover / (math.atan(crossover) - phase_margin)
 
 
 def _look_ahead_quantities(quantities: Quantities) -> dict[str, Quantity]:
@@ -385,13 +385,13 @@ def _look_ahead_quantities(quantities: Quantities) -> dict[str, Quantity]:
         settings.controller_frequency, "Hz", "default of Nav2, for which the look-ahead is valid"
     )
     if delay.value is None:
-        missing = f"the delay of omega is not known: {delay.reason}"
+        missing_reason = f"the delay of omega is not known: {delay.reason}"
         units = {"look_ahead_time": "s", "look_ahead": "m", "min_look_ahead": "m", "max_look_ahead": "m"}
         return {
-            **{name: _missing_quantity(unit, missing) for name, unit in units.items()},
+            **{name: _missing_quantity(unit, missing_reason) for name, unit in units.items()},
             "controller_frequency": frequency,
         }
-    factor, wait = look_ahead_factor(math.radians(settings.phase_margin)), 0.5 / settings.controller_frequency
+    factor, half_period = look_ahead_factor(math.radians(settings.phase_margin)), 0.5 / settings.controller_frequency
     reason = (
         f"{factor:.3g} times the sum of the delay of omega and half a period at {settings.controller_frequency:g} Hz: "
         f"phase margin of {settings.phase_margin:g} degrees on a straight path"
@@ -399,17 +399,18 @@ def _look_ahead_quantities(quantities: Quantities) -> dict[str, Quantity]:
 
     def look_ahead(speed: float, unit: str, reason: str) -> Quantity:
         low, value, high = (
-            speed * factor * (end + wait) for end in (delay.interval[0], delay.value or 0.0, delay.interval[1])
+            speed * factor * (end + half_period) for end in (delay.interval[0], delay.value or 0.0, delay.interval[1])
         )
         return Quantity(value, (low, high), unit, reason)
 
-    fast = quantities["driven.v"].value or 0.0
-    slow = min(settings.slow_speed, fast)
+    max_speed = quantities["driven.v"].value or 0.0
+    min_speed = min(settings.slow_speed, max_speed)
+    max_reason = f"look-ahead time at {max_speed:.3g} m/s, the maximum speed in this log"
     return {
         "look_ahead_time": look_ahead(1.0, "s", reason),
-        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the maximum speed in this log"),
-        "min_look_ahead": look_ahead(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
-        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the maximum speed in this log"),
+        "look_ahead": look_ahead(max_speed, "m", max_reason),
+        "min_look_ahead": look_ahead(min_speed, "m", f"look-ahead time at {min_speed:.3g} m/s"),
+        "max_look_ahead": look_ahead(max_speed, "m", max_reason),
         "controller_frequency": frequency,
     }
 

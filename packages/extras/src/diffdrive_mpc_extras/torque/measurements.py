@@ -1,4 +1,4 @@
-"""Log of a diagnostic drive of the simulated robot: turns held one after the other, with battery and motors."""
+"""Diagnostic drive of the simulated robot through a sequence of turns, and its log with battery and motors."""
 
 from __future__ import annotations
 
@@ -19,25 +19,28 @@ from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc_extras.energy.power_readings import READINGS
 
 
-class Diagnostic(StrictModel):
-    """Diagnostic drive: turns held one after the other."""
+class DiagnosticDrive(StrictModel):
+    """Diagnostic drive as a sequence of turns."""
 
-    radii: Annotated[tuple[float, ...], Field(min_length=3)] = Field(description="positive to the left [m]")
-    speeds: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(description="of the turns, in rotation [m/s]")
+    radii: Annotated[tuple[float, ...], Field(min_length=3)] = Field(description="radii, positive to the left [m]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(description="cyclic speeds of the turns [m/s]")
     hold: Positive = Field(description="duration of each turn [s]")
 
 
-def load_diagnostic() -> Diagnostic:
-    """Read `diagnostic.yaml`."""
-    return load_checked(Diagnostic, Path(__file__).with_name("diagnostic.yaml"))
+def load_diagnostic() -> DiagnosticDrive:
+    """Read `diagnostic.yaml`; raises ConfigError if it is invalid."""
+    return load_checked(DiagnosticDrive, Path(__file__).with_name("diagnostic.yaml"))
 
 
 def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int = 0) -> FloatArray:
-    """Build turns (n, 2) held in sequence for `hold` samples, speeds in turn, with rest before and after."""
-    each = np.resize(speeds, len(radii))
-    rows = np.repeat(np.stack([each, each / np.array(radii)], axis=-1), hold, axis=0)
-    still = np.zeros((rest, 2))
-    return np.concatenate([still, rows, still])
+    """Build commands (n, 2) v [m/s], omega [rad/s] of a sequence of turns, with rest before and after.
+
+    Turn i has radius i [m] and the next of the cyclic speeds [m/s]; `hold` and `rest` are numbers of samples.
+    """
+    turn_speeds = np.resize(speeds, len(radii))
+    turns = np.repeat(np.stack([turn_speeds, turn_speeds / np.array(radii)], axis=-1), hold, axis=0)
+    standstill = np.zeros((rest, 2))
+    return np.concatenate([standstill, turns, standstill])
 
 
 _COLUMNS = (
@@ -52,19 +55,19 @@ _COLUMNS = (
     *(f"pose_{part}" for part in ("x_m", "y_m", "theta_rad")),
     *READINGS,
 )
-# Time at rest before and after the turns [s]: it determines the power drawn at rest.
 _REST = 3.0
+"""Time at rest before and after the turns, which determines the power at rest [s]."""
 
 
 def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int = 0) -> None:
     """Drive the turns of `diagnostic.yaml` open loop, with rest before and after, and write a CSV log.
 
-    Its columns are those of `simulate --log` that a robot has; sensors are the set `power`.
+    The columns are those columns of `simulate --log` that a real robot can measure. The sensor set is `power`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If robot or floor do not exist, or the file cannot be written.
+        If robot or surface does not exist, or the file cannot be written.
     """
     settings = load_diagnostic()
     plant = make_plant(f"mujoco:{robot}", surface=surface, sensors="power", seed=seed)
@@ -76,11 +79,11 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
         for command in commands:
-            measured = plant.measure()
-            parts = [measured.wheel_twist, measured.wheel_speeds, measured.yaw_rate]
-            assert all(part is not None for part in parts)
-            read = [np.ravel(part.value) for part in parts if part is not None]
-            pose = [""] * 4 if measured.pose is None else [measured.pose.time, *np.ravel(measured.pose.value)]
-            cells = np.concatenate([[plant.time], command, *read])
+            measurement = plant.measure()
+            readings = [measurement.wheel_twist, measurement.wheel_speeds, measurement.yaw_rate]
+            assert all(reading is not None for reading in readings)
+            values = [np.ravel(reading.value) for reading in readings if reading is not None]
+            pose = [""] * 4 if measurement.pose is None else [measurement.pose.time, *np.ravel(measurement.pose.value)]
+            cells = np.concatenate([[plant.time], command, *values])
             writer.writerow([*map(repr, cells.tolist()), *pose, *map(repr, plant.parts["power"].value.tolist())])
             plant.advance(command)

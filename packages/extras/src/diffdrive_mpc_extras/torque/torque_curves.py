@@ -1,4 +1,4 @@
-"""Torque of the outer and the inner side against turn radius, a network each, learned while driving."""
+"""Torque curves of the outer and inner side over the turn radius, learned online, and turn costs from them."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
 
 
 class TorqueCurves:
-    """Two networks over the logarithm of the radius, whose outputs are torques over the limit of a side.
+    """Torque curves of the outer and inner side, one network each over the logarithm of the radius.
 
-    The value of a curve is finite and within the limit; beyond the learned radii it keeps the value at their end. A
-    turn is the same to the left and to the right, and backward the torques change their signs.
+    The value of a curve is finite and within the limit. Beyond the learned radii the value at their end applies. Left
+    and right turns have equal torques, and for backward driving the torques change their signs.
 
     Parameters
     ----------
     limit
-        Largest torque of a side [N m].
+        Torque limit of a side [N m].
     settings
-        By default the shipped ones.
+        Settings of networks and curves; by default the shipped settings.
 
     Raises
     ------
@@ -39,28 +39,28 @@ class TorqueCurves:
 
     def __init__(self, limit: float, settings: TorqueSettings | None = None) -> None:
         if not (math.isfinite(limit) and limit > 0):
-            raise ConfigError(f"torque limit {limit} N m: give a positive number")
+            raise ConfigError(f"torque limit {limit} N m: use a positive number")
         self.limit = float(limit)
         self._settings = settings or load_torque_settings()
         self._outer, self._inner = MranNetwork(self._settings.network), MranNetwork(self._settings.network)
-        self._shown = (math.inf, -math.inf)
+        self._learned_inputs = (math.inf, -math.inf)
 
     @property
     def units(self) -> tuple[int, int]:
-        """Return the numbers of hidden units of the networks of the outer and the inner side."""
+        """Numbers of hidden units of the networks of the outer and inner side."""
         return len(self._outer.units), len(self._inner.units)
 
     @property
-    def shown(self) -> tuple[float, float]:
-        """Least and greatest radius that was shown [m]; beyond it the value is held."""
-        low, high = self._shown
+    def learned_radii(self) -> tuple[float, float]:
+        """Minimum and maximum learned radius [m], NaN before the first sample; values outside are held."""
+        low, high = self._learned_inputs
         return (math.exp(low), math.exp(high)) if low <= high else (math.nan, math.nan)
 
     @classmethod
     def from_prior(cls, vehicle: Vehicle, terrain: Terrain, settings: TorqueSettings | None = None) -> TorqueCurves:
-        """Build curves that contain the triplets (radius, outer, inner) of a former terrain; P4, section 4.1.
+        """Build curves from computed torques of a prior terrain; P4, section 4.1.
 
-        Raises ConfigError if the shear law of the terrain is not known.
+        Raises ConfigError if the shear law of the terrain is unknown.
         """
         curves = cls(vehicle.torque_limit, settings)
         curve_settings = curves._settings.curves
@@ -68,37 +68,37 @@ class TorqueCurves:
         radii = np.geomspace(low, curve_settings.radii[1], curve_settings.prior_radii)
         torques = side_torques(vehicle, terrain, radii, curve_settings.speed)
         rows = np.stack([radii, torques.outer, torques.inner], axis=-1)
-        for turn in range(curve_settings.prior_passes):
-            # To and fro, as a drive does, so that no end is the one shown last.
-            for radius, outer, inner in rows if turn % 2 else rows[::-1]:
+        for number in range(curve_settings.prior_passes):
+            # Alternate the direction, so that neither end is always learned last.
+            for radius, outer, inner in rows if number % 2 else rows[::-1]:
                 curves.learn(radius, curve_settings.speed, outer, inner)
-        curves.doubt()
+        curves.reset_covariance()
         return curves
 
-    def doubt(self) -> None:
-        """Increase the uncertainty of learned curves: another terrain may have started."""
-        self._outer.restart_doubt()
-        self._inner.restart_doubt()
+    def reset_covariance(self) -> None:
+        """Reset the covariance of both networks, because the terrain may have changed."""
+        self._outer.reset_covariance()
+        self._inner.reset_covariance()
 
     def learn(self, radius: float, speed: float, outer: float, inner: float) -> None:
-        """Take in one sample of a steady turn; values that are not finite are left out.
+        """Learn one sample of a steady turn; samples that are not finite are ignored.
 
         Parameters
         ----------
         radius
-            Commanded turn radius [m]; its sign does not matter, infinity is straight on.
+            Commanded turn radius of any sign [m]; infinity for a straight path.
         speed
-            Commanded speed [m/s], forward.
+            Commanded forward speed [m/s].
         outer, inner
             Torques of the sides [N m].
         """
         if not (speed > 0 and not math.isnan(radius) and math.isfinite(outer) and math.isfinite(inner)):
             return
         x = float(self._input(np.array(abs(radius)), np.array(speed)))
-        self._shown = min(self._shown[0], x), max(self._shown[1], x)
-        bound = self._settings.curves.margin
-        self._outer.learn(x, float(np.clip(outer / self.limit, -bound, bound)))
-        self._inner.learn(x, float(np.clip(inner / self.limit, -bound, bound)))
+        self._learned_inputs = min(self._learned_inputs[0], x), max(self._learned_inputs[1], x)
+        margin = self._settings.curves.margin
+        self._outer.learn(x, float(np.clip(outer / self.limit, -margin, margin)))
+        self._inner.learn(x, float(np.clip(inner / self.limit, -margin, margin)))
 
     def learn_drive(
         self,
@@ -108,86 +108,87 @@ class TorqueCurves:
         sample_time: float,
         settled: ArrayLike | None = None,
     ) -> int:
-        """Take in a drive in order of time, but for what follows a change of the command; returns how much was used.
+        """Learn the steady turns of a drive; return the number of learned rows.
 
         Parameters
         ----------
         commands
-            (n, 2) v [m/s], omega [rad/s].
+            (n, 2) v [m/s], omega [rad/s] in order of time.
         left, right
-            (n,) torques of the sides [N m] from this row to the next.
+            (n,) torques of the sides between each row and the next [N m].
         sample_time
             Time between two rows [s].
         settled
-            (n,) of bool: the rows of steady turns; by default those in which the command has not changed for the
-            settling time.
+            (n,) booleans that select steady turns; by default rows later than the settling time after a change of the
+            command.
         """
         rows = np.asarray(commands, dtype=float)
         torques = np.stack([np.asarray(left, dtype=float), np.asarray(right, dtype=float)], axis=-1)
         if settled is None:
             changed = np.concatenate([[True], (np.abs(np.diff(rows, axis=0)) > 1e-9).any(axis=1)])
-            since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
-            settled = (since + 0.5) * sample_time > self._settings.curves.settling
-        turning = rows[:, 0] != 0
-        used = np.flatnonzero(np.asarray(settled, dtype=bool) & turning)
+            rows_since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
+            settled = (rows_since + 0.5) * sample_time > self._settings.curves.settling
+        is_moving = rows[:, 0] != 0
+        indices = np.flatnonzero(np.asarray(settled, dtype=bool) & is_moving)
         with np.errstate(divide="ignore", invalid="ignore"):
             radii = np.abs(rows[:, 0] / rows[:, 1])
-        for k in used.tolist():
+        for k in indices.tolist():
             v, omega = rows[k]
             outer, inner = torques[k] if v * omega < 0 else torques[k, ::-1]
             sign = math.copysign(1.0, v)
             self.learn(float(radii[k]), abs(v), sign * outer, sign * inner)
-        return len(used)
+        return len(indices)
 
     def outer(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
-        """Compute the outer side's torque [N m] at radii (n,) [m] and speeds, by default the configured one."""
-        return self._say(self._outer, radius, speed)
+        """Compute the torque (n,) of the outer side [N m] at radii (n,) [m] and speeds (n,) [m/s].
+
+        The default speed is that of the settings.
+        """
+        return self._torque(self._outer, radius, speed)
 
     def inner(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
-        """Compute the torque of the inner side [N m], as `outer`."""
-        return self._say(self._inner, radius, speed)
+        """Compute the torque (n,) of the inner side [N m], as `outer`."""
+        return self._torque(self._inner, radius, speed)
 
     def torques(self, commands: ArrayLike) -> FloatArray:
-        """Compute torques left, right (n, 2) [N m] for held commands (n, 2) v [m/s], omega [rad/s]; zero at rest."""
+        """Compute torques (n, 2) left, right [N m] of steady turns for commands (n, 2) v [m/s], omega [rad/s]."""
         v, omega = np.moveaxis(np.asarray(commands, dtype=float), -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             radius = np.abs(v / omega)
-        moving = (v != 0) | (omega != 0)
-        radius = np.where(moving, radius, np.inf)
+        is_moving = (v != 0) | (omega != 0)
+        radius = np.where(is_moving, radius, np.inf)
         speed = np.maximum(np.abs(v), 1e-6)
         sign = np.where(v < 0, -1.0, 1.0)
-        outer, inner = (sign * side(radius, speed) * moving for side in (self.outer, self.inner))
-        left_outer = np.where(v == 0, omega < 0, v * omega < 0)
-        return np.stack([np.where(left_outer, outer, inner), np.where(left_outer, inner, outer)], axis=-1)
+        outer, inner = (sign * side(radius, speed) * is_moving for side in (self.outer, self.inner))
+        is_left_outer = np.where(v == 0, omega < 0, v * omega < 0)
+        return np.stack([np.where(is_left_outer, outer, inner), np.where(is_left_outer, inner, outer)], axis=-1)
 
     def least_radius(self, speed: float | None = None, share: float = LIMIT_SHARE) -> float:
-        """Find the largest radius at which the outer side needs more than `share` of its limit [m]; 0 without one."""
+        """Find the largest radius at which the outer torque exceeds `share` of its limit [m]; see `least_radius`."""
         low, high = self._settings.curves.radii
         return least_radius(lambda radii: self.outer(radii, speed), self.limit, (low, high), share)
 
-    def _say(self, network: MranNetwork, radius: ArrayLike, speed: ArrayLike | None) -> FloatArray:
+    def _torque(self, network: MranNetwork, radius: ArrayLike, speed: ArrayLike | None) -> FloatArray:
         radii = np.abs(np.asarray(radius, dtype=float))
         speeds = np.full_like(radii, self._settings.curves.speed) if speed is None else np.asarray(speed, dtype=float)
-        low, high = self._shown
+        low, high = self._learned_inputs
         x = self._input(radii, speeds)
         output = network(np.clip(x, low, high) if low <= high else x)
-        bound = self._settings.curves.margin
-        return np.asarray(self.limit * np.clip(output, -bound, bound))
+        margin = self._settings.curves.margin
+        return np.asarray(self.limit * np.clip(output, -margin, margin))
 
     def _input(self, radius: FloatArray, speed: FloatArray) -> FloatArray:
+        """Compute the network input: logarithm of the equivalent radius at the reference speed."""
         curve_settings = self._settings.curves
-        same = (
+        equivalent_radius = (
             radius * (curve_settings.speed / speed) ** curve_settings.speed_exponent
             if curve_settings.speed_exponent
             else radius
         )
-        return np.asarray(np.log(np.clip(same, *curve_settings.radii)))
+        return np.asarray(np.log(np.clip(equivalent_radius, *curve_settings.radii)))
 
 
-# Turn costs from learned torque curves.
-
-
-_ROWS = 36
+_TABLE_ROWS = 36
 
 
 def costs_of_curves(
@@ -200,28 +201,30 @@ def costs_of_curves(
     provenance: str,
     radii: tuple[float, float] | None = None,
 ) -> TurnCosts:
-    """Build the file's content from learned curves and slip (3, 3) or nine coefficients.
+    """Build turn costs from learned curves and a slip law.
 
     Parameters
     ----------
-    curves, slip
-        Learned curves and slip.
+    curves
+        Learned curves.
+    slip
+        (3, 3) or (9,) coefficients of the slip law.
     name, vehicle, drive, provenance
-        Other content of the file.
+        Other fields of the turn costs.
     radii
-        Smallest and largest radius of the tabled curves, at their speed [m]: those of the drive; by default all that
-        were shown to the curves, their prior's too.
+        Minimum and maximum radius of the table, at the reference speed [m]; by default all learned radii, including
+        those of the prior.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If nothing was shown to the curves or a value cannot be used.
+        If the curves have learned fewer than two radii, or a value is invalid.
     """
-    low, high = radii or curves.shown
+    low, high = radii or curves.learned_radii
     if not high > low:
-        raise ConfigError(f"turn costs '{name}': the torque curves were shown no two radii; learn a drive first")
+        raise ConfigError(f"turn costs '{name}': the torque curves need at least two radii; learn a drive first")
     settings = load_torque_settings().curves
-    table_radii = np.geomspace(low, high, _ROWS)
+    table_radii = np.geomspace(low, high, _TABLE_ROWS)
     table = TorqueTable(
         radius=tuple(table_radii.tolist()),
         outer=tuple(curves.outer(table_radii).tolist()),
@@ -240,25 +243,25 @@ def costs_of_curves(
 
 
 class PredictedEnergy(NamedTuple):
-    """Predicted energy of n commands held in sequence."""
+    """Predicted power and energy of a sequence of n commands."""
 
     torque: FloatArray
-    """(n, 2) left, right [N m]"""
+    """Torques (n, 2) left, right [N m]"""
     wheel_speed: FloatArray
-    """(n, 2) left, right [rad/s]"""
+    """Wheel speeds (n, 2) left, right [rad/s]"""
     power: FloatArray
-    """(n,) that the battery gives [W]"""
+    """Battery power (n,) [W]"""
     energy: float
-    """[J]"""
+    """Battery energy [J]"""
 
 
 def predict_energy(
     vehicle: Vehicle, constants: DriveConstants, curves: TorqueCurves, commands: ArrayLike, sample_time: float
 ) -> PredictedEnergy:
-    """Predict the energy of driving `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
+    """Predict the energy of `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
 
-    Torques are those of steady turns: the energy of accelerating and braking is neglected, as in P4, which is for
-    gentle driving. Wheel speeds are those that the base makes of the commands.
+    Torques are those of steady turns. As in P4, the energy of acceleration and braking is neglected, which is valid for
+    gentle driving. Wheel speeds follow from the commands by the kinematics of the base.
 
     Raises
     ------
@@ -267,9 +270,9 @@ def predict_energy(
     """
     rows = np.asarray(commands, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise ConfigError(f"commands of shape {rows.shape}: give (n, 2) finite numbers, v [m/s] and omega [rad/s]")
+        raise ConfigError(f"commands of shape {rows.shape}: use (n, 2) finite numbers, v [m/s] and omega [rad/s]")
     if not (np.isfinite(sample_time) and sample_time > 0):
-        raise ConfigError(f"sample time {sample_time} s: give a positive number")
+        raise ConfigError(f"sample time {sample_time} s: use a positive number")
     speeds = vehicle.rim_speeds(rows) / vehicle.wheel_radius
     torque = curves.torques(rows)
     power = constants.robot_power(torque, speeds)

@@ -24,17 +24,17 @@ def tune(
         typer.Option(help="mujoco:ROBOT, model:NAME, or the file of a robot or twin.", show_default="from the plan"),
     ] = None,
     points: Annotated[
-        int | None, typer.Option(min=2, help="Configurations to try.", show_default="from the plan")
+        int | None, typer.Option(min=2, help="Number of configurations.", show_default="from the plan")
     ] = None,
     jobs: Jobs = None,
 ) -> None:
     """Search for weights, horizon, noises and limits with a small position error, and compare on other seeds.
 
-    If no point is better on these seeds, config.yaml holds the start configuration, and the report says so.
+    If no point is better on these seeds, config.yaml contains the start configuration, and the report states it.
     """
-    from diffdrive_mpc_extras.tuning.study import tune as tuned  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.tuning.study import tune as run_tuning  # noqa: PLC0415 - --help does not need it
 
-    result = tuned(config, out, plan=plan, plant=plant, points=points, jobs=jobs)
+    result = run_tuning(config, out, plan=plan, plant=plant, points=points, jobs=jobs)
     echo(f"{result.sentence}; configuration in {result.config_path}")
 
 

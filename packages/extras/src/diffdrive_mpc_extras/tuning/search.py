@@ -29,7 +29,7 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class TunePoint:
-    """One configuration that the search has tried.
+    """Configuration that the search evaluated.
 
     Attributes
     ----------
@@ -59,40 +59,40 @@ class ConfigurationSearch:
     plan
         Ranges, runs and seeds.
 
-    Raises ConfigError if a key or a range has a mistake, MissingPackageError without Optuna.
+    Raises ConfigError if a key or a range is invalid, MissingPackageError without Optuna.
     """
 
     def __init__(self, config: str, plan: TunePlan) -> None:
         self._optuna = import_optuna()
         self._plan = plan
         start = load_config(config)
-        self._named = {"model": config} if is_shipped(config) else {"config": config, "model": start.model}
-        settled = build_problem(start, chosen_model(start, None)).config
-        self.start: Values = {key: _value(settled, key) for key in plan.parameters}
-        ends = {key: searched.ends(key, self.start[key]) for key, searched in plan.parameters.items()}
+        self._config_options = {"model": config} if is_shipped(config) else {"config": config, "model": start.model}
+        complete_config = build_problem(start, chosen_model(start, None)).config
+        self.start: Values = {key: _value(complete_config, key) for key in plan.parameters}
+        bounds = {key: search_range.bounds(key, self.start[key]) for key, search_range in plan.parameters.items()}
         for side in range(2):
-            load_config(config, {key: type(self.start[key])(pair[side]) for key, pair in ends.items()})
-        self._distributions = {key: self._distribution(key, *pair) for key, pair in ends.items()}
+            load_config(config, {key: type(self.start[key])(pair[side]) for key, pair in bounds.items()})
+        self._distributions = {key: self._distribution(key, *pair) for key, pair in bounds.items()}
 
     def drive(self, values: Mapping[str, Any], seeds: Iterable[int], jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every combination of the plan and the seeds with `values`; return the table of `sweep`."""
-        changed = {key: value for key, value in values.items() if value != self.start[key]}
-        named = [*self._named.items(), *self._plan.runs.items(), *changed.items()]
-        values_of_runs: dict[str, Any] = {str(name): value for name, value in named}
-        return sweep(seeds=seeds, jobs=jobs, on_done=bar.advance, **values_of_runs)
+        changes = {key: value for key, value in values.items() if value != self.start[key]}
+        items = [*self._config_options.items(), *self._plan.runs.items(), *changes.items()]
+        options: dict[str, Any] = {str(name): value for name, value in items}
+        return sweep(seeds=seeds, jobs=jobs, on_done=bar.advance, **options)
 
     def run(self, jobs: int, bar: ProgressBar) -> list[TunePoint]:
-        """Try the start configuration, then the points that Optuna proposes; return all in order."""
+        """Evaluate the start configuration, then the points that Optuna proposes; return all points in order."""
         plan, points = self._plan, list[TunePoint]()
         sampler = self._optuna.samplers.TPESampler(seed=plan.sampler_seed)
         study = self._optuna.create_study(sampler=sampler)
         study.enqueue_trial(self.start)
         for number in range(plan.points):
             best = f", best {1e3 * best_of(points).error:.3g} mm" if points else ""
-            runs = plan.places * plan.tuning_seeds.count
+            runs = plan.combinations * plan.tuning_seeds.count
             bar.start_stage(f"point {number + 1} of {plan.points}{best}", runs)
             trial = study.ask(self._distributions)
-            values = {key: self._rounded(key, value) for key, value in trial.params.items()}
+            values = {key: self._round(key, value) for key, value in trial.params.items()}
             rows = self.drive(values, plan.tuning_seeds.seeds, jobs, bar)
             point = TunePoint(number, values, float(self.errors(rows).mean()), int(failed(rows).sum()))
             study.tell(trial, point.error)
@@ -104,25 +104,25 @@ class ConfigurationSearch:
         measured = rows["position_rmse_m"].to_numpy(dtype=float)
         return np.asarray(np.where(failed(rows), np.fmax(measured, self._plan.failure_error), measured))
 
-    def _rounded(self, key: str, value: float) -> float | int:
-        is_kept = isinstance(value, int) or value == self.start[key]
-        return value if is_kept else float(f"{value:.{_DIGITS}g}")
+    def _round(self, key: str, value: float) -> float | int:
+        is_exact = isinstance(value, int) or value == self.start[key]
+        return value if is_exact else float(f"{value:.{_DIGITS}g}")
 
     def _distribution(self, key: str, low: float, high: float) -> Any:  # noqa: ANN401 - untyped
-        searched, distributions = self._plan.parameters[key], self._optuna.distributions
-        is_log = searched.log or searched.times is not None
+        search_range, distributions = self._plan.parameters[key], self._optuna.distributions
+        is_log = search_range.log or search_range.times is not None
         if isinstance(self.start[key], int):
             return distributions.IntDistribution(math.ceil(low), math.floor(high), log=is_log)
         return distributions.FloatDistribution(low, high, log=is_log)
 
 
 def best_of(points: Iterable[TunePoint]) -> TunePoint:
-    """Return the point with the smallest error, the first of equal ones."""
+    """Return the point with the minimum error; of equal points the first."""
     return min(points, key=lambda point: (point.error, point.number))
 
 
 def failed(rows: DataFrame) -> FloatArray:
-    """Return (runs,) booleans: the run ended early or did not complete its path."""
+    """Return booleans (runs,): True if a run ended early or did not complete its path."""
     return np.asarray(~rows["completed"].to_numpy(dtype=bool) | (rows["ended"].to_numpy(dtype=str) != ""))
 
 

@@ -1,4 +1,4 @@
-"""The tuning as a study: search, comparison on the report seeds, report and configuration file."""
+"""Study `diffdrive-mpc tune`: search, comparison on the report seeds, report and configuration file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Comparison:
     start, best
         Tables of `sweep`.
     start_errors, best_errors
-        (runs,) position RMSE, failures included [m].
+        (runs,) position RMSE including failed runs [m].
     """
 
     start: DataFrame
@@ -48,7 +48,7 @@ class Comparison:
     best_errors: FloatArray
 
     def change(self, runs: FloatArray | slice = slice(None)) -> BootstrapEstimate:
-        """Return the relative change of the mean error over `runs`, paired run by run [-]."""
+        """Return the relative change of the mean error over `runs` [-], from paired runs."""
         pairs = np.array([self.best_errors[runs], self.start_errors[runs]])
         return BootstrapEstimate.of_same_runs(
             [pairs], lambda table: table.mean(axis=-1)[0] / table.mean(axis=-1)[1] - 1
@@ -56,19 +56,19 @@ class Comparison:
 
     @property
     def failures(self) -> tuple[int, int]:
-        """Failed runs of the start configuration and of the best point."""
+        """Numbers of failed runs of the start configuration and of the best point."""
         return int(failed(self.start).sum()), int(failed(self.best).sum())
 
     @property
     def is_better(self) -> bool:
-        """True if the 95 % interval of the change lies below zero and no more runs fail."""
+        """True if the 95 % interval of the change is below zero and no more runs fail."""
         before, after = self.failures
         return self.change().high < 0.0 and after <= before
 
 
 @dataclass(frozen=True)
 class TuningOutcome:
-    """Points of the search, the best of them, and its comparison with the start configuration."""
+    """Points of the search, and the comparison of the best point with the start configuration."""
 
     points: list[TunePoint]
     best: TunePoint
@@ -76,28 +76,28 @@ class TuningOutcome:
     comparison: Comparison
 
     @property
-    def changed(self) -> Values:
+    def changes(self) -> Values:
         """Values of the best point that differ from the start configuration."""
         return {key: value for key, value in self.best.values.items() if value != self.start[key]}
 
     @property
     def written(self) -> Values:
-        """Values that the configuration file gets: none if the best point is not better."""
-        return self.changed if self.comparison.is_better else {}
+        """Changes in the written configuration file; empty if the best point is not better."""
+        return self.changes if self.comparison.is_better else {}
 
     @property
     def sentence(self) -> str:
-        """The result in one line."""
-        if not self.changed:
+        """Result in one line."""
+        if not self.changes:
             return "no better than the start configuration: no point has a smaller error on the tuning seeds"
-        compared, change = self.comparison, self.comparison.change()
-        verdict = "better" if compared.is_better else "no better"
-        before, after = compared.failures
+        comparison, change = self.comparison, self.comparison.change()
+        verdict = "better" if comparison.is_better else "no better"
+        before, after = comparison.failures
         return (
-            f"{verdict} than the start configuration: position RMSE {1e3 * compared.best_errors.mean():.3g} mm "
-            f"in place of {1e3 * compared.start_errors.mean():.3g} mm on {len(compared.best)} runs of the report seeds "
-            f"({_percent(change.value)}, 95 % interval {_percent(change.low)} to {_percent(change.high)}), "
-            f"{after} failed runs in place of {before}"
+            f"{verdict} than the start configuration: position RMSE {1e3 * comparison.best_errors.mean():.3g} mm "
+            f"instead of {1e3 * comparison.start_errors.mean():.3g} mm on {len(comparison.best)} runs of the report "
+            f"seeds ({_percent(change.value)}, 95 % interval {_percent(change.low)} to {_percent(change.high)}), "
+            f"{after} failed runs instead of {before}"
         )
 
 
@@ -112,7 +112,7 @@ class TuneResult:
     is_better
         True if the best point is better on the report seeds.
     sentence
-        The result in one line.
+        Result in one line.
     """
 
     config_path: Path
@@ -121,7 +121,7 @@ class TuneResult:
 
 
 class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
-    """Search for a configuration and its comparison.
+    """Search for a better configuration, and comparison with the start configuration.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         self._config, self._plan = config, plan
 
     def plan(self) -> ConfigurationSearch:
-        """Prepare the search; raises as `ConfigurationSearch` does."""
+        """Prepare the search; raises the errors of `ConfigurationSearch`."""
         return ConfigurationSearch(self._config, self._plan)
 
     def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:
@@ -146,7 +146,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         with persistent_processes():
             points = plan.run(jobs, bar)
             best = best_of(points)
-            bar.start_stage("comparing", 2 * self._plan.places * len(seeds))
+            bar.start_stage("comparing", 2 * self._plan.combinations * len(seeds))
             start_rows = plan.drive(plan.start, seeds, jobs, bar)
             best_rows = plan.drive(best.values, seeds, jobs, bar) if best.values != plan.start else start_rows
         comparison = Comparison(start_rows, best_rows, plan.errors(start_rows), plan.errors(best_rows))
@@ -156,7 +156,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         """Return tables, charts and the page."""
         plan, sentence, better = self._plan, results.sentence, results.comparison.is_better
         change = results.comparison.change()
-        advice = f"{CONFIG} holds the start configuration; try more points (--points) or other ranges (--plan)"
+        advice = f"{CONFIG} contains the start configuration; use more points (--points) or other ranges (--plan)"
         return Report(
             counted=f"{len(results.points)} points",
             meta={"statistics": STATISTICS, "tuning": plan.description, "sentence": sentence, "is_better": better},
@@ -169,12 +169,12 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
             facts=[
                 f"{Path(self._config).name}: {plan.description}.",
                 f"{sentence[0].upper()}{sentence[1:]}.",
-                f"{plan.points} points, each with {plan.places * plan.tuning_seeds.count} runs of the tuning seeds.",
+                f"{plan.points} points, each with {plan.combinations * plan.tuning_seeds.count} runs (tuning seeds).",
             ],
             notes=[
                 f"Errors: {STATISTICS}.",
-                f"A failed run counts with at least {plan.failure_error:g} m. The search counts position errors only: "
-                "compare step times and commands with `bench` before you use the configuration.",
+                f"The error of a failed run is at least {plan.failure_error:g} m. The search considers position errors "
+                "only: compare step times and commands with `bench` before you use the configuration.",
             ],
             tables=[_comparison_table(results.comparison), _parameter_table(results)],
             figures={"search.png": [_search_chart(results.points)]},
@@ -187,20 +187,20 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
                 ],
                 warnings=[] if better else [Warned(f"The best point is {sentence}.", advice)],
                 configurations=[
-                    ConfigurationView("Configuration that was written (YAML)", self._yaml(results, Path())),
+                    ConfigurationView("Written configuration (YAML)", self._yaml(results, Path())),
                 ],
             ),
         )
 
     def write(self, outcome: TuningOutcome, path: Path) -> None:
-        """Write the configuration; files that it names get paths relative to its folder."""
+        """Write the configuration; paths in it become relative to its folder."""
         head = f"# Tuned from {Path(self._config).name}: {outcome.sentence}.\n"
         with whole_file(path) as draft:
             draft.write_text(head + self._yaml(outcome, path.parent), encoding="utf-8")
 
     def _yaml(self, outcome: TuningOutcome, folder: Path) -> str:
         notes = {plain_key(key): f"was {outcome.start[key]:g}" for key in outcome.written}
-        return commented_yaml(_relative(load_config(self._config, outcome.written), folder), notes)
+        return commented_yaml(_with_relative_paths(load_config(self._config, outcome.written), folder), notes)
 
 
 def tune(
@@ -217,25 +217,25 @@ def tune(
     Parameters
     ----------
     config
-        Start configuration: a file, or the shipped one of a model.
+        Start configuration: a file, or the name of a model with a shipped configuration.
     out
         Folder of the results.
     plan
         Plan or its file; by default the shipped one.
     plant
-        Plant in place of the plan's: "mujoco:NAME", "model:NAME", or the file of a robot or twin.
+        Plant that replaces the plant of the plan: "mujoco:NAME", "model:NAME", or the file of a robot or twin.
     points
-        Number of points in place of the plan's.
+        Number of points that replaces the number in the plan.
     jobs
-        Processes; by default one for each core. The result does not depend on it.
+        Number of processes; by default one for each core. The result does not depend on it.
 
-    Raises ConfigError or ValueError if a file has a mistake, MissingPackageError without Optuna, StudyFailedError if
-    a process died.
+    Raises ConfigError or ValueError if a file is invalid, MissingPackageError without Optuna, StudyFailedError if a
+    process died.
     """
-    chosen = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
-    values = chosen.model_dump()
+    tune_plan = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
+    values = tune_plan.model_dump()
     if plant is not None:
-        values["runs"]["plant"] = _plant(str(plant))
+        values["runs"]["plant"] = _plant_name(str(plant))
     if points is not None:
         values["points"] = points
     folder = Path(out)
@@ -246,40 +246,40 @@ def tune(
     return TuneResult(folder / CONFIG, outcome.comparison.is_better, outcome.sentence)
 
 
-def _plant(name: str) -> str:
+def _plant_name(name: str) -> str:
     is_file = ":" not in name and Path(name).suffix in (".yaml", ".yml")
     return f"mujoco:{Path(name).resolve()}" if is_file else name
 
 
-def _relative(config: ControllerConfig, folder: Path) -> ControllerConfig:
-    def named(file: str) -> str:
+def _with_relative_paths(config: ControllerConfig, folder: Path) -> ControllerConfig:
+    def relative_path(file: str) -> str:
         return os.path.relpath(file, folder) if Path(file).is_file() else file
 
-    terms = [term.model_copy(update={"file": named(term.file)}) for term in config.terms]
-    return config.model_copy(update={"model": named(config.model), "terms": terms})
+    terms = [term.model_copy(update={"file": relative_path(term.file)}) for term in config.terms]
+    return config.model_copy(update={"model": relative_path(config.model), "terms": terms})
 
 
-def _comparison_table(compared: Comparison) -> Table:
-    names = compared.start["trajectory"].astype(str)
+def _comparison_table(comparison: Comparison) -> Table:
+    names = comparison.start["trajectory"].astype(str)
     groups = {name: (names == name).to_numpy() for name in dict.fromkeys(names)}
     rows = []
     for name, runs in (groups | {"all": np.ones(len(names), dtype=bool)}).items():
-        start, best, change = compared.start_errors[runs], compared.best_errors[runs], compared.change(runs)
-        failures = [str(int(failed(table[runs]).sum())) for table in (compared.start, compared.best)]
+        start, best, change = comparison.start_errors[runs], comparison.best_errors[runs], comparison.change(runs)
+        failures = [str(int(failed(table[runs]).sum())) for table in (comparison.start, comparison.best)]
         cells = (number(1e3 * start.mean(), 3), number(1e3 * best.mean(), 3), _percent(change.value))
         rows.append((name, *cells, f"{_percent(change.low)} to {_percent(change.high)}", *failures))
-    others = [
-        f"{column} {compared.start[column].mean():.3g} -> {compared.best[column].mean():.3g}"
+    means = [
+        f"{column} {comparison.start[column].mean():.3g} -> {comparison.best[column].mean():.3g}"
         for column in _OTHER_FIGURES
     ]
     columns = ("path", "start [mm]", "best [mm]", "change", "95 % interval", "failed, start", "failed, best")
-    note = "Position RMSE, paired run by run; intervals: bootstrap. Means of other figures, start -> best: "
-    return Table("Comparison on the report seeds", columns, tuple(rows), 1, f"{note}{'; '.join(others)}.")
+    note = "Position RMSE of paired runs with bootstrap intervals. Means of other figures, start -> best: "
+    return Table("Comparison on the report seeds", columns, tuple(rows), 1, f"{note}{'; '.join(means)}.")
 
 
 def _parameter_table(outcome: TuningOutcome) -> Table:
     rows = tuple((key, f"{outcome.start[key]:g}", f"{value:g}") for key, value in outcome.best.values.items())
-    note = "" if outcome.comparison.is_better else f"The best point is not written: {CONFIG} holds the start values."
+    note = "" if outcome.comparison.is_better else f"The best point is not written: {CONFIG} contains the start values."
     return Table("Best point of the search", ("parameter", "start", "best"), rows, 1, note)
 
 

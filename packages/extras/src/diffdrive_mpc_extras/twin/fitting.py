@@ -133,10 +133,12 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     for i, (name, prior) in enumerate(space.priors.items()):
         spread = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if is_determined[i] else 1.0
         half_width = settings.interval * spread
-        ends = (float(np.clip(prior.value(z[i] + side * half_width), prior.low, prior.high)) for side in (-1, 1))
+        lower, upper = (
+            float(np.clip(prior.value(z[i] + side * half_width), prior.low, prior.high)) for side in (-1, 1)
+        )
         share = float(deviation[i])
         parameters.append(
-            FittedParameter(name, prior.unit, prior.words, values[name], *ends, share, bool(is_determined[i]))
+            FittedParameter(name, prior.unit, prior.words, values[name], lower, upper, share, bool(is_determined[i]))
         )
     seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
     return TwinFit(space, values, tuple(parameters), search.drives, seconds)

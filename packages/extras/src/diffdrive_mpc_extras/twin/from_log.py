@@ -135,7 +135,7 @@ def fit_twin_to_logs(
         wheels=False,
         on_findings=on_findings or (lambda _: None),
         force=force,
-        max_rows=identification_settings().most_rows["effects"],
+        max_rows=identification_settings().max_rows["effects"],
     )
     title = name or f"twin from {Path(logs[0]).stem}"
     nominal = nominal_robot(title, data.train, robot)
