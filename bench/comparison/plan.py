@@ -114,7 +114,7 @@ def read_options(
     chosen_settings = default.model_copy(
         update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options}
     )
-    if not chosen_settings.ours:
+    if not chosen_settings.has_mpc:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
             name = chosen_settings.values("controllers")[0]
             raise ConfigError(f"the controller '{name}' takes no --models, --config, --set or --horizons")

@@ -223,7 +223,7 @@ def refused_for(s, reason, capfd):
 @pytest.mark.parametrize(
     ("mount", "yaw_rate"), [(None, 3.0), ((1.0, 0.0), -3.0), ((math.sqrt(0.5), math.sqrt(0.5)), 2.0)]
 )
-def test_the_gyro_turns_about_the_axis_that_its_frame_points_up(mount, yaw_rate):
+def test_gyro_axis_is_the_vertical_axis_of_its_frame(mount, yaw_rate):
     """Mounts: none, upside down, and on its side, by half and a quarter of a turn about x."""
     inbox = Inbox(NodeSettings(), lambda: 10**9, 0)
     inbox.mounts = TransformBuffer()

@@ -201,7 +201,7 @@ def no_times():
         (no_times(), "is not later than the previous pose"),
     ],
 )
-def test_bad_path_is_rejected_and_the_previous_one_goes_on(path, reason, capfd):
+def test_invalid_path_is_rejected_and_the_previous_one_continues(path, reason, capfd):
     with stack(drive=True) as s:
         s.base.run(10)
         sent_path(s, path)

@@ -141,7 +141,7 @@ def test_drawn_cases_have_no_fault():
 
 
 @pytest.mark.parametrize("key", FINDINGS)
-def test_earlier_finding_is_mended(key):
+def test_earlier_finding_is_fixed(key):
     assert find_fault(FeatureFuzzer(), FINDINGS[key]) is None
 
 
