@@ -527,19 +527,19 @@ def draw_spoilt(random: Random) -> dict[str, Any]:
 
 def draw_message(random: Random, size: int) -> Any:
     """Draw a message with an odd value, stamp or covariance; None for a missing message."""
-    way = random.randrange(8)
-    if way == 0:
+    kind = random.randrange(8)
+    if kind == 0:
         return None
     message: dict[str, Any] = {}
-    if way in (1, 2):
+    if kind in (1, 2):
         message["value"] = [odd.near(0.1, random) for _ in range(size)] if size > 1 else odd.near(0.1, random)
-    if way == 3:
+    if kind == 3:
         message["value"] = random.choice(("rubbish", [], [1.0], [[1.0, 2.0]], {"x": 1}, True, [None, None, None]))
-    if way in (4, 5):
+    if kind in (4, 5):
         message["shift"] = [random.gauss(0.0, 0.5) for _ in range(size)] if size > 1 else random.gauss(0.0, 0.5)
-    if way in (5, 6):
+    if kind in (5, 6):
         message["later"] = random.choice((-0.02, -0.3, -0.5, -10.0, 0.05, 1.0, 1e3, odd.number(random)))
-    if way == 7:
+    if kind == 7:
         message["stamp"] = random.choice((odd.number(random), "then", None, [1.0]))
     if random.random() < 0.25:
         diagonal = [abs(odd.near(1e-4, random)) for _ in range(size)]
