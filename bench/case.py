@@ -89,7 +89,7 @@ class Dimension:
 
     Attributes
     ----------
-    several
+    plural
         Plural of the name, which is the key of the requested values in settings and in the `meta` part of a report.
     default
         Value if no value is requested.
@@ -109,7 +109,7 @@ class Dimension:
         Name of the field of `Case`, which is also the column name in tables and the key of a run in JSON.
     """
 
-    several: str
+    plural: str
     default: Any
     help: str
     compared: tuple[Any, ...] = ()
@@ -131,8 +131,8 @@ class Dimension:
         return self.name not in ("controller", "model", "trajectory", "seed")
 
 
-def _dimension(several: str, default: object, text: str, **more: Any) -> Any:  # noqa: ANN401 - a field of any type
-    return field(default=default, metadata={"dimension": Dimension(several, default, text, **more)})
+def _dimension(plural: str, default: object, text: str, **more: Any) -> Any:  # noqa: ANN401 - a field of any type
+    return field(default=default, metadata={"dimension": Dimension(plural, default, text, **more)})
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ def combinations(**values: Iterable[object]) -> list[Case]:
 
     Other fields have their default values. Raises ValueError if there are more than `MAX_CASES` combinations.
     """
-    listed = [tuple(several) for several in values.values()]
+    listed = [tuple(options) for options in values.values()]
     check_count(math.prod(map(len, listed)))
     fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*listed)]
     return [Case(**entry) for entry in fixed]  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, Case, Overrides, label
 from diffdrive_mpc.bench.drive import plant_settings
-from diffdrive_mpc.bench.peers import PEERS, make_peer, takes_settings
+from diffdrive_mpc.bench.peers import PEERS, accepts_settings, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, TrackingController
@@ -210,7 +210,7 @@ def settings_of(case: Case) -> Overrides:
 
     A peer that does not use this project's estimator receives `case.overrides` only.
     """
-    robot = None if case.controller in PEERS and not takes_settings(case.controller) else drawn_robot(case.plant)
+    robot = None if case.controller in PEERS and not accepts_settings(case.controller) else drawn_robot(case.plant)
     return case.overrides if robot is None else tuple((dict(robot.stated) | dict(case.overrides)).items())
 
 

@@ -26,9 +26,9 @@ STRETCH = 2e-3
 
 A whole turn of a slow controller is rarely undisturbed.
 """
-AGAIN = 4
+MAX_REPEATS = 4
 """Maximum number of additional replays because of disturbed blocks."""
-PATIENCE = 0.5
+MAX_REPEAT_SHARE = 0.5
 """Maximum duration of the additional replays, as a multiple of the duration of the requested replays."""
 
 
@@ -155,7 +155,9 @@ def take_turns(
     block: int = BLOCK,
     on_replay: Callable[[], None] = lambda: None,
 ) -> tuple[list[list[TurnTimes]], float]:
-    """Repeat all replays until every block has enough undisturbed measurements or `AGAIN` or `PATIENCE` is reached.
+    """Repeat all replays until every block has enough undisturbed measurements.
+
+    `MAX_REPEATS` and `MAX_REPEAT_SHARE` limit the repetitions.
 
     Parameters
     ----------
@@ -178,9 +180,9 @@ def take_turns(
     tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
     best = np.inf
     start, deadline = perf_counter(), np.inf
-    for pass_number in range(repetitions + AGAIN):
+    for pass_number in range(repetitions + MAX_REPEATS):
         if pass_number == repetitions:
-            deadline = start + (1.0 + PATIENCE) * (perf_counter() - start)
+            deadline = start + (1.0 + MAX_REPEAT_SHARE) * (perf_counter() - start)
         for group in tracks:
             if perf_counter() > deadline:
                 break

@@ -318,7 +318,7 @@ class BaseEffects(StrictModel):
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
     wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
-    yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
+    yaw_relaxation: YawRelaxation | None = Field(default=None, description="tyre twist at changes of direction")
     veer: Veer | None = Field(default=None, description="yaw of the body while the wheels drive straight")
     pose_mount: PoseMount | None = Field(default=None, description="position and heading of the pose sensor")
 
@@ -335,7 +335,7 @@ class Response(NamedTuple):
 def respond(
     model: VelocityModel, effects: BaseEffects, commands: ArrayLike, dt: float, start: ArrayLike = (0.0, 0.0)
 ) -> Response:
-    """Simulate slew, wheel commands, linear dynamics, twist of the tyres and veer from commands alone.
+    """Simulate slew, wheel commands, linear dynamics, tyre twist and veer from commands alone.
 
     Parameters
     ----------

@@ -58,14 +58,14 @@ def wrong_type(argument: str, expected: str, value: object, remedy: str) -> Argu
 
 
 def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that raises ArgumentError for calls with a missing or an unknown argument, which lists all.
+    """Return a decorator that raises ArgumentError for a missing or unknown argument; the message lists all arguments.
 
-    `remedies` are sentences for names that are arguments of something else.
+    `remedies` are hints by name, for names that are arguments of another function.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @wraps(function)
-        def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 return function(*args, **kwargs)
             except TypeError as error:
@@ -81,7 +81,7 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 message = str(error).replace(".__init__()", "()")
                 raise ArgumentError(f"{message}{hint}; the arguments are {', '.join(known)}") from error
 
-        return called
+        return wrapper
 
     return decorate
 
@@ -112,13 +112,10 @@ def describe_type(value: object) -> str:
     return f"{name} {text}" if package == "builtins" and len(text) <= _MAX_VALUE_LENGTH and "<" not in text else name
 
 
-# pandas is loaded only by functions that build a table of rows.
-
-
-def load_pandas(wanted_by: str) -> Any:  # noqa: ANN401 - a module
-    """Import pandas for the function `wanted_by`; raise MissingPackageError if it is not installed."""
+def load_pandas(caller: str) -> Any:  # noqa: ANN401 - a module
+    """Import pandas for the function `caller`; raise MissingPackageError if it is not installed."""
     try:
         import pandas as pd  # noqa: PLC0415 - loads slowly
     except ImportError as error:
-        raise MissingPackageError(f"{wanted_by} needs pandas: pip install pandas") from error
+        raise MissingPackageError(f"{caller} needs pandas: pip install pandas") from error
     return pd

@@ -75,7 +75,7 @@ class StatedKey(NamedTuple):
 
 
 class MakersRobot(StrictModel):
-    """Data of one robot, stated by its maker. SI units; the maker does not state omitted values."""
+    """Data of one robot, stated by the manufacturer. SI units; the manufacturer does not state omitted values."""
 
     name: str
     provenance: Literal["stated"] = Field(description="not identified: the values do not come from a log")
@@ -148,7 +148,7 @@ class MakersRobot(StrictModel):
     def mapping(self) -> LogMapping:
         """Return the mapping of the topics in a bag of this robot, for any namespace."""
         names = {role: Topic(topic=topic.stated) for role, topic in dict(self.topics).items() if topic is not None}
-        return LogMapping(source=f"{self.name}, as stated by its maker", topics=Topics(**names))
+        return LogMapping(source=f"{self.name}, as stated by the manufacturer", topics=Topics(**names))
 
     def lines(self) -> list[str]:
         """Return the stated values with their sources, and the parameters to be identified, in one line each."""

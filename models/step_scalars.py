@@ -24,7 +24,7 @@ class StepScalar(StrictModel):
     help: str = Field(min_length=1)
 
     @property
-    def titled(self) -> str:
+    def title(self) -> str:
         """Label with unit."""
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 

@@ -147,7 +147,7 @@ def test_hand_written_documents_are_short():
 
 
 @pytest.mark.parametrize("document", PAGES, ids=name_of)
-def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
+def test_page_has_its_question_as_title_and_starts_with_the_answer(document):
     title, opening = document.read_text(encoding="utf-8").split("\n\n")[:2]
     assert re.fullmatch(r"# .*\?", title)
     assert re.match(r"[A-Z`\[*]", opening), opening

@@ -82,7 +82,7 @@ def bench(
     If a run of the predictive controller is not completed, the exit code is 1; the report is written nevertheless.
     """
     from diffdrive_mpc.bench.comparison.plan import read_options  # noqa: PLC0415 - --help does not need it
-    from diffdrive_mpc.bench.comparison.results import incomplete  # noqa: PLC0415
+    from diffdrive_mpc.bench.comparison.results import describe_incomplete  # noqa: PLC0415
     from diffdrive_mpc.bench.comparison.study import ComparisonStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
@@ -102,7 +102,7 @@ def bench(
         scaled=scale_to_robot,
         sweeps=sweeps,
     )
-    failure = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
+    failure = describe_incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
     if failure:
         echo(f"error: {failure}", err=True)
         raise typer.Exit(FAILED)

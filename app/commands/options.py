@@ -118,7 +118,7 @@ def _list_option(dimension: Dimension) -> inspect.Parameter:
     default = ",".join(map(str, dimension.compared))
     option = typer.Option(dimension.list_option, metavar="LIST", help=dimension.list_help, show_default=default)
     annotation = Annotated[str | None, option]
-    return inspect.Parameter(dimension.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+    return inspect.Parameter(dimension.plural, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
 def ros_arguments(context: typer.Context) -> list[str]:

@@ -123,8 +123,8 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
     """Identify a model from the logs; messages of errors contain the options of the command line."""
     robot = options.get("robot")
     if robot is not None:
-        maker = load_stated_robot(robot)
-        for line in (f"{maker.name}, values stated by its maker, not identified:", *maker.lines()):
+        stated = load_stated_robot(robot)
+        for line in (f"{stated.name}, values stated by the manufacturer, not identified:", *stated.lines()):
             _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
@@ -261,7 +261,7 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         raise ConfigError(f"{target}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
-    echo(f"{target}: guesses with reasons; correct them\n")
+    echo(f"{target}: draft with reasons; check and correct it\n")
     echo(text)
     try:
         findings = [str(finding) for finding in read_log(logs[0], target).findings]

@@ -13,7 +13,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.chart_drawing import draw_charts, draw_run
 from diffdrive_mpc.bench.comparison.page import charts, error_chart, step_time_chart
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, mpc_groups
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean
 from diffdrive_mpc.bench.figure_style import free_name
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, RunViews, Series
@@ -37,7 +37,7 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
     overview = [*_error_charts(results.main), error_chart(results.main), step_time_chart(results.main)]
     figures: dict[str, Draw | Charts] = {"overview.png": partial(draw_charts, overview, columns=_CHARTS_IN_A_ROW)}
     figures |= {name: swept[name] for name in [*first, *(name for name in swept if name not in first)]}
-    for name, rows in predictive(by(results.main, COMPARED)).items():
+    for name, rows in mpc_groups(by(results.main, COMPARED)).items():
         seed = results.settings.values("seeds")[0]
         for case, run in zip(rows["case"], rows["run"], strict=True):
             if case.seed == seed:
@@ -49,9 +49,9 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
 def _error_charts(main: DataFrame) -> list[Chart]:
     """Return a chart of position error over time for each trajectory, with the best MPC and peer and equal y ranges."""
     compared = by(main, COMPARED)
-    styles, ours = list(compared), predictive(compared)
-    peers = {name: rows for name, rows in compared.items() if name not in ours}
-    best = [best_of(part) for part in (ours, peers) if part]
+    styles, groups = list(compared), mpc_groups(compared)
+    peers = {name: rows for name, rows in compared.items() if name not in groups}
+    best = [best_of(part) for part in (groups, peers) if part]
     rows = {name: by(compared[name], "trajectory") for name in best}
     runs = {path: {name: rows[name][path]["run"].iloc[0] for name in best} for path in rows[best[0]]}
     errors = {path: {name: 1e3 * run.errors.position for name, run in part.items()} for path, part in runs.items()}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, complete, predictive
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, completed_groups, mpc_groups
 from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
 from diffdrive_mpc.bench.html_report.origin import case_config, configuration
@@ -75,7 +75,7 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
 
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
-    ranked = sorted(complete(drivers), key=errors.__getitem__)
+    ranked = sorted(completed_groups(drivers), key=errors.__getitem__)
     listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
     others = ", ".join(name for name in drivers if name not in ranked)
     completed = total(main, "completed")
@@ -89,11 +89,11 @@ def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
 
 def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -> list[KeyFigure]:
     """Return the key figures of the predictive controllers, and the minimum error of all controllers."""
-    ours = predictive(drivers)
-    predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
+    groups = mpc_groups(drivers)
+    predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in groups.values()})]
     completed, fallbacks = total(results.main, "completed"), total(predictive_rows, "fallbacks")
     times = step_times(predictive_rows)
-    controllers = ", ".join(ours)
+    controllers = ", ".join(groups)
     return [
         KeyFigure(
             "completed",
@@ -116,18 +116,18 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
 
 def _min_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
     """Return the minimum error of the controllers that completed all runs; if a peer is best, also the best MPC."""
-    ranked = complete(drivers)
+    ranked = completed_groups(drivers)
     errors = {name: mean(rows, "position_rmse_m") for name, rows in ranked.items()}
     shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
     label = "minimum position error, RMSE"
     if not ranked:
         return KeyFigure(label, "-", "no controller completed every run", "bad")
     best, worst = best_of(ranked), max(errors, key=errors.__getitem__)
-    ours = {name: rows for name, rows in predictive(drivers).items() if name in ranked}
-    if best in ours:
+    groups = {name: rows for name, rows in mpc_groups(drivers).items() if name in ranked}
+    if best in groups:
         note = f"worst: {worst} {shown[worst]}" if worst != best else "mean over paths and seeds"
     else:
-        note = f"best MPC: {best_of(ours)} {shown[best_of(ours)]}" if ours else "no MPC completed every run"
+        note = f"best MPC: {best_of(groups)} {shown[best_of(groups)]}" if groups else "no MPC completed every run"
     return KeyFigure(label, shown[best], f"{best}; {note}")
 
 
@@ -138,8 +138,8 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
     """
     points = min(_TICKS_OF_A_RUN, _TICKS // len(main))
     series = []
-    styles, ours = list(drivers), predictive(drivers)
-    for name, rows in (ours | dict(drivers)).items():
+    styles, groups = list(drivers), mpc_groups(drivers)
+    for name, rows in (groups | dict(drivers)).items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             path, seed = case.labels["trajectory"], case.labels["seed"]
             series.append(

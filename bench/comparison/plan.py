@@ -50,7 +50,7 @@ class ComparisonSettings(StrictModel):
         return values
 
     @property
-    def ours(self) -> bool:
+    def has_mpc(self) -> bool:
         """True if the controllers include the predictive controller, which has a model and a configuration."""
         return not set(self.values("controllers")) <= set(PEERS)
 
@@ -69,7 +69,7 @@ ROBOT_SEEDS = tuple(range(0, 40, 2))
 """Seeds of the runs with `KnownRobot` in a sweep."""
 
 _DIMENSIONS: dict[str, Any] = {
-    entry.several: (Annotated[tuple[entry.kind, ...], Field(min_length=1)], entry.compared)  # type: ignore[name-defined]
+    entry.plural: (Annotated[tuple[entry.kind, ...], Field(min_length=1)], entry.compared)  # type: ignore[name-defined]
     for entry in DIMENSIONS
 }
 _WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings, **_DIMENSIONS)
@@ -102,9 +102,9 @@ def read_options(
     Raises ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
-    requested = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
+    requested = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.plural)) is not None}
     options: dict[str, object] = {
-        entry.several: entry.read(text, entry.list_option) for entry, text in requested.items()
+        entry.plural: entry.read(text, entry.list_option) for entry, text in requested.items()
     }
     if "controllers" not in options and (config is not None or settings or "models" in options):
         options["controllers"] = ("mpc",)  # these options apply only to the predictive controller
@@ -114,7 +114,7 @@ def read_options(
     chosen_settings = default.model_copy(
         update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options}
     )
-    if not chosen_settings.ours:
+    if not chosen_settings.has_mpc:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
             name = chosen_settings.values("controllers")[0]
             raise ConfigError(f"the controller '{name}' takes no --models, --config, --set or --horizons")
@@ -195,30 +195,32 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     if unknown:
         raise ConfigError(f"unknown controller {not_among(unknown[0], CONTROLLERS)}")
     _check_labels(settings)
-    ours = (
-        [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models] if settings.ours else []
+    mpc_cases = (
+        [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models]
+        if settings.has_mpc
+        else []
     )
-    drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
+    drivers = [replace(case, overrides=values) for case in mpc_cases for values in settings.settings]
     if any(controller_config(case.model, case.config, case.overrides).start_delay for case in drivers):
         raise ConfigError("start_delay: bench runs do not delay the start; remove it, or use simulate")
     peers = {
         name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
     }
     # Trajectories and seeds vary fastest in the list of cases.
-    several = {dimension.name: settings.values(dimension.several) for dimension in DIMENSIONS if dimension.place}
+    several = {dimension.name: settings.values(dimension.plural) for dimension in DIMENSIONS if dimension.place}
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
     driven_by = {name: peers.get(name, drivers) for name in controllers}
-    by_osqp = [replace(case, overrides=BY_OSQP) for case in ours if settings.osqp and case.model == OSQP_MODEL]
+    by_osqp = [replace(case, overrides=BY_OSQP) for case in mpc_cases if settings.osqp and case.model == OSQP_MODEL]
     compared = [*itertools.chain.from_iterable(driven_by.values()), *by_osqp]
     check_count(len(compared) * len(places))
     main = [replace(driver, **place) for driver in compared for place in places]
     first = {name: values[0] for name, values in several.items() if name != "trajectory"}
     swept = [entry for entry in several["trajectory"] if not settings.beyond or entry in SWEPT_TRAJECTORIES]
-    check_count(len(ours) * len(settings.horizons) * len(swept))
+    check_count(len(mpc_cases) * len(settings.horizons) * len(swept))
     horizon = [
         _at_horizon(replace(case, overrides=settings.settings[0], trajectory=trajectory, **first), steps)
-        for case, steps, trajectory in itertools.product(ours, settings.horizons, swept)
+        for case, steps, trajectory in itertools.product(mpc_cases, settings.horizons, swept)
     ]
     plan = CasePlan(tuple(main), tuple(horizon))
     if settings.beyond:
@@ -271,9 +273,9 @@ def _check_labels(settings: ComparisonSettings) -> None:
 
     Models and peers share a set of names. The comparison ignores case, since figure files use these names.
     """
-    dimensions = {dimension.several: settings.values(dimension.several) for dimension in DIMENSIONS}
+    dimensions = {dimension.plural: settings.values(dimension.plural) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)
-    dimensions["models"] = (*peers, *dimensions["models"]) if settings.ours else peers
+    dimensions["models"] = (*peers, *dimensions["models"]) if settings.has_mpc else peers
     for dimension, names in dimensions.items():
         labels: dict[str, str] = {}
         for name in names:

@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.run_row import CLOCK, FORMER_COLUMNS, STATISTICS, Row, SolverShares
 from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
-from diffdrive_mpc.bench.turns import AGAIN, BLOCK
+from diffdrive_mpc.bench.turns import BLOCK, MAX_REPEATS
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
@@ -26,12 +26,12 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 TIMING = (
     "replays of the measurements of the first seed on one core with one BLAS thread and without garbage collection; "
     f"controllers alternate every {BLOCK} ticks, of which the first is not timed; blocks that are disturbed according "
-    f"to counters or the yardstick are measured again, up to {AGAIN} times"
+    f"to counters or the yardstick, a fixed computation, are measured again, up to {MAX_REPEATS} times"
 )
 
 
-BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
-"""Parts of the plan of which only rows are stored."""
+ROW_PARTS = ("speed", "dead_time", "other_seeds", "population", "dynamics")
+"""Parts of the results that are stored as rows only, without runs."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ComparisonResults:
         return [
             dimension.name
             for dimension in DIMENSIONS
-            if dimension.silent and self.settings.values(dimension.several) == (dimension.default,)
+            if dimension.silent and self.settings.values(dimension.plural) == (dimension.default,)
         ]
 
     def rows(self) -> list[Row]:
@@ -87,10 +87,10 @@ class ComparisonResults:
 
     def content(self) -> dict[str, object]:
         """Return all rows of plain values by name, without parts that were not run."""
-        scored = {name: getattr(self, name) for name in BEYOND}
+        scored = {name: getattr(self, name) for name in ROW_PARTS}
         rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
         rows |= {
-            name: [beyond_row(row, self.silent) for row in part.to_dict("records")] for name, part in scored.items()
+            name: [untimed_row(row, self.silent) for row in part.to_dict("records")] for name, part in scored.items()
         }
         return {name: part for name, part in rows.items() if part}
 
@@ -126,7 +126,7 @@ def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, w
     return dict(plain(values))
 
 
-def beyond_row(row: Row, silent: Container[str]) -> Row:
+def untimed_row(row: Row, silent: Container[str]) -> Row:
     """Convert a run without timing to plain values; `late_s` is the delay of the plant minus the configured delay."""
     case = row["case"]
     sample_time = controller_config(Case().model).sample_time
@@ -135,13 +135,13 @@ def beyond_row(row: Row, silent: Container[str]) -> Row:
     return dict(plain(values | statistics))
 
 
-def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
+def mpc_groups(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
     """Return the groups of predictive controllers, or all groups if there are only peers."""
-    ours = {name: rows for name, rows in compared.items() if rows["controller"].iloc[0] not in PEERS}
-    return ours or dict(compared)
+    groups = {name: rows for name, rows in compared.items() if rows["controller"].iloc[0] not in PEERS}
+    return groups or dict(compared)
 
 
-def complete(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
+def completed_groups(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
     """Return the groups with only completed runs, whose errors are comparable."""
     return {name: rows for name, rows in compared.items() if rows["completed"].all()}
 
@@ -151,11 +151,11 @@ def best_of(compared: Mapping[str, DataFrame]) -> str:
     return min(compared, key=lambda name: np.nan_to_num(mean(compared[name], "position_rmse_m"), nan=np.inf))
 
 
-def incomplete(results: ComparisonResults) -> str | None:
+def describe_incomplete(results: ComparisonResults) -> str | None:
     """Describe the incomplete runs of the predictive controller in one line; None if all runs are complete."""
     rows = results.all
-    ours = rows[~rows["controller"].isin(PEERS)]
-    failed = ours[~ours["completed"].astype(bool)]
+    mpc_rows = rows[~rows["controller"].isin(PEERS)]
+    failed = mpc_rows[~mpc_rows["completed"].astype(bool)]
     if failed.empty:
         return None
     case, ended = failed[["case", "ended"]].iloc[0]
@@ -163,7 +163,7 @@ def incomplete(results: ComparisonResults) -> str | None:
     first = f"{labels['model']} on {labels['trajectory']}, horizon {case.horizon}, seed {case.seed}"
     first += f", scenario {labels['scenario']}" if case.scenario != NO_SCENARIO else ""
     first += f" ({ended})" if ended else ""
-    return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
+    return f"{len(failed)} of {len(mpc_rows)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 
 def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, object]:
@@ -176,8 +176,8 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     timing
         State of the computer during all timed runs.
     """
-    options: dict[str, object] = {dimension.several: labels_of(settings, dimension.several) for dimension in DIMENSIONS}
-    if not settings.ours:
+    options: dict[str, object] = {dimension.plural: labels_of(settings, dimension.plural) for dimension in DIMENSIONS}
+    if not settings.has_mpc:
         options["models"] = []
     return {
         "step_times": TIMING,
@@ -188,7 +188,7 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
         "configuration": {
             "file": None if settings.config is None else Path(settings.config).stem,
             "set": _swept_values(settings),
-            "controllers": _configurations(settings) if settings.ours else [],
+            "controllers": _configurations(settings) if settings.has_mpc else [],
         },
     }
 

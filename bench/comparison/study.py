@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import CasePlan, ComparisonSettings, plan_cases
 from diffdrive_mpc.bench.comparison.properties import measure_properties
 from diffdrive_mpc.bench.comparison.results import (
-    BEYOND,
+    ROW_PARTS,
     TIMING,
     ComparisonResults,
     chosen_configuration,
@@ -67,8 +67,8 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         def rows_of(part: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in part)
 
-        beyond = {name: rows_of(getattr(plan, name)) for name in BEYOND}
-        results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **beyond)
+        row_parts = {name: rows_of(getattr(plan, name)) for name in ROW_PARTS}
+        results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **row_parts)
         if not self.settings.beyond:
             return results
         # Starting another process pool would take longer than this computation.
@@ -84,9 +84,9 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             if (dimension.place or dimension.name == "seed") and dimension.name not in results.silent
         ]
         requested = [
-            f"{entry.name if entry.place and len(values) == 1 else entry.several} {', '.join(map(str, values))}"
+            f"{entry.name if entry.place and len(values) == 1 else entry.plural} {', '.join(map(str, values))}"
             for entry in named
-            if (values := labels_of(self.settings, entry.several))
+            if (values := labels_of(self.settings, entry.plural))
         ]
         chosen = chosen_configuration(self.settings)
         return Report(

@@ -11,7 +11,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, label
 from diffdrive_mpc.bench.comparison.order import CERTAINTY, interval, order_table
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, complete
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, completed_groups
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, values
 from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec, cell, grouped_table, load_tables
 from diffdrive_mpc.bench.peers import PEERS
@@ -146,7 +146,7 @@ def _advantage_note(rows: DataFrame) -> str:
     """Describe the paired advantage of the best identified model over the best peer on each robot and path."""
     advantages, delays = [], model_name("two_delays")
     for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
-        ranked = complete(by(part, "driver"))
+        ranked = completed_groups(by(part, "driver"))
         peers = {name: runs for name, runs in ranked.items() if name in PEERS}
         models = {name: runs for name, runs in ranked.items() if name not in peers and name != delays}
         if models and peers:

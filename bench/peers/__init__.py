@@ -45,7 +45,7 @@ def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
     return TrackingLaw(getattr(import_module(f"{__name__}.{module}"), _KINDS[module]))
 
 
-def takes_settings(name: str) -> bool:
+def accepts_settings(name: str) -> bool:
     """Return True if a peer accepts configuration values, because it uses the predictive controller's estimator."""
     return isinstance(find_peer(name), TrackingLaw)
 

@@ -307,7 +307,7 @@ def identify_data(
         Key of `finders`. This finder identifies an additional model, which predicts; the model of `structure` then
         determines limits and tracks.
     robot
-        Robot with values stated by its maker, which bound the configuration and replace values that the logs do not
+        Robot with values from the manufacturer, which bound the configuration and replace values that the logs do not
         determine.
 
     Raises
@@ -427,8 +427,8 @@ def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | Non
         names = (*STRUCTURES, *finders())
         raise OptionError("structure", f" '{name}': give one of {', '.join(names)}{similar_name(name, names)}")
     selected_structure = STRUCTURES[ACCOMPANYING if predictor else name]
-    if effects and (predictor or not selected_structure.takes_effects):
-        supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
+    if effects and (predictor or not selected_structure.supports_effects):
+        supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.supports_effects)
         raise OptionError("effects", f": structure {name} has no effects; choose {supported}")
     if predictor:
         finders()[predictor]()
@@ -438,11 +438,11 @@ def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | Non
 def _check_order(structure: Structure, order: int | str) -> int | None:
     if order == AUTOMATIC:
         return None
-    if structure.largest_order is None:
-        supported = " or ".join(name for name, candidate in STRUCTURES.items() if candidate.largest_order is not None)
+    if structure.max_order is None:
+        supported = " or ".join(name for name, candidate in STRUCTURES.items() if candidate.max_order is not None)
         raise OptionError("order", f" {order}: only {supported} has a selectable order; omit it for {structure.name}")
-    if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
-        raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")
+    if not (str(order).isdecimal() and 1 <= int(order) <= structure.max_order):
+        raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.max_order}")
     return int(order)
 
 

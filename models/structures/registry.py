@@ -13,7 +13,7 @@ from diffdrive_mpc.models.structures.structure import IdentificationConditions, 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.record import Record
 
-LARGEST_ORDER = 5
+MAX_ORDER = 5
 """Maximum order of SSM."""
 
 
@@ -25,8 +25,8 @@ def _identify_by(module: str, records: Sequence[Record], conditions: Identificat
 
 _ALL = (
     Structure("mbm", MbmFile, partial(_identify_by, "mbm"), needs_wheels=True),
-    Structure("sm", SmFile, partial(_identify_by, "sm"), takes_effects=True),
-    Structure("ssm", SsmFile, partial(_identify_by, "ssm"), largest_order=LARGEST_ORDER),
+    Structure("sm", SmFile, partial(_identify_by, "sm"), supports_effects=True),
+    Structure("ssm", SsmFile, partial(_identify_by, "ssm"), max_order=MAX_ORDER),
     Structure("two_delays", TwoDelaysFile, partial(_identify_by, "two_delays")),
     Structure("mbm_modes", MbmModesFile, partial(_identify_by, "mbm_modes"), needs_wheels=True),
 )

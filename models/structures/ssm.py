@@ -39,7 +39,7 @@ from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, block_fit, compare_orders, is_behind
-from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
+from diffdrive_mpc.models.structures.registry import MAX_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -70,7 +70,7 @@ def choose_order(
     train: Sequence[Record],
     validation: Sequence[Record] = (),
     *,
-    largest: int = LARGEST_ORDER,
+    largest: int = MAX_ORDER,
     yaw: YawSource = "gyro",
     limits: bool = True,
     requested: int | None = None,
@@ -121,7 +121,7 @@ def choose_order(
 
 def identify_ssm_orders(
     records: Sequence[Record],
-    largest: int = LARGEST_ORDER,
+    largest: int = MAX_ORDER,
     *,
     yaw: YawSource = "gyro",
     limits: bool = True,
@@ -147,8 +147,8 @@ def identify_ssm_orders(
     ValueError
         If the order is out of range, a record lacks a signal, or the readings or commands never change.
     """
-    if not 1 <= largest <= LARGEST_ORDER:
-        raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
+    if not 1 <= largest <= MAX_ORDER:
+        raise ValueError(f"order {largest}: give 1 to {MAX_ORDER}")
     return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), largest, yaw)
 
 
@@ -292,6 +292,6 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
-    largest = max(order or LARGEST_ORDER, 2)
+    largest = max(order or MAX_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

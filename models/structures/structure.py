@@ -60,9 +60,9 @@ class Structure:
         Function that identifies the model from records; raises ValueError if they are unsuitable.
     needs_wheels
         Whether identification needs wheel speeds and a gyro.
-    largest_order
+    max_order
         Maximum order; None for structures with a fixed order.
-    takes_effects
+    supports_effects
         Whether `models.identification.effects` supports base effects for the structure.
     """
 
@@ -70,5 +70,5 @@ class Structure:
     file: type[ModelFile]
     identify: Callable[[Sequence[Record], IdentificationConditions], StructureFit]
     needs_wheels: bool = False
-    largest_order: int | None = None
-    takes_effects: bool = False
+    max_order: int | None = None
+    supports_effects: bool = False

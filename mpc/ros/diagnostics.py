@@ -119,7 +119,7 @@ def _result(result: StepResult) -> dict[str, str]:
         "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
     scalars = step_scalars()
-    values |= {scalars[name].titled: f"{value:.{scalars[name].digits}f}" for name, value in scalars_of(result).items()}
+    values |= {scalars[name].title: f"{value:.{scalars[name].digits}f}" for name, value in scalars_of(result).items()}
     if not math.isnan(result.clearance):
         values["pressed by"] = ", ".join(result.pressed_by) or "nothing"
     error = tracking_error(result)

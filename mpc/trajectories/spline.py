@@ -1,4 +1,4 @@
-"""Trajectories of cubic pieces in time, for paths that do not consist of arcs."""
+"""Cubic spline trajectories, for paths that do not consist of arcs."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Window(StrictModel):
         """Start and end time [s]."""
         return (self.start, self.end)
 
-    def holds(self, time: float) -> bool:
+    def contains(self, time: float) -> bool:
         """Return True if `time` [s] is within the window, which excludes its end."""
         return self.start <= time < self.end
 
@@ -64,7 +64,7 @@ class Patch(StrictModel):
     side: Literal["both", "left", "right"] = Field("both", description="side whose wheels are on the patch")
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Patch:
+    def _check_exclusive(self) -> Patch:
         if (self.friction is None) == (self.factor is None):
             raise ValueError("give either friction or factor")
         return self

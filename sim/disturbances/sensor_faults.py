@@ -43,18 +43,18 @@ class SensorFaults:
         """Apply the faults at `time` [s] to `measurement`."""
         scenario = self._scenario
         for error in scenario.pose_errors:
-            if error.holds(time) and measurement.pose is not None:
+            if error.contains(time) and measurement.pose is not None:
                 rates = np.array([error.x_rate, error.y_rate, error.heading_rate])
                 offset = np.array([error.x, error.y, error.heading]) + (time - error.start) * rates
                 measurement = replace(measurement, pose=_shift(measurement.pose, offset))
         for biased in scenario.gyro_biases:
-            if biased.holds(time) and measurement.yaw_rate is not None:
+            if biased.contains(time) and measurement.yaw_rate is not None:
                 rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
                 measurement = replace(measurement, yaw_rate=replace(measurement.yaw_rate, value=rate))
         dead_wheels = {
             wheel
             for dead_encoder in scenario.dead_encoders
-            if dead_encoder.holds(time)
+            if dead_encoder.contains(time)
             for wheel in dead_encoder.wheels
         }
         if dead_wheels and measurement.wheel_speeds is not None and measurement.wheel_twist is not None:
@@ -67,11 +67,11 @@ class SensorFaults:
         stuck_fields = {
             field
             for stuck_sensor in scenario.stuck_sensors
-            if stuck_sensor.holds(time)
+            if stuck_sensor.contains(time)
             for field in _FIELDS[stuck_sensor.sensor]
         }
         missing_fields = {
-            field for drop_out in scenario.drop_outs if drop_out.holds(time) for field in _FIELDS[drop_out.sensor]
+            field for drop_out in scenario.drop_outs if drop_out.contains(time) for field in _FIELDS[drop_out.sensor]
         }
         changes: dict[str, Any] = {}
         for field in itertools.chain.from_iterable(_FIELDS.values()):

@@ -33,7 +33,7 @@ class DisturbedPlant(PlantAround):
         Disturbances with their times.
     robot
         Robot with the command limits and the kinematics for encoder faults.
-    crossed
+    patch_spans
         Function that returns the time spans of the patches that the plant has reached.
     """
 
@@ -42,10 +42,10 @@ class DisturbedPlant(PlantAround):
         plant: Plant,
         scenario: Scenario,
         robot: Robot,
-        crossed: Callable[[], Sequence[Span]] = tuple,
+        patch_spans: Callable[[], Sequence[Span]] = tuple,
     ) -> None:
         super().__init__(plant)
-        self._scenario, self._limits, self._crossed = scenario, robot.limits, crossed
+        self._scenario, self._limits, self._patch_spans = scenario, robot.limits, patch_spans
         self._faults = SensorFaults(scenario, WheelKinematics(robot.wheel_radius, robot.track))
         self.reset(np.zeros(3))
 
@@ -61,7 +61,7 @@ class DisturbedPlant(PlantAround):
         Disturbances that last until the end of the run have no end. If there are no others, the second value is
         infinite.
         """
-        started_spans = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
+        started_spans = [span for span in (*self._scenario.spans, *self._patch_spans()) if span[0] <= self.time]
         if not started_spans:
             return None
         ends = [end for _, end in started_spans if math.isfinite(end)]
@@ -85,7 +85,7 @@ class DisturbedPlant(PlantAround):
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,) or a false command, and advance by one sample; see `Plant.advance` for errors."""
         sent = clip_command(command, self._limits)
-        false_commands = [item for item in self._scenario.false_commands if item.holds(self.time)]
+        false_commands = [item for item in self._scenario.false_commands if item.contains(self.time)]
         # The controller is told the command that it sent, not the false one that the base executes.
         self._plant.advance([false_commands[-1].v, false_commands[-1].omega] if false_commands else sent)
         self._sent = (float(sent[0]), float(sent[1]))
@@ -132,7 +132,7 @@ class DisturbedPhysics:
         """Reset the state for a robot at the start of its path."""
         self._travelled = 0.0
         self._position = self._chassis.pose[:2]
-        self._crossed: list[Span | None] = [None] * len(self._patches)
+        self._patch_spans: list[Span | None] = [None] * len(self._patches)
         self._torque_share = 0.0
         self._loops.supply = 1.0
         self._anchors: list[FloatArray | None] = [None] * len(self._scenario.blockades)
@@ -140,9 +140,9 @@ class DisturbedPhysics:
         self._set_friction(0.0)
 
     @property
-    def crossed(self) -> list[Span]:
+    def patch_spans(self) -> list[Span]:
         """First and last time of a wheel on each reached patch [s]; the last is infinite for a patch without end."""
-        return [span for span in self._crossed if span is not None]
+        return [span for span in self._patch_spans if span is not None]
 
     def advance(self, twin: Twin) -> None:
         """Advance `twin` by one control sample with disturbances; raise RobotLostError if the robot is lost."""
@@ -165,7 +165,7 @@ class DisturbedPhysics:
             for push in scenario.pushes:
                 self._push(push, push.share(start, end))
             for i, blockade in enumerate(scenario.blockades):
-                if blockade.holds(start):
+                if blockade.contains(start):
                     self._apply_blockade(i, blockade)
         if scenario.battery:
             # The current of the last step stands for that of this one.
@@ -175,7 +175,7 @@ class DisturbedPhysics:
     def motors(self, torques: FloatArray, time: float) -> FloatArray:
         """Compute the actual wheel torques (4,) [N m] at `time` [s] from the nominal `torques`."""
         for motor in self._scenario.weak_motors:
-            if motor.holds(time):
+            if motor.contains(time):
                 torques[WHEELS.index(motor.wheel)] *= motor.factor
         self._torque_share = float(np.mean(np.abs(torques))) / self._stall_torque
         return torques
@@ -204,14 +204,14 @@ class DisturbedPhysics:
             friction[inside] = patch.coefficient(self._friction)
             self._record_crossing(i, time, bool(inside.any()), patch)
         for slipping in self._scenario.slipping_wheels:
-            if slipping.holds(time):
+            if slipping.contains(time):
                 friction[WHEELS.index(slipping.wheel)] = slipping.friction
         self._chassis.set_friction(friction)
 
     def _record_crossing(self, i: int, time: float, is_inside: bool, patch: Patch) -> None:
         if is_inside:
-            span = self._crossed[i]
-            self._crossed[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
+            span = self._patch_spans[i]
+            self._patch_spans[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
 
 
 def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -182,7 +182,7 @@ def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | 
     )
     if not disturbances.kinds:
         return robot
-    return DisturbedPlant(robot, disturbances, build.robot if build else load_robot(), lambda: robot.crossed)
+    return DisturbedPlant(robot, disturbances, build.robot if build else load_robot(), lambda: robot.patch_spans)
 
 
 def _model_plant(

@@ -126,9 +126,9 @@ class ModelPlant:
         for due in self._sensors.poses_due(now):
             if due != now:
                 self._interpolate_pose(self._c, before, due, address(self._interpolated))
-            self._sensors.see_pose(due, self._pose if due == now else self._interpolated)
+            self._sensors.add_pose(due, self._pose if due == now else self._interpolated)
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(self._wheels))
-        self._sensors.see_motion(now, wheel_speeds, self._c.yaw_rate)
+        self._sensors.add_motion(now, wheel_speeds, self._c.yaw_rate)
 
 
 class _Function:

@@ -73,19 +73,19 @@ class MujocoPlant:
         self._robot, self._friction = robot, friction
         self.parts = parts or {}
         self._sample_time = robot.sample_time if sample_time is None else sample_time
-        # The physics keeps its step, and with it its behaviour, when the sample time of the controller changes.
+        # The physics step, and thus the behaviour, does not depend on the sample time of the controller.
         self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
         step = self._sample_time / self._substeps
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
         self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways, scene)
-        self._line = DelayLine(twin.link.dead_time)
+        self._delay_line = DelayLine(twin.link.dead_time)
         self._shaping = None if base is None else CommandShaping(base, self._sample_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
         self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
         self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
-        self._twin = Twin(self._line, self._shaper, self._observer, self._loops, self._chassis, self._substeps)
+        self._twin = Twin(self._delay_line, self._shaper, self._observer, self._loops, self._chassis, self._substeps)
         self._offsets = np.arange(self._substeps + 1) * step
         self._disturbances: DisturbedPhysics | None = None
         if scenario is not None:
@@ -135,16 +135,16 @@ class MujocoPlant:
         return self._twin.motors
 
     @property
-    def crossed(self) -> list[Span]:
+    def patch_spans(self) -> list[Span]:
         """First and last time on each patch that was reached since the last reset [s]."""
-        return self._disturbances.crossed if self._disturbances else []
+        return self._disturbances.patch_spans if self._disturbances else []
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the robot to rest at `pose` (3,) at time 0, and restart the noise."""
         self._tick = 0
         self._sent: tuple[float, float] | None = None
         self._chassis.reset(pose)
-        self._line.reset()
+        self._delay_line.reset()
         if self._shaping is not None:
             self._shaping.reset()
         self._shaper.reset()
@@ -165,10 +165,10 @@ class MujocoPlant:
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         if self._shaping is None:
-            self._line.send(self.time, sent)
+            self._delay_line.send(self.time, sent)
         else:
             for start, twist in self._shaping.levels(self.time, sent):
-                self._line.send(start, twist)
+                self._delay_line.send(start, twist)
         edges, poses = self._twin.edges, self._twin.poses
         np.add(self.time, self._offsets, out=edges)
         # Exactly the time of the next tick: the sum of steps differs by rounding.
@@ -182,8 +182,8 @@ class MujocoPlant:
             # The pose is interpolated in the first physics step that ends after its time.
             k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, due))
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
-            self._sensors.see_pose(due, before + (due - start) / (end - start) * (after - before))
+            self._sensors.add_pose(due, before + (due - start) / (end - start) * (after - before))
         for part in self.parts.values():
             part.take(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed
-        self._sensors.see_motion(self.time, speeds, self._chassis.yaw_rate)
+        self._sensors.add_motion(self.time, speeds, self._chassis.yaw_rate)

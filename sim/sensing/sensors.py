@@ -75,18 +75,18 @@ class Sensors:
         # The first pose is the first that arrives by time 0.
         self._next_pose = -int(np.ceil((self._parameters.pose.latency - TIME_TOLERANCE) / self._period))
         for time in self.poses_due(0.0):
-            self.see_pose(time, pose)
-        self.see_motion(0.0, wheel_speeds, 0.0)
+            self.add_pose(time, pose)
+        self.add_motion(0.0, wheel_speeds, 0.0)
 
     def poses_due(self, until: float) -> list[float]:
-        """Return the times of pose measurements up to `until` [s]; `see_pose` must be called for each time."""
+        """Return the times of pose measurements up to `until` [s]; `add_pose` must be called for each time."""
         due = []
         while self._next_pose * self._period <= until + TIME_TOLERANCE:
             due.append(self._next_pose * self._period)
             self._next_pose += 1
         return due
 
-    def see_pose(self, time: float, pose: ArrayLike) -> None:
+    def add_pose(self, time: float, pose: ArrayLike) -> None:
         """Measure the true `pose` (3,) at `time` [s] with the pose sensor."""
         sensor = self._parameters.pose
         value = (np.asarray(pose, dtype=float) + next(self._pose_noise)) * self._pose_signs
@@ -98,7 +98,7 @@ class Sensors:
         stamp = arrival if self._parameters.pose.stamped_on_arrival else time
         self._pending_poses.append((arrival, Stamped(value, stamp, self._pose_covariance)))
 
-    def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
+    def add_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
         """Measure wheel speeds (4,) [rad/s] with encoders and the true yaw rate [rad/s] with the gyro at `time` [s]."""
         gyro = self._parameters.gyro
         speeds = np.asarray(wheel_speeds, dtype=float) + next(self._encoder_noise)

@@ -27,7 +27,7 @@ _BYTES_PER_MB = 1e6
 _ROUNDING = 1e-9
 
 
-Sampled = DiscreteModel | NonlinearModel
+SampledModel = DiscreteModel | NonlinearModel
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ def measure_cost(study: CostStudy, on_progress: Callable[[], None] = lambda: Non
     ----------
     study
         Number of runs, and number of steps in a run.
-    on_done
+    on_progress
         Function that is called after each run of all models.
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
-    factories: dict[str, Callable[[], Sampled]] = {
+    factories: dict[str, Callable[[], SampledModel]] = {
         name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES if name in study.simulation_steps
     }
     network = load_model(NETWORK)
@@ -77,7 +77,7 @@ def measure_cost(study: CostStudy, on_progress: Callable[[], None] = lambda: Non
     models = {name: make() for name, make in factories.items()}
     inputs = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 
-    def run(model: Sampled) -> None:
+    def run(model: SampledModel) -> None:
         predict_path(model, commands, np.zeros(3))
 
     simulation_times: dict[str, list[float]] = {name: [] for name in models}
@@ -136,8 +136,8 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperF
         PaperFinding(
             "a simulation of SM requires less memory than a simulation of MBM",
             "P0, Table 3",
-            f"{paper['sm'].memory[0] / paper['mbm'].memory[0]:.2f} of it",
-            f"{memory['sm'] / memory['mbm']:.2f} of it",
+            f"{paper['sm'].memory[0] / paper['mbm'].memory[0]:.2f}",
+            f"{memory['sm'] / memory['mbm']:.2f}",
             (memory["sm"] < memory["mbm"],),
         ),
         PaperFinding(
@@ -164,12 +164,12 @@ def _network_finding(times: Mapping[str, float], paper: Mapping[str, PublishedCo
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     """Tabulate means and standard deviations over runs, published and measured."""
     rows = []
-    for name, ours in cost.items():
+    for name, measured in cost.items():
         paper = published.cost[name]
-        cells = [_pair(paper.simulation_time, 1e3), _pair(ours.simulation_time, 1e3)]
-        cells += [_pair(paper.time_per_step, 1e6), _pair(ours.time_per_step, 1e6)]
-        cells += [_pair(paper.memory, 1e3), _pair(ours.memory, 1e3)]
-        rows.append((name.upper(), str(ours.order), *cells))
+        cells = [_pair(paper.simulation_time, 1e3), _pair(measured.simulation_time, 1e3)]
+        cells += [_pair(paper.time_per_step, 1e6), _pair(measured.time_per_step, 1e6)]
+        cells += [_pair(paper.memory, 1e3), _pair(measured.memory, 1e3)]
+        rows.append((name.upper(), str(measured.order), *cells))
     quantities = ("simulation [ms]", "time per step [us]", "memory [kB]")
     values = [column for quantity in quantities for column in (f"published {quantity}", quantity)]
     note = (

@@ -76,7 +76,7 @@ def test_argument_error_is_a_type_error():
     assert issubclass(ArgumentError, TypeError)
 
 
-def test_a_sweep_is_a_table_with_one_row_for_each_run():
+def test_sweep_returns_a_table_with_one_row_per_run():
     shipped = load_model("sm")
     converted = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")
     # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.

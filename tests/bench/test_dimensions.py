@@ -20,7 +20,7 @@ def test_every_dimension_has_its_options_and_its_default(dimension: Dimension) -
     options = {command: set(re.findall(r"--[\w-]+", help_of(command))) for command in ("simulate", "bench")}
     assert dimension.option in options["simulate"]
     assert dimension.list_option in options["bench"]
-    assert default_settings().values(dimension.several) == dimension.compared
+    assert default_settings().values(dimension.plural) == dimension.compared
     assert getattr(Case(), dimension.name) == dimension.default
 
 
@@ -31,7 +31,7 @@ def help_of(command: str) -> str:
 @pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
 def test_option_selects_its_values(dimension: Dimension) -> None:
     text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(dimension.name, "a,b")
-    chosen = read_options({dimension.several: text}).values(dimension.several)
+    chosen = read_options({dimension.plural: text}).values(dimension.plural)
     assert [str(value) for value in chosen] == text.split(",")
 
 

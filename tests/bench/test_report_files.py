@@ -22,7 +22,7 @@ from diffdrive_mpc import ConfigError
 from diffdrive_mpc.bench.comparison.figures import drawings
 from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import default_settings
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, incomplete, json_row
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe_incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import report_tables, summary_table, time_table
 from diffdrive_mpc.bench.experiment import mean
@@ -171,13 +171,15 @@ def test_times_exclude_disturbed_ticks_and_mark_their_rows(outcome: RunOutcome) 
 
 
 def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> None:
-    assert incomplete(results) is None
+    assert describe_incomplete(results) is None
     ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
     assert not stopped.metrics.completed
-    complaint = incomplete(replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame()))
+    complaint = describe_incomplete(
+        replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame())
+    )
     assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
-    assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
+    assert describe_incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
 
 
 @pytest.mark.parametrize("kind", ["folder", "link"])

@@ -46,7 +46,7 @@ def test_exception_of_a_task_is_raised(jobs: int) -> None:
         run_tasks([refuse, refuse], jobs, lambda: None)
 
 
-def test_a_process_that_dies_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_killed_process_raises_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(WorkerDiedError, match="killed; try a smaller --jobs"):
         run_tasks([die, die], 2, lambda: None)
     monkeypatch.setattr("diffdrive_mpc.bench.comparison.study._drive", lambda case, whole: die())

@@ -1,5 +1,5 @@
-"""Fuzzers of the root package with odd input from seeds; see CONTRIBUTING.md.
+"""Fuzzers of the root package; see CONTRIBUTING.md.
 
-A fuzzer draws cases, plain values that JSON can hold, and checks the promises of the product. Hypothesis draws them
-from a seed and reduces a finding. `findings/` holds the corrected ones, the first examples of every run.
+A fuzzer draws cases, which are JSON values, and checks the guarantees of the project. Hypothesis draws them from a seed
+and reduces a failing case. `findings/` contains the fixed findings, which are the first examples of every run.
 """

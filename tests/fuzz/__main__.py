@@ -1,4 +1,4 @@
-"""`python -m fuzz`: run fuzzers, and leave with 1 if they find anything. See CONTRIBUTING.md."""
+"""`python -m fuzz`: run fuzzers; the exit status is 1 after a finding. See CONTRIBUTING.md."""
 
 from __future__ import annotations
 
@@ -15,79 +15,83 @@ from tempfile import TemporaryDirectory
 
 from fuzz.case import FINDINGS, Fuzzer, save, saved_findings
 from fuzz.fuzzers import FUZZERS
-from fuzz.runner import check_within_bounds, inside
+from fuzz.runner import check_within_bounds, run_search
 
-_LONGEST = 4 * 3600.0
-"""Time limit of a number of steps [s]."""
-_LONG = 20
-"""Cases of a long run, as a multiple of those of a short one."""
+_STEPS_TIME_LIMIT = 4 * 3600.0
+"""Time limit of a run with --steps [s]."""
+_LONG_FACTOR = 20
+"""Number of cases of a long run relative to a short run."""
 _SECONDS = {"short": 20.0, "long": 150.0}
 """Time limit of each fuzzer [s]."""
-_CASES_OF_A_PROCESS = 1000
+_CASES_PER_PROCESS = 1000
 
 
 def main() -> None:
-    """Read the words, and run."""
-    words = _words()
-    if words.replay:
-        check_within_bounds(FUZZERS[words.replay[0]], saved_findings(words.keep)[tuple(words.replay)])
+    """Parse the arguments and run the fuzzers."""
+    arguments = _parse_arguments()
+    if arguments.replay:
+        check_within_bounds(FUZZERS[arguments.replay[0]], saved_findings(arguments.keep)[tuple(arguments.replay)])
         return
-    if "live" in words.what:
-        # It needs ROS, which the others do without.
+    if "live" in arguments.what:
+        # Only this fuzzer needs ROS.
         from fuzz.live import main as attack
 
-        seconds = words.seconds or {"short": 60.0, "long": 600.0}["long" if "long" in words.what else "short"]
-        sys.exit(1 if attack(seconds, words.seed, None if words.keep == FINDINGS else words.keep, words.only) else 0)
-    unknown = set(words.what) - {"short", "long", *FUZZERS}
+        seconds = arguments.seconds or {"short": 60.0, "long": 600.0}["long" if "long" in arguments.what else "short"]
+        folder = None if arguments.keep == FINDINGS else arguments.keep
+        sys.exit(1 if attack(seconds, arguments.seed, folder, arguments.only) else 0)
+    unknown = set(arguments.what) - {"short", "long", *FUZZERS}
     if unknown:
         sys.exit(f"error: unknown fuzzer '{min(unknown)}': give short, long, or some of {', '.join(FUZZERS)}")
-    # One thread for matrices, as in the node: to wake others takes longer than the sums.
+    # One thread for matrices, as in the node: the matrices are too small for more threads.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    chosen = [FUZZERS[name] for name in FUZZERS if name in words.what] or list(FUZZERS.values())
-    pace = "long" if "long" in words.what else "short"
-    sys.exit(int(any([_fuzzed(fuzzer, pace, words) for fuzzer in chosen])))  # noqa: C419 - every fuzzer runs
+    chosen = [FUZZERS[name] for name in FUZZERS if name in arguments.what] or list(FUZZERS.values())
+    length = "long" if "long" in arguments.what else "short"
+    sys.exit(int(any([_run_fuzzer(fuzzer, length, arguments) for fuzzer in chosen])))  # noqa: C419 - every fuzzer runs
 
 
-def _fuzzed(fuzzer: Fuzzer, pace: str, words: argparse.Namespace) -> bool:
-    """Search in one process after the other, with the same origins on every machine; return True after a finding."""
-    count = fuzzer.count * (_LONG if pace == "long" else 1) if words.count is None else words.count
-    limit, steps = _SECONDS[pace], math.inf
-    if words.steps is not None:
-        count, limit, steps = 10**9, _LONGEST, words.steps
-    begun, ran, part = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
-    end, code = begun + (limit if words.seconds is None else words.seconds), 0
+def _run_fuzzer(fuzzer: Fuzzer, length: str, arguments: argparse.Namespace) -> bool:
+    """Search in successive processes, with the same origins on every machine; return True after a finding."""
+    count = fuzzer.count * (_LONG_FACTOR if length == "long" else 1) if arguments.count is None else arguments.count
+    limit, steps = _SECONDS[length], math.inf
+    if arguments.steps is not None:
+        count, limit, steps = 10**9, _STEPS_TIME_LIMIT, arguments.steps
+    start, ran, part = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
+    end, code = start + (limit if arguments.seconds is None else arguments.seconds), 0
     while not code and ran["cases"] < count and ran["steps"] < steps and time.monotonic() < end:
         with TemporaryDirectory() as scratch:
-            order = f"{fuzzer.name}/{words.seed}/{part}", min(_CASES_OF_A_PROCESS, count), end - time.monotonic()
-            process = get_context("spawn").Process(target=inside, args=(fuzzer.name, *order, words.keep, scratch))
+            order = f"{fuzzer.name}/{arguments.seed}/{part}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
+            process = get_context("spawn").Process(
+                target=run_search, args=(fuzzer.name, *order, arguments.keep, scratch)
+            )
             process.start()
             process.join()
             code, part = process.exitcode or 0, part + 1
-            account, case = Path(scratch, "account.json"), Path(scratch, "case.json")
-            for key, value in json.loads(account.read_text()).items() if account.exists() else ():
+            statistics, case = Path(scratch, "statistics.json"), Path(scratch, "case.json")
+            for key, value in json.loads(statistics.read_text()).items() if statistics.exists() else ():
                 ran[key] = max(ran[key], value) if key == "longest_step" else ran[key] + value
             if code not in (0, 1) and case.exists():
-                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
-                print(f"  - process {how}\n    {save(fuzzer.name, how, json.loads(case.read_text()), words.keep)}")
+                reason = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+                path = save(fuzzer.name, reason, json.loads(case.read_text()), arguments.keep)
+                print(f"  - process {reason}\n    {path}")
         steps_text = "{steps} steps of at most {longest_step:.2f} sample times, {late} late, ".format(**ran)
         print(
-            f"{fuzzer.name:12s} seed {words.seed}: {ran['cases']} cases in {time.monotonic() - begun:.0f} s, "
+            f"{fuzzer.name:12s} seed {arguments.seed}: {ran['cases']} cases in {time.monotonic() - start:.0f} s, "
             f"{steps_text if ran['steps'] else ''}{'with findings' if code else 'no finding'}",
             flush=True,
         )
     return bool(code)
 
 
-def _words() -> argparse.Namespace:
+def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument("what", nargs="*", help=f"short (default) or long, and some of {', '.join(FUZZERS)}")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", type=int, help="this campaign of `live` alone")
-    parser.add_argument("--count", type=int, help="so many cases of each fuzzer")
-    parser.add_argument("--steps", type=int, help="of a controller, however many cases that takes")
-    parser.add_argument("--seconds", type=float, help="at most so long for each fuzzer")
+    parser.add_argument("--only", type=int, help="number of the only campaign of `live`")
+    parser.add_argument("--count", type=int, help="number of cases of each fuzzer")
+    parser.add_argument("--steps", type=int, help="number of steps of the controller, instead of a number of cases")
+    parser.add_argument("--seconds", type=float, help="time limit of each fuzzer")
     parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for findings")
-    parser.add_argument("--replay", nargs=2, metavar=("FUZZER", "MARK"), help="a kept finding, once more")
+    parser.add_argument("--replay", nargs=2, metavar=("FUZZER", "DIGEST"), help="saved finding to check")
     return parser.parse_args()
 
 

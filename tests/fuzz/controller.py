@@ -1,4 +1,4 @@
-"""Fuzzer of the controller: arbitrary events in any order, with the promises of docs/safety.md at every step."""
+"""Fuzzer of the controller: arbitrary events in any order, and checks of docs/safety.md at every step."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ _KINDS_OF_EVENTS = (*4 * ("tick",), *2 * ("clock", "start", "update", "hold"), "
 _KINDS_OF_EVENTS += ("carry", "foresee", "again", "parameters", "bound")
 _REFUSED = (ConfigError, ModelError, ValueError)
 _SHARE_OF_TICK = 0.5
-"""Every step has the node's deadline, after this share of its sample time [-]."""
+"""Deadline of a step, as in the node, as a share of the sample time [-]."""
 _ITERATION = 5e-3
-"""Processor time of the longest iteration of a solver, at 200 steps; a step may exceed its sample time by it [s]."""
+"""Maximum processor time of an iteration of a solver with 200 steps, by which a step may exceed its sample time [s]."""
 
 _POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
 _DISTANCE = ca.sqrt(ca.sumsqr(_POSE[:2] - _POINT) + 1e-6)
@@ -89,7 +89,7 @@ def user_model(name: str) -> NonlinearModel | None:
 
 @dataclass
 class UserReference:
-    """Reference of a class of the user, with poses that need not agree with its twist."""
+    """Reference defined by a user, whose poses need not agree with its twist."""
 
     name: str = "own"
     duration: float = 5.0
@@ -99,7 +99,7 @@ class UserReference:
     spoils: dict[int, float] = field(default_factory=dict)
 
     def sample(self, times: Any) -> ReferenceSample:
-        """Return samples on a straight line; `spoils` replaces x in calls by their number."""
+        """Return samples on a straight line; `spoils` contains values of x by the number of the call."""
         t = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
         pose = np.asarray(self.pose) + t[:, None] * np.asarray(self.velocity)
         twist = np.tile(np.asarray(self.twist, dtype=float), (len(t), 1))
@@ -112,11 +112,11 @@ class UserReference:
 class ControllerFuzzer:
     """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
 
-    name, longest, count = "controller", 60.0, 150
+    name, time_limit, count = "controller", 60.0, 150
     extras: Sequence[Overrides] = EXTRAS
     """Settings that are off by default and rarely drawn by chance."""
     steps = late = 0
-    """Number of steps of all checked cases, and of those that missed their deadline."""
+    """Number of steps of all checked cases, and number of steps that missed their deadline."""
     longest_step = 0.0
     """Longest processor time of a step, in units of its sample time."""
 
@@ -145,9 +145,9 @@ class ControllerFuzzer:
         del random, overrides
         return []
 
-    def make_life(self, controller: Controller, references: list[Any]) -> Life:
-        """Return the life in which the events happen."""
-        return Life(controller, references)
+    def make_session(self, controller: Controller, references: list[Any]) -> Session:
+        """Return the object that executes the events."""
+        return Session(controller, references)
 
     def check(self, case: Case) -> None:
         """Run the events of a case."""
@@ -165,16 +165,16 @@ class ControllerFuzzer:
             except _REFUSED as error:
                 one_line(error)
                 references.append(load_trajectory("circle"))
-        life = self.make_life(controller, references)
+        session = self.make_session(controller, references)
         try:
             for event in case["events"]:
-                getattr(life, event[0])(*event[1:])
+                getattr(session, event[0])(*event[1:])
         finally:
-            self.steps, self.late = self.steps + life.steps, self.late + life.late
-            self.longest_step = max(self.longest_step, life.longest_step)
+            self.steps, self.late = self.steps + session.steps, self.late + session.late
+            self.longest_step = max(self.longest_step, session.longest_step)
 
 
-class Life:
+class Session:
     """Controller and robot of a case; each step is checked."""
 
     def __init__(self, controller: Controller, references: list[Any]) -> None:
@@ -250,7 +250,7 @@ class Life:
             return
         predicted = self.controller.predict_belief(belief, np.tile(self.last, (count, 1)))
         if len(predicted.mean) != len(belief.mean):
-            raise FaultError("foreseen: of another size than the belief")
+            raise FaultError("foreseen: the size differs from that of the belief")
 
     def carry(self, x: float, y: float, theta: float) -> None:
         """Move the robot."""
@@ -267,7 +267,7 @@ class Life:
             return
         t = self.t + dt
         step = dt if math.isfinite(dt) and 0.0 < dt < 1.0 else 0.0
-        # A clock that leaps far or is no number is set right again.
+        # A clock that jumps far or is not a number is corrected afterwards.
         if math.isfinite(t) and abs(t) < 1e12:
             self.t = t
         self.twist = self.twist + min(1.0, step / 0.1) * (np.clip(self.last, -1e3, 1e3) - self.twist)
@@ -275,15 +275,15 @@ class Life:
         turn = np.array([np.cos(heading), np.sin(heading)])
         self.pose = self.pose + step * np.array([*(self.twist[0] * turn), self.twist[1]])
         with warnings.catch_warnings():
-            # Python's own arithmetic has to be as clean as the core's.
+            # Python code must not cause numerical warnings.
             warnings.simplefilter("error", RuntimeWarning)
             most, seconds = self.bounds
             measurement, sample_time = self.measured(spoilt or {}), self.controller.sample_time
             limit = _SHARE_OF_TICK * sample_time
-            # A full collection walks all objects; the node sets them aside at activation.
+            # Exclude garbage collection, from which the node excludes existing objects at activation.
             gc.disable()
-            # The time of the thread, as the computer has other work.
-            begun = time.thread_time()
+            # Use thread time, because the computer runs other processes.
+            start = time.thread_time()
             result = self.controller.step(
                 t,
                 measurement,
@@ -291,13 +291,13 @@ class Life:
                 deadline=time.monotonic() + (seconds if seconds is not None and seconds < limit else limit),
                 most_iterations=most,
             )
-            duration = time.thread_time() - begun
+            duration = time.thread_time() - start
             gc.enable()
         self.steps, self.late = self.steps + 1, self.late + (result.solver.missed > 0)
         self.longest_step = max(self.longest_step, duration / sample_time)
         if duration > sample_time + _ITERATION:
             raise FaultError(f"deadline: a step of {1e3 * duration:.1f} ms in a sample of {1e3 * sample_time:g} ms")
-        # A repeated tick has the report of the one before.
+        # A repeated tick has the report of the previous tick.
         fresh = "its command is repeated" not in result.message
         if fresh and most and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > most:
             raise FaultError(f"iterations: {result.solver.iterations} of at most {most}")
@@ -330,7 +330,7 @@ def stamp_of(change: dict[str, Any], t: float) -> Any:
 
 
 def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> None:
-    """Raise FaultError if a step after the command `last` (2,) breaks a promise of docs/safety.md."""
+    """Raise FaultError if a step after the command `last` (2,) violates a guarantee of docs/safety.md."""
     command, limits, dt = np.asarray(result.command), config.limits, config.sample_time
     text = f"{command.tolist()} after {last.tolist()} in {result.mode} ({result.message[:200]})"
     if command.shape != (2,) or not np.isfinite(command).all():
@@ -411,7 +411,7 @@ def draw_reference(random: Random) -> Case:
 
 
 def draw_speed(random: Random, scale: float) -> float:
-    """Draw a number of this scale, sometimes an odd one."""
+    """Draw a number of this scale, sometimes an extreme one."""
     if random.random() < 0.08:
         return odd.number(random)
     return random.choice((0.0, scale, -scale, random.gauss(0.0, scale), random.gauss(0.0, 1e-3 * scale)))
@@ -527,19 +527,19 @@ def draw_spoilt(random: Random) -> dict[str, Any]:
 
 def draw_message(random: Random, size: int) -> Any:
     """Draw a message with an odd value, stamp or covariance; None for a missing message."""
-    way = random.randrange(8)
-    if way == 0:
+    kind = random.randrange(8)
+    if kind == 0:
         return None
     message: dict[str, Any] = {}
-    if way in (1, 2):
+    if kind in (1, 2):
         message["value"] = [odd.near(0.1, random) for _ in range(size)] if size > 1 else odd.near(0.1, random)
-    if way == 3:
+    if kind == 3:
         message["value"] = random.choice(("rubbish", [], [1.0], [[1.0, 2.0]], {"x": 1}, True, [None, None, None]))
-    if way in (4, 5):
+    if kind in (4, 5):
         message["shift"] = [random.gauss(0.0, 0.5) for _ in range(size)] if size > 1 else random.gauss(0.0, 0.5)
-    if way in (5, 6):
+    if kind in (5, 6):
         message["later"] = random.choice((-0.02, -0.3, -0.5, -10.0, 0.05, 1.0, 1e3, odd.number(random)))
-    if way == 7:
+    if kind == 7:
         message["stamp"] = random.choice((odd.number(random), "then", None, [1.0]))
     if random.random() < 0.25:
         diagonal = [abs(odd.near(1e-4, random)) for _ in range(size)]

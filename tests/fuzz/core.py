@@ -57,10 +57,10 @@ def spoil_solutions(random: Random) -> None:
 
     def solve_and_spoil(*arguments: Any) -> Any:
         solved, report = solve_all(*arguments)
-        way, plan, multipliers = random.randrange(6), np.array(solved.plan), np.array(solved.multipliers)
-        for array in (plan, multipliers) if way < 2 else ():
+        kind, plan, multipliers = random.randrange(6), np.array(solved.plan), np.array(solved.multipliers)
+        for array in (plan, multipliers) if kind < 2 else ():
             array.flat[random.choices(range(array.size), k=random.choice((1, 3, array.size)))] = odd.number(random)
-        status = random.choice([*SolverStatus]) if way in (1, 2) else report.status
+        status = random.choice([*SolverStatus]) if kind in (1, 2) else report.status
         return solved._replace(plan=plan, multipliers=multipliers), replace(report, status=status)
 
     patch.object(product, "solve_all", solve_and_spoil).start()
@@ -69,7 +69,7 @@ def spoil_solutions(random: Random) -> None:
 class CoreFuzzer:
     """Drives of the controller in a process with the sanitized core: no byte or command out of bounds."""
 
-    name, longest, count, is_reducible = "core", 300.0, 1, False
+    name, time_limit, count, is_reducible = "core", 300.0, 1, False
 
     def draw(self, random: Random) -> Case:
         """Draw the seed and the number of the drives."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-# Before rclpy is imported, so that no other robot is reached.
+# Set before the import of rclpy, so that no other robot is reached.
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="ros-log-"))
@@ -38,26 +38,29 @@ from std_srvs.srv import SetBool, Trigger
 from diffdrive_mpc.mpc.ros.conversions import nanoseconds, pose_message, stamped_pose_message, time_message
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from fuzz import odd
-from fuzz.judge import CONFIG, SLACK, Account, Heard, faults
+from fuzz.judge import CONFIG, SLACK, EventLog, ReceivedCommand, faults
 from fuzz.node_process import NodeProcess
 
 NODE = "/diffdrive_mpc"
 PERIOD, LAG, COMMAND_TIMEOUT = 0.02, 0.1, 0.5
-_PATIENCE, _START_PATIENCE = 30.0, 180.0
-"""Time for an answer, and for a node that first compiles [s]."""
+_TIMEOUT, _START_TIMEOUT = 30.0, 180.0
+"""Timeout of a response, and of the first response of a node, which may compile first [s]."""
 _CAMPAIGNS = 10
-"""Campaigns of one node."""
-LIVES: tuple[dict[str, object], ...] = ({"record": True}, {"use_pose_topic": True, "drive_on_reference": True})
-"""Parameters of the attacked nodes, in turns."""
+"""Number of campaigns of a node."""
+NODE_PARAMETERS: tuple[dict[str, object], ...] = (
+    {"record": True},
+    {"use_pose_topic": True, "drive_on_reference": True},
+)
+"""Parameters of the attacked nodes, which alternate."""
 VALUES = {"not a number": math.nan, "infinite": math.inf, "huge": 1e300}
 SHIFTS = {"an hour ago": -3600.0, "far ahead": 1000.0, "a little ahead": 0.15, "no stamp": -1e18, "latest stamp": 1e10}
-BLINDING = ("lost", "not a number", "infinite", "other frame", "an hour ago", "far ahead", "no stamp")
-"""Changes that leave no usable message."""
-CHANGES = (*BLINDING, "huge", "noisy", "a little ahead", "latest stamp", "no orientation", "flood", "garbage")
+DISABLING = ("lost", "not a number", "infinite", "other frame", "an hour ago", "far ahead", "no stamp")
+"""Changes after which no message is usable."""
+CHANGES = (*DISABLING, "huge", "noisy", "a little ahead", "latest stamp", "no orientation", "flood", "garbage")
 
 
-def changed(name: str, message: Any, random: Random) -> list[Any]:
-    """Return the messages that are sent in place of a correct one."""
+def change_message(name: str, message: Any, random: Random) -> list[Any]:
+    """Return the messages that replace a correct one."""
     if name in VALUES or name == "noisy":
         value = VALUES.get(name, odd.near(0.1, random))
         if hasattr(message, "pose"):
@@ -76,12 +79,12 @@ def changed(name: str, message: Any, random: Random) -> list[Any]:
     elif name == "flood":
         return [copy.deepcopy(message) for _ in range(100)]
     elif name == "garbage":
-        return [damaged(message, random)]
+        return [corrupt_message(message, random)]
     return [] if name == "lost" else [message]
 
 
-def damaged(message: Any, random: Random) -> bytes:
-    """Return the serialised message cut off, with wrong bytes, or with a wrong length of a sequence."""
+def corrupt_message(message: Any, random: Random) -> bytes:
+    """Return the serialised message, truncated, with wrong bytes, or with a wrong sequence length."""
     content = bytearray(serialize_message(message))
     kind, place = random.randrange(3), random.randrange(len(content))
     if kind == 0:
@@ -92,19 +95,19 @@ def damaged(message: Any, random: Random) -> bytes:
 
 
 class LostError(Exception):
-    """The node does not answer, or its process ended."""
+    """Error for a node that does not respond or whose process ended."""
 
 
 class Attacker:
-    """A node, a simulated base in front of it with changes of its messages, and the account of what happens."""
+    """Node, simulated base whose messages can be changed, and log of the events."""
 
     def __init__(self, folder: Path, settings: dict[str, object]) -> None:
-        self.settings, self.account, self.mode = settings, Account(), ""
+        self.settings, self.events, self.mode = settings, EventLog(), ""
         self.frame = "map" if settings.get("use_pose_topic") else "odom"
         self.pose, self.twist, self.command = [0.0, 0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
         self.changes: dict[str, str] = {}
         self.random, self.clients = Random(0), dict[str, Any]()
-        self.is_blocked, self._heard_at, self._next = False, -math.inf, time.monotonic()
+        self.is_blocked, self._last_command_time, self._next = False, -math.inf, time.monotonic()
         self.node, self.executor = rclpy.create_node("attacker"), SingleThreadedExecutor()
         self.executor.add_node(self.node)
         kinds = {"odom": Odometry, "imu": Imu, "pose": PoseWithCovarianceStamped}
@@ -120,19 +123,21 @@ class Attacker:
 
     def _take_mode(self, message: String) -> None:
         self.mode = message.data
-        self.account.modes.append((time.monotonic(), message.data))
+        self.events.modes.append((time.monotonic(), message.data))
 
     def _take_command(self, message: TwistStamped, info: dict[str, Any]) -> None:
-        self._heard_at, self.command = time.monotonic(), [message.twist.linear.x, message.twist.angular.z]
-        self.account.commands.append(Heard(self._heard_at, *self.command, info.get("publication_sequence_number")))
+        self._last_command_time, self.command = time.monotonic(), [message.twist.linear.x, message.twist.angular.z]
+        self.events.commands.append(
+            ReceivedCommand(self._last_command_time, *self.command, info.get("publication_sequence_number"))
+        )
 
     def _tick_if_due(self) -> None:
-        """Move and publish the sensors; a late base does not catch up."""
+        """Move the base and publish its sensors; skip missed ticks."""
         now = time.monotonic()
         if now < self._next:
             return
         self._next = max(self._next + PERIOD, now)
-        target = self.command if now - self._heard_at < COMMAND_TIMEOUT and not self.is_blocked else [0.0, 0.0]
+        target = self.command if now - self._last_command_time < COMMAND_TIMEOUT and not self.is_blocked else [0.0, 0.0]
         self.twist = [value + PERIOD / LAG * (goal - value) for value, goal in zip(self.twist, target, strict=True)]
         heading = self.pose[2] + 0.5 * PERIOD * self.twist[1]
         moved = PERIOD * self.twist[0] * math.cos(heading), PERIOD * self.twist[0] * math.sin(heading)
@@ -145,49 +150,49 @@ class Attacker:
         messages["odom"].twist.twist.linear.x, messages["odom"].twist.twist.angular.z = self.twist
         messages["imu"].angular_velocity.z = self.twist[1]
         for name, message in messages.items():
-            for sent in changed(self.changes.get(name, ""), message, self.random):
+            for sent in change_message(self.changes.get(name, ""), message, self.random):
                 self._publishers[name].publish(sent)
 
     def spin(self, seconds: float) -> None:
-        """Let `seconds` pass."""
+        """Run the executor and the base for `seconds`."""
         end = time.monotonic() + seconds
         while (rest := end - time.monotonic()) > 0.0:
             self._tick_if_due()
             self.executor.spin_once(timeout_sec=min(rest, 0.5 * PERIOD))
 
-    def wait(self, condition: Callable[[], bool], subject: str, patience: float = _PATIENCE) -> None:
-        """Let time pass until the condition holds; raises LostError."""
-        end = time.monotonic() + patience
+    def wait(self, condition: Callable[[], bool], subject: str, timeout: float = _TIMEOUT) -> None:
+        """Run until the condition is true; raise LostError after a timeout."""
+        end = time.monotonic() + timeout
         while not condition():
             if not self.process.alive:
                 raise LostError(f"the node ended with {self.process.process.returncode} (waiting for {subject})")
             if time.monotonic() > end:
-                raise LostError(f"no {subject} within {patience:.0f} s; mode {self.mode!r}")
+                raise LostError(f"no {subject} within {timeout:.0f} s; mode {self.mode!r}")
             self.spin(0.01)
 
-    def call(self, kind: Any, name: str, *, patience: float = _PATIENCE, **fields: object) -> Any:
-        """Call a service of the node and return its response; the command may become zero until then."""
+    def call(self, kind: Any, name: str, *, timeout: float = _TIMEOUT, **fields: object) -> Any:
+        """Call a service of the node and return its response; until then, an immediate zero command is permitted."""
         start = time.monotonic()
         client = self.clients.setdefault(name, None) or self.node.create_client(kind, f"{NODE}/{name}")
         self.clients[name] = client
-        self.wait(client.service_is_ready, name, patience)
+        self.wait(client.service_is_ready, name, timeout)
         future = client.call_async(kind.Request(**fields))
         self.wait(future.done, name)
         if name in ("change_state", "start", "reset"):
-            self.account.requested += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 2)]
+            self.events.requested += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 2)]
         return future.result()
 
     @property
     def state(self) -> int:
         """Lifecycle state of the node."""
-        return int(self.call(GetState, "get_state", patience=_START_PATIENCE).current_state.id)
+        return int(self.call(GetState, "get_state", timeout=_START_TIMEOUT).current_state.id)
 
     def transition(self, number: int) -> None:
         """Request a transition of the lifecycle."""
         self.call(ChangeState, "change_state", transition=Transition(id=number))
 
     def drive(self) -> None:
-        """End all attacks, activate the node, start, and wait until it tracks its reference; raises LostError."""
+        """End all attacks, activate and start the node, and wait until it tracks; raise LostError after a timeout."""
         self.changes.clear()
         self.is_blocked = False
         if self.state == State.PRIMARY_STATE_ACTIVE:
@@ -202,10 +207,10 @@ class Attacker:
         self.wait(lambda: abs(self.twist[0]) > 0.15 and self.mode.startswith("TRACKING"), "tracking")
 
     def judge(self) -> list[str]:
-        """Return promises broken since the last call, and internal errors in the log of the node."""
+        """Return violations since the last call, and internal errors in the log of the node."""
         self.spin(0.3)
-        account, self.account = self.account, Account(self.account.commands[-1:], self.account.modes[-1:])
-        return [*faults(account), *(f"log: {line}" for line in self.process.alarms())]
+        events, self.events = self.events, EventLog(self.events.commands[-1:], self.events.modes[-1:])
+        return [*faults(events), *(f"log: {line}" for line in self.process.alarms())]
 
     def close(self) -> None:
         """End the node."""
@@ -219,7 +224,7 @@ def _tamper(attacker: Attacker, random: Random) -> None:
 
 
 def _reference(attacker: Attacker, random: Random) -> None:
-    """Publish a path ahead of the robot: good, odd or damaged."""
+    """Publish a valid, invalid or corrupted path ahead of the robot."""
     x, y, theta = attacker.pose
     step = random.choice((0.06, 0.06, 0.0, 6.0, -0.06, odd.number(random)))
     points = [[x + step * i * math.cos(theta), y + step * i * math.sin(theta), theta] for i in range(20)]
@@ -229,7 +234,7 @@ def _reference(attacker: Attacker, random: Random) -> None:
     frame = random.choice((attacker.frame, attacker.frame, "", "elsewhere"))
     message = PathMessage(poses=[stamped_pose_message(point, time.time_ns(), frame) for point in points])
     message.header.frame_id = frame
-    attacker.paths.publish(message if random.random() < 0.9 else damaged(message, random))
+    attacker.paths.publish(message if random.random() < 0.9 else corrupt_message(message, random))
 
 
 def _move(attacker: Attacker, random: Random) -> None:
@@ -259,33 +264,36 @@ def _storm(attacker: Attacker, random: Random) -> list[str]:
 
 
 def _named_fault(attacker: Attacker, random: Random) -> list[str]:
-    """Start a fault in a drive; the command has to be zero within the stated time."""
+    """Start a fault during a drive, after which the command must become zero within the documented time."""
     limits = CONFIG.limits
     braking = 0.1 + max(limits.v / limits.v_braking, limits.omega / limits.omega_braking)
-    patience = {"odom": NodeSettings().odom_timeout}
+    timeouts = {"odom": NodeSettings().odom_timeout}
     if attacker.settings.get("use_pose_topic"):
-        patience["pose"] = CONFIG.failure.max_pose_age
+        timeouts["pose"] = CONFIG.failure.max_pose_age
     requests: dict[str, Callable[[], object]] = {
         "pause": lambda: attacker.call(Trigger, "pause"),
         "hold": lambda: attacker.call(SetBool, "hold", data=True),
         "deactivate": lambda: attacker.transition(Transition.TRANSITION_DEACTIVATE),
     }
-    blinding = [(topic, change) for topic in patience for change in BLINDING]
-    name, change = random.choice([*blinding, *((request, "") for request in 3 * [*requests])])
+    disabling = [(topic, change) for topic in timeouts for change in DISABLING]
+    name, change = random.choice([*disabling, *((request, "") for request in 3 * [*requests])])
     attacker.spin(random.uniform(0.0, 1.0))
     if change:
         attacker.changes[name] = change
     else:
         requests[name]()
-    deadline = time.monotonic() + patience.get(name, 0.0) + braking + SLACK
+    deadline = time.monotonic() + timeouts.get(name, 0.0) + braking + SLACK
     attacker.spin(deadline + 1.0 - time.monotonic())
-    attacker.account.zero.append((deadline, time.monotonic() - 0.05, f"{name} {change}"))
+    attacker.events.zero.append((deadline, time.monotonic() - 0.05, f"{name} {change}"))
     return [f"{name} {change}".strip()]
 
 
-def _life(numbers: range, seed: int, folder: Path, end: float, counts: Counter[str]) -> list[str]:
-    """Run campaigns on one node until the first finding; the node has to drive again after each."""
-    attacker, findings = Attacker(folder, LIVES[numbers.start // _CAMPAIGNS % len(LIVES)]), list[str]()
+def _run_node(numbers: range, seed: int, folder: Path, end: float, counts: Counter[str]) -> list[str]:
+    """Run campaigns on one node until the first finding; the node must drive again after each campaign."""
+    attacker, findings = (
+        Attacker(folder, NODE_PARAMETERS[numbers.start // _CAMPAIGNS % len(NODE_PARAMETERS)]),
+        list[str](),
+    )
     try:
         attacker.drive()
         for number in numbers:
@@ -311,7 +319,7 @@ def main(seconds: float, seed: int, folder: Path | None, number: int | None) -> 
     rclpy.init(args=["--ros-args", "--log-level", "fatal"])
     try:
         while not findings and time.monotonic() < end:
-            findings = _life(range(start, start + (_CAMPAIGNS if number is None else 1)), seed, folder, end, counts)
+            findings = _run_node(range(start, start + (_CAMPAIGNS if number is None else 1)), seed, folder, end, counts)
             start += _CAMPAIGNS
             if number is not None:
                 break

@@ -24,7 +24,7 @@ BASES = ("own.csv", "own.mcap", "mapped.csv", "bag.db3", "bag.mcap", "metadata.y
 class LogFuzzer:
     """CSV, drive logs and bags."""
 
-    name, longest, count = "logs", 60.0, 200
+    name, time_limit, count = "logs", 60.0, 200
 
     def draw(self, random: Random) -> Case:
         """Draw a file and its changes."""
@@ -45,7 +45,7 @@ class LogFuzzer:
 class ReplayFuzzer:
     """The same files, as `log replay` reads them."""
 
-    name, longest, count = "replay", 60.0, 80
+    name, time_limit, count = "replay", 60.0, 80
 
     draw = LogFuzzer.draw
 

@@ -36,7 +36,7 @@ class NodeProcess:
         return self.process.poll() is None
 
     def alarms(self) -> list[str]:
-        """Return lines of the log that no input may cause."""
+        """Return log lines that must not occur for any input."""
         lines = self.log.read_text(errors="replace").splitlines()
         numbers = [number for number, line in enumerate(lines) if _ALARMING.search(line)]
         return [
@@ -54,7 +54,7 @@ class NodeProcess:
         return int(status.get("VmRSS", 0)) / 1000, int(status.get("Threads", 0))
 
     def end(self, number: int = signal.SIGTERM, patience: float = 20.0) -> int | None:
-        """Send a signal and wait; returns the exit code, None where it had to be killed."""
+        """Send a signal and wait; return the exit code, or None if the process had to be killed."""
         if self.alive:
             self.process.send_signal(number)
         try:

@@ -1,4 +1,4 @@
-"""Odd numbers and words."""
+"""Extreme numbers and unusual texts."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ WORDS = (
     *("'", '"', "{}", "[]", "!!int x", "&a", "*a"),
     "\ud800".encode("utf-8", "surrogatepass").decode("latin-1"),
 )
-"""Odd words in place of a name, a path or a number."""
+"""Unusual texts in place of a name, a path or a number."""
 
 
 def number(random: Random) -> float:
-    """Draw an odd number."""
+    """Draw an extreme number."""
     return random.choice(NUMBERS)
 
 
 def near(value: float, random: Random) -> float:
-    """Return a number that may replace `value`: scaled, slightly changed, or odd."""
-    way = random.randrange(6)
-    if way == 0:
+    """Return a number that may replace `value`: scaled, slightly changed, or extreme."""
+    kind = random.randrange(6)
+    if kind == 0:
         return number(random)
-    if way == 1:
+    if kind == 1:
         return -value
-    if way == 2:
+    if kind == 2:
         return value * 10.0 ** random.uniform(-12, 12)
-    if way == 3:
+    if kind == 3:
         return math.nextafter(value, math.inf * random.choice((-1, 1)))
-    if way == 4:
+    if kind == 4:
         return 0.0
     return value * random.uniform(0.0, 3.0)

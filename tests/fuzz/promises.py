@@ -1,4 +1,4 @@
-"""Promise for unusable input: the product itself refuses it with one line."""
+"""Guarantee for unusable input: the project refuses it with one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TESTS = str(Path(__file__).parents[1])
 
 
 def refused_or(read: Callable[[], Found]) -> Found | None:
-    """Return the result of `read`; None if it refuses as promised. Other errors pass."""
+    """Return the result of `read`; None if it raises an expected error. Other errors are propagated."""
     try:
         return read()
     except (DiffdriveMpcError, ValueError, OSError) as error:

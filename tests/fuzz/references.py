@@ -17,7 +17,7 @@ from fuzz.promises import refused_or
 class ReferenceFuzzer:
     """Files of references: accepted ones are finite, continuous and within the limits."""
 
-    name, longest, count = "references", 20.0, 300
+    name, time_limit, count = "references", 20.0, 300
 
     def draw(self, random: Random) -> Case:
         """Draw the content of a file."""

@@ -1,4 +1,4 @@
-"""Search of a fuzzer by Hypothesis, with limits of time and memory."""
+"""Search with Hypothesis, with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 
 from fuzz.case import Case, FaultError, Fuzzer, HangError, draw, save, saved_findings
 
-_MOST_MEMORY = 8_000_000_000
+_MAX_MEMORY = 8_000_000_000
 """Address space of a process; libraries alone reserve 2 GB [byte]."""
-_MOST_MORE = 600_000
-"""Growth of the peak memory that a case may cause [kB]."""
+_MAX_MEMORY_GROWTH = 600_000
+"""Maximum growth of the peak memory during a case [kB]."""
 
 
 def search(
@@ -35,15 +35,15 @@ def search(
     on_case: Callable[[Case], None] = lambda _: None,
     on_fault: Callable[[Case, BaseException], None] = lambda _case, _error: None,
 ) -> None:
-    """Check the saved findings and `count` cases drawn from `origin`, for at most `seconds`; raise reduced faults.
+    """Check the saved findings and `count` cases drawn from `origin`, for at most `seconds`; raise a reduced fault.
 
-    `on_case` is called before each case, `on_fault` after each fault: last with the reduced cases.
+    `on_case` is called before each case, and `on_fault` after each fault; its last call has the reduced case.
     """
     end, failed = time.monotonic() + seconds, False
 
     def check(case: Case) -> None:
         nonlocal failed
-        # Without time no more cases are drawn, but a fault is still reduced.
+        # After the time limit no more cases are drawn, but a fault is still reduced.
         if time.monotonic() > end and not failed:
             return
         on_case(case)
@@ -56,7 +56,7 @@ def search(
 
     drawn = st.randoms(use_true_random=False).map(fuzzer.draw)
     if not getattr(fuzzer, "is_reducible", True):
-        # Hypothesis begins with the simplest case, which is the same for every origin.
+        # Hypothesis starts with the simplest case, which is the same for every origin.
         drawn = st.integers(0).map(lambda index: draw(fuzzer, origin, index))
     check = given(drawn)(check)
     for (name, _), case in saved_findings().items():
@@ -67,11 +67,11 @@ def search(
     seed(origin)(bounds(check))()
 
 
-def inside(name: str, origin: str, count: int, seconds: float, keep: Path, scratch: str) -> None:
-    """Search inside a process; exit with 1 after a fault, whose reduced case is saved."""
+def run_search(name: str, origin: str, count: int, seconds: float, keep: Path, scratch: str) -> None:
+    """Search in this process; after a fault, save the reduced case and exit with status 1."""
     from fuzz.fuzzers import FUZZERS
 
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
     fuzzer, cases, faults = FUZZERS[name], 0, dict[str, tuple[Case, BaseException]]()
@@ -89,16 +89,16 @@ def inside(name: str, origin: str, count: int, seconds: float, keep: Path, scrat
         search(fuzzer, origin, count, seconds, note_start, note_fault)
     except Exception as error:
         traceback.print_exception(error)
-        for where, (case, fault) in faults.items():
-            print(f"  - {where}: {fault}\n    {save(name, f'{where}: {fault}', case, keep)}", flush=True)
+        for location, (case, fault) in faults.items():
+            print(f"  - {location}: {fault}\n    {save(name, f'{location}: {fault}', case, keep)}", flush=True)
         sys.exit(1)
     finally:
-        account = {key: getattr(fuzzer, key, 0) for key in ("steps", "late", "longest_step")}
-        Path(scratch, "account.json").write_text(json.dumps({"cases": cases, **account}))
+        statistics = {key: getattr(fuzzer, key, 0) for key in ("steps", "late", "longest_step")}
+        Path(scratch, "statistics.json").write_text(json.dumps({"cases": cases, **statistics}))
 
 
-def judged(fuzzer: Fuzzer, case: Case) -> str | None:
-    """Check a case; return a fault in a line or more, or None."""
+def find_fault(fuzzer: Fuzzer, case: Case) -> str | None:
+    """Check a case; return the text of the fault, or None."""
     try:
         check_within_bounds(fuzzer, case)
     except Exception as error:
@@ -107,23 +107,23 @@ def judged(fuzzer: Fuzzer, case: Case) -> str | None:
 
 
 def check_within_bounds(fuzzer: Fuzzer, case: Case) -> None:
-    """Check a case, its time and its memory; raise FaultError or an error of the product."""
+    """Check a case with limits of time and memory; raise FaultError or an error of the project."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
-        with _bounded(fuzzer.longest):
+        with _bounded(fuzzer.time_limit):
             fuzzer.check(case)
     except HangError:
-        raise FaultError(f"hangs: it takes longer than {fuzzer.longest:g} s") from None
+        raise FaultError(f"hangs: the case takes longer than {fuzzer.time_limit:g} s") from None
     except SystemExit as error:  # of a library
         raise FaultError(f"exit: {error}") from error
-    more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    if more > _MOST_MORE:
-        raise FaultError(f"memory: it takes {more // 1000} MB")
+    growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    if growth > _MAX_MEMORY_GROWTH:
+        raise FaultError(f"memory: the case takes {growth // 1000} MB")
 
 
 @contextlib.contextmanager
 def _bounded(seconds: float) -> Iterator[None]:
-    """Raise HangError after `seconds` in Python; end the process with a traceback where that does not help."""
+    """Raise HangError after `seconds` in Python; end the process with a traceback if that fails."""
 
     def hang(number: int, frame: FrameType | None) -> None:
         raise HangError

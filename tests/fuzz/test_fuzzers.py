@@ -1,4 +1,4 @@
-"""Fuzzers find planted faults, and none in a short run."""
+"""Tests of the fuzzers, with planted faults and in short runs."""
 
 import json
 import math
@@ -22,13 +22,13 @@ from fuzz.case import FaultError, draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core, drive
 from fuzz.fuzzers import FUZZERS
-from fuzz.judge import CONFIG, Account, Heard, faults
-from fuzz.runner import judged, search
+from fuzz.judge import CONFIG, EventLog, ReceivedCommand, faults
+from fuzz.runner import find_fault, search
 
 
 @pytest.mark.system
 def test_core_stays_inside_its_arrays_and_limits(tmp_path):
-    """`make fuzz` drives longer."""
+    """`make fuzz` runs a longer version."""
     assert drive(build_core(tmp_path), 2, 16) > 500
 
 
@@ -40,7 +40,7 @@ def test_cases_differ_and_survive_json(name):
 
 
 @pytest.mark.parametrize(("name", "cases"), [("controller", 25), ("references", 12), ("yaml", 12), ("logs", 1)])
-def test_corrected_findings_stay_corrected_and_quick_fuzzers_find_nothing(name, cases):
+def test_fixed_findings_stay_fixed_and_short_fuzzers_find_nothing(name, cases):
     checked = []
     search(FUZZERS[name], "20", cases, on_case=checked.append)
     corrected = [case for (fuzzer, _), case in saved_findings().items() if fuzzer == name]
@@ -48,8 +48,8 @@ def test_corrected_findings_stay_corrected_and_quick_fuzzers_find_nothing(name, 
 
 
 @pytest.mark.system
-def test_steps_of_all_models_keep_the_promises_of_safety():
-    """The long form of it is `.ci/long properties`."""
+def test_steps_of_all_models_satisfy_the_safety_guarantees():
+    """`.ci/long properties` runs more cases."""
     fuzzer, cases = ControllerFuzzer(), []
     search(fuzzer, "36", 130, on_case=cases.append)
     assert fuzzer.steps > 5000
@@ -63,18 +63,18 @@ def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
     reference = {"kind": "named", "name": "circle"}
     events = [["start", 0, 0.0], ["drive", 3], ["bound", None, -1.0], ["drive", 4]]
     case = {"config": "ssm", "overrides": {}, "terms": [], "references": [reference], "events": events}
-    assert judged(fuzzer, case) is None
+    assert find_fault(fuzzer, case) is None
     assert fuzzer.steps == 7 and 4 <= fuzzer.late <= 7
     assert fuzzer.longest_step > 0.0
     clock = count(step=0.5)
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
-    assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in judged(fuzzer, case)
+    assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in find_fault(fuzzer, case)
 
 
 class Planted:
-    """Wrong for lists with a 7, and slow for None."""
+    """Fuzzer that fails for lists with a 7 and hangs for None."""
 
-    name, longest, count = "planted", 0.2, 10
+    name, time_limit, count = "planted", 0.2, 10
 
     def draw(self, random):
         return [random.randrange(9) for _ in range(random.randrange(20))]
@@ -93,15 +93,15 @@ def test_fault_is_found_and_reduced():
     assert failed[-1] == [7]
 
 
-def test_search_ends_in_time_and_a_hang_is_a_fault():
+def test_search_respects_the_time_limit_and_a_hang_is_a_fault():
     checked = []
     search(Planted(), "1", 200, seconds=0.0, on_case=checked.append)
     assert checked == []
-    assert "hangs: it takes longer than 0.2 s" in judged(Planted(), None)
+    assert "hangs: the case takes longer than 0.2 s" in find_fault(Planted(), None)
 
 
-class Deadly(Planted):
-    """Death of the process for the empty list."""
+class Killed(Planted):
+    """Fuzzer whose process is killed for the empty list."""
 
     def check(self, case):
         if not case:
@@ -109,66 +109,66 @@ class Deadly(Planted):
 
 
 @pytest.mark.parametrize(
-    ("fuzzer", "case", "end"), [(Planted(), [7], "seven: at 0"), (Deadly(), [], "process killed by SIGKILL")]
+    ("fuzzer", "case", "message"), [(Planted(), [7], "seven: at 0"), (Killed(), [], "process killed by SIGKILL")]
 )
-def test_command_saves_findings_that_can_be_replayed(fuzzer, case, end, tmp_path, monkeypatch, capfd):
+def test_command_saves_findings_that_can_be_replayed(fuzzer, case, message, tmp_path, monkeypatch, capfd):
     monkeypatch.setitem(FUZZERS, "planted", fuzzer)
     monkeypatch.setattr(fuzz.__main__, "get_context", lambda _: get_context("fork"))
     monkeypatch.setattr(sys, "argv", ["fuzz", "planted", "--count", "200", "--keep", str(tmp_path)])
     with pytest.raises(SystemExit, match="1"):
         main()
-    assert end in capfd.readouterr().out
-    (((_, mark), saved),) = saved_findings(tmp_path).items()
+    assert message in capfd.readouterr().out
+    (((_, digest), saved),) = saved_findings(tmp_path).items()
     assert saved == case
-    monkeypatch.setattr(sys, "argv", ["fuzz", "--keep", str(tmp_path), "--replay", "planted", mark])
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--keep", str(tmp_path), "--replay", "planted", digest])
     if case:
-        with pytest.raises(FaultError, match=end):
+        with pytest.raises(FaultError, match=message):
             main()
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():
     drawn = [configs.draw_overrides(Random(str(i))) for i in range(200)]
     assert len({key for values in drawn for key in values}) > 100
-    good = 0
+    valid_count = 0
     for values in drawn:
         try:
             load_config("ssm", values)
         except ConfigError:
             continue
-        good += 1
-    assert good > 100
+        valid_count += 1
+    assert valid_count > 100
 
 
 def test_files_of_every_kind_of_the_root_are_fuzzed():
-    assert all(yaml_files.seeds(kind) for kind in yaml_files.DOORS)
+    assert all(yaml_files.seeds(kind) for kind in yaml_files.LOADERS)
     kinds = {name for name, kind in KINDS.items() if kind.folder.is_relative_to(PACKAGE)}
-    assert kinds <= set(yaml_files.DOORS)
+    assert kinds <= set(yaml_files.LOADERS)
 
 
 V, STEP = CONFIG.limits.v, CONFIG.limits.v_braking * CONFIG.sample_time
 
 
-def driven(*speeds, **more):
-    return Account([Heard(0.02 * i, v, 0.0, i + 1) for i, v in enumerate(speeds)], **more)
+def log_of_speeds(*speeds, **fields):
+    return EventLog([ReceivedCommand(0.02 * i, v, 0.0, i + 1) for i, v in enumerate(speeds)], **fields)
 
 
 @pytest.mark.parametrize(
-    ("account", "word"),
+    ("log", "message"),
     [
-        (driven(0.0, STEP, 2 * STEP), ""),
-        (driven(0.0, STEP, math.nan), "not finite"),
-        (driven(V - 0.01, V + 0.01), "limits"),
-        (driven(0.0, 1.1 * STEP), "slew"),
-        (driven(0.5, 0.0), "slew"),
-        (driven(0.5, 0.0, modes=[(0.02, "STOPPED: no tick for 3 s")]), ""),
-        (driven(0.5, 0.0, requested=[0.0]), ""),
-        (driven(0.5, 0.1, requested=[0.0]), "slew"),
-        (driven(STEP, 0.0, zero=[(-1.0, 1.0, "lost")]), "zero"),
-        (driven(0.0, 0.0, zero=[(-1.0, 1.0, "lost")]), ""),
-        (Account([Heard(0.0, 0.0, 0.0, 1), Heard(0.02, 2 * STEP, 0.0, 3)]), ""),
+        (log_of_speeds(0.0, STEP, 2 * STEP), ""),
+        (log_of_speeds(0.0, STEP, math.nan), "not finite"),
+        (log_of_speeds(V - 0.01, V + 0.01), "limits"),
+        (log_of_speeds(0.0, 1.1 * STEP), "slew"),
+        (log_of_speeds(0.5, 0.0), "slew"),
+        (log_of_speeds(0.5, 0.0, modes=[(0.02, "STOPPED: no tick for 3 s")]), ""),
+        (log_of_speeds(0.5, 0.0, requested=[0.0]), ""),
+        (log_of_speeds(0.5, 0.1, requested=[0.0]), "slew"),
+        (log_of_speeds(STEP, 0.0, zero=[(-1.0, 1.0, "lost")]), "zero"),
+        (log_of_speeds(0.0, 0.0, zero=[(-1.0, 1.0, "lost")]), ""),
+        (EventLog([ReceivedCommand(0.0, 0.0, 0.0, 1), ReceivedCommand(0.02, 2 * STEP, 0.0, 3)]), ""),
     ],
 )
-def test_judge_finds_broken_promises_of_live_commands(account, word):
-    lines = faults(account)
-    assert bool(lines) == bool(word)
-    assert word in " ".join(lines)
+def test_judge_finds_violations_in_live_commands(log, message):
+    lines = faults(log)
+    assert bool(lines) == bool(message)
+    assert message in " ".join(lines)

@@ -9,14 +9,14 @@ from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.tick_record import DriveRecord
-from fuzz.yaml_files import DOORS
+from fuzz.yaml_files import LOADERS
 
 SECONDS, MEMORY = 5, 1_000_000
 """Bounds: processor time [s], peak memory [kB]."""
 HEAD = "t,v,w,v2,w2\n"
 MAPPING = "columns: {time: t, command: {v: v, omega: w}, encoders: {v: v2, omega: w2}}\n"
 READERS = {
-    **DOORS,
+    **LOADERS,
     "log": lambda path: read_log(path, path.with_name("mapping.yaml")),
     "path": load_trajectory,
     "ticks": lambda path: DriveRecord.read(path.read_text(encoding="utf-8")),

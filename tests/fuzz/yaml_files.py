@@ -24,7 +24,7 @@ from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from file_kinds import KINDS
 from fuzz import mutation
 from fuzz.case import Case, FaultError
-from fuzz.controller import Life, checked_reference
+from fuzz.controller import Session, checked_reference
 from fuzz.promises import refused_or
 
 _SEEDS = {
@@ -37,11 +37,11 @@ _SEEDS = {
 class YamlFuzzer:
     """Changed files of every kind that the root package reads."""
 
-    name, longest, count = "yaml", 20.0, 500
+    name, time_limit, count = "yaml", 20.0, 500
 
     def draw(self, random: Random) -> Case:
         """Draw a file and its changes."""
-        kind = random.choice(sorted(DOORS))
+        kind = random.choice(sorted(LOADERS))
         files = sorted(seeds(kind))
         edits = [mutation.draw_tree_edit(random) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
         raw = (
@@ -66,7 +66,7 @@ class YamlFuzzer:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, f"{case['file']}.yaml")
             path.write_bytes(text)
-            refused_or(lambda: DOORS[case["kind"]](path))
+            refused_or(lambda: LOADERS[case["kind"]](path))
 
 
 @cache
@@ -78,11 +78,11 @@ def seeds(kind: str) -> dict[str, str]:
 
 
 def _controller(path: Path) -> None:
-    life = Life(Controller(load_config(path)), [load_trajectory("circle")])
-    life.start(0, 0.0)
-    life.drive(10)
-    life.tick(0.0202, {"pose": {"shift": [0.3, 0.0, 0.0]}})
-    life.drive(10)
+    session = Session(Controller(load_config(path)), [load_trajectory("circle")])
+    session.start(0, 0.0)
+    session.drive(10)
+    session.tick(0.0202, {"pose": {"shift": [0.3, 0.0, 0.0]}})
+    session.drive(10)
 
 
 def _trajectory(path: Path) -> None:
@@ -96,9 +96,9 @@ def _model(path: Path) -> None:
         for values in (discrete.A, discrete.B0, discrete.B1, discrete.C):
             if not np.isfinite(values).all():
                 raise FaultError("model: discretised, it is not finite")
-    life = Life(Controller(load_config("ssm", {"horizon": 10}), model=model), [load_trajectory("circle")])
-    life.start(0, 0.0)
-    life.drive(5)
+    session = Session(Controller(load_config("ssm", {"horizon": 10}), model=model), [load_trajectory("circle")])
+    session.start(0, 0.0)
+    session.drive(5)
 
 
 def _plant(name: str, **options: Any) -> None:
@@ -113,7 +113,7 @@ def _plant(name: str, **options: Any) -> None:
         raise FaultError("plant: its pose is not finite")
 
 
-DOORS: dict[str, Callable[[Path], object]] = {
+LOADERS: dict[str, Callable[[Path], object]] = {
     "controller": _controller,
     "trajectory": _trajectory,
     "model": _model,

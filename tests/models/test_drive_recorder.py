@@ -1,4 +1,4 @@
-"""Recorder that passes ticks to a separate process: it never waits or raises, and recorded data are readable."""
+"""Recorder that passes ticks to a separate process, without waiting or raising errors."""
 
 import json
 import os
@@ -19,13 +19,13 @@ from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickRecordError
 from processes import is_running
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 PERIOD = 20_000_000
 
 
 def row(k):
-    words = {"mode": "TRACKING", "message": "", "solver_status": "", "solver_path": "none"}
-    return {"t_s": 0.02 * k, "v_ref_m_s": 0.1 * (k % 7), "omega_ref_rad_s": 0.01 * k, **words}
+    texts = {"mode": "TRACKING", "message": "", "solver_status": "", "solver_path": "none"}
+    return {"t_s": 0.02 * k, "v_ref_m_s": 0.1 * (k % 7), "omega_ref_rad_s": 0.01 * k, **texts}
 
 
 def record_tick(recorder, k):
@@ -37,8 +37,8 @@ def record_tick(recorder, k):
 
 
 @contextmanager
-def largest_file(size):
-    """Limit files of processes started meanwhile to `size` bytes, as on a full disk."""
+def file_size_limit(size):
+    """Limit the files of processes that start in the context to `size` bytes, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -48,7 +48,7 @@ def largest_file(size):
 
 
 def recorder_in(folder, **options):
-    result = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, timeout=PATIENCE, **options)
+    result = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, timeout=TIMEOUT, **options)
     assert not result.fault
     return result
 
@@ -57,7 +57,7 @@ def test_recorded_file_contains_all_passed_rows(tmp_path):
     recorder = recorder_in(tmp_path / "new", frame="odom", pose_topic=False)
     for k in range(300):
         record_tick(recorder, k)
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
     assert not recorder.fault and not recorder.lost
     log = read_drive_log(recorder.path, plans=True)
     assert not log.cut and not log.pose_sensor and log.metadata["case"] == {"model": "sm"}
@@ -71,15 +71,15 @@ def test_existing_file_is_not_replaced(tmp_path):
     (tmp_path / "drive.mcap").write_bytes(b"mine")
     recorder = recorder_in(tmp_path)
     record_tick(recorder, 0)
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
     assert recorder.path == tmp_path / "drive-1.mcap" and len(read_drive_log(recorder.path).rows) == 1
     assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
 def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
-    with largest_file(300_000):
+    with file_size_limit(300_000):
         recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + PATIENCE
+    k, end = 0, time.monotonic() + TIMEOUT
     while not recorder.fault and time.monotonic() < end:
         record_tick(recorder, k)
         recorder.poll()
@@ -87,20 +87,20 @@ def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
         time.sleep(0.001)
     assert recorder.fault == "File too large"
     record_tick(recorder, k)
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
     log = read_drive_log(recorder.path)
     assert log.cut and 0 < len(log.rows) <= k
 
 
 def test_folder_that_cannot_be_created_is_a_fault_without_exception(tmp_path):
     (tmp_path / "file").touch()
-    recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, timeout=PATIENCE)
+    recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, timeout=TIMEOUT)
     assert recorder.fault in ("Not a directory", "File exists")
     record_tick(recorder, 0)
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
 
 
-def test_hanging_writer_loses_ticks_without_delay(tmp_path):
+def test_stopped_writer_causes_lost_ticks_without_delay(tmp_path):
     recorder = recorder_in(tmp_path)
     writer = recorder._process.pid
     os.kill(writer, signal.SIGSTOP)
@@ -112,12 +112,12 @@ def test_hanging_writer_loses_ticks_without_delay(tmp_path):
     finally:
         os.kill(writer, signal.SIGCONT)
     assert recorder.lost == 1
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
     log = read_drive_log(recorder.path)
     assert not log.cut and list(log.columns["t_s"]) == [0.02 * tick for tick in range(k - 1)]
 
 
-KILLED = """
+KILLED_RECORDER = """
 import os, sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
@@ -131,11 +131,11 @@ os.kill(os.getpid(), 9)
 
 
 def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
-    words = [sys.executable, "-c", KILLED, str(tmp_path), *sys.path]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    end = time.monotonic() + PATIENCE
-    while is_running(int(done.stdout)) and time.monotonic() < end:
+    arguments = [sys.executable, "-c", KILLED_RECORDER, str(tmp_path), *sys.path]
+    completed = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+    assert completed.returncode == -signal.SIGKILL, completed.stderr
+    end = time.monotonic() + TIMEOUT
+    while is_running(int(completed.stdout)) and time.monotonic() < end:
         time.sleep(0.01)
     log = read_drive_log(tmp_path / "drive.mcap")
     assert not log.cut and len(log.rows) == 100
@@ -143,7 +143,7 @@ def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
 
 def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + PATIENCE
+    k, end = 0, time.monotonic() + TIMEOUT
     while recorder.path.stat().st_size < 20_000 and time.monotonic() < end:
         record_tick(recorder, k)
         k += 1
@@ -152,7 +152,7 @@ def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder._process.wait()
     record_tick(recorder, k)
     assert recorder.fault == "the writing process has ended"
-    recorder.close(PATIENCE)
+    recorder.close(TIMEOUT)
     log = read_drive_log(recorder.path)
     assert log.cut and 0 < len(log.rows) <= k
 
@@ -164,15 +164,15 @@ POSE = Stamped(np.array([0.1, -1 / 3, 3.1]), 12.3456789012345, np.diag([1e-5, 2e
 def test_tick_is_read_back(hold):
     measurement = Measurement(POSE, Stamped((0.5, 0.1 + 0.2), 12.5), Stamped(-0.7, 12.49))
     record = TickRecord(7, 12.6, 2, measurement, hold, np.array([0.3, 1e-17]), "TRACKING", 'a, "b"', "unlimited", 1e-4)
-    again = TickRecord.read(record.line())
-    assert (again.number, again.time, again.drive, again.hold) == (7, 12.6, 2, hold)
-    assert np.array_equal(again.command, record.command)
-    assert (again.mode, again.message, again.solver_path) == ("TRACKING", 'a, "b"', "unlimited")
+    parsed = TickRecord.read(record.line())
+    assert (parsed.number, parsed.time, parsed.drive, parsed.hold) == (7, 12.6, 2, hold)
+    assert np.array_equal(parsed.command, record.command)
+    assert (parsed.mode, parsed.message, parsed.solver_path) == ("TRACKING", 'a, "b"', "unlimited")
     for name in ("pose", "wheel_twist", "yaw_rate"):
-        original, result = getattr(measurement, name), getattr(again.measurement, name)
+        original, result = getattr(measurement, name), getattr(parsed.measurement, name)
         assert result.time == original.time and np.array_equal(result.value, original.value)
         assert (result.covariance is None) == (original.covariance is None)
-    assert np.array_equal(again.measurement.pose.covariance, POSE.covariance)
+    assert np.array_equal(parsed.measurement.pose.covariance, POSE.covariance)
     nothing = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
     assert TickRecord.read(nothing.line()).measurement == Measurement()
 
@@ -183,7 +183,7 @@ def test_drive_is_read_back():
 
 
 @pytest.mark.parametrize("line", ["", "[1]", "{}", json.dumps({"format": 99}), json.dumps({"format": 1})])
-def test_other_lines_are_refused_with_a_reason(line):
+def test_invalid_line_raises_error(line):
     for kind in (TickRecord, DriveRecord):
         with pytest.raises(TickRecordError):
             kind.read(line)

@@ -34,18 +34,18 @@ SM_TRUTH = {
 
 def check_agreement(parameters, truth, within=4.0):
     for name, value in truth.items():
-        off = abs(parameters.value(name) - value) / parameters.deviation(name)
-        assert off < within, f"{name}: {off:.1f} standard deviations"
+        error = abs(parameters.value(name) - value) / parameters.deviation(name)
+        assert error < within, f"{name}: {error:.1f} standard deviations"
 
 
 @pytest.fixture(scope="module")
 def whole():
-    """A drive, and the parameters identified from it in one piece."""
+    """Drive, and the parameters identified from it as one record."""
     drive = noisy_drive(SM, 2, count=1960)
     return drive, identify_sm([drive], limits=False).parameters
 
 
-def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model(whole):
+def test_split_or_shifted_log_gives_the_same_model(whole):
     drive, single = whole
     parts = [drive.part(0, 1100), drive.part(1100, 1960)]
     moved = Record("moved", drive.start + 1e4, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate)
@@ -55,12 +55,12 @@ def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model(whole):
 
 
 @pytest.mark.parametrize("offset", [0, 37])
-def test_stretches_whose_past_is_not_known_give_the_same_model(offset, whole):
+def test_stretches_without_history_give_the_same_model(offset, whole):
     """Cut at every step of the command, or just before it; in any order."""
     drive, single = whole
     edges = [0, *range(40 + offset, 1960, 120), 1960]
     split = identify_sm([drive.part(*ends) for ends in pairwise(edges)][::-1], limits=False).parameters
-    # A third of the commands before a step is gone: what they taught is, too.
+    # A third of the commands before a step is missing, and with it their information.
     assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
 
@@ -69,7 +69,9 @@ def test_outliers_hardly_change_the_model():
     twist = clean.twist.copy()
     twist[np.random.default_rng(0).integers(0, len(twist), 60), 0] += 2.0
     with_outliers = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
-    robust, plain = (identify_sm([with_outliers], limits=False, robust=how).parameters for how in (True, False))
+    robust, plain = (
+        identify_sm([with_outliers], limits=False, robust=is_robust).parameters for is_robust in (True, False)
+    )
     check_agreement(robust, SM_TRUTH)
     assert robust.deviation("v.gain") < 0.5 * plain.deviation("v.gain")
 
@@ -92,7 +94,7 @@ def test_gyro_bias_is_distinguished_from_a_turn():
     check_agreement(parameters, {**SM_TRUTH, "omega.offset": 0.04})
 
 
-def test_coloured_noise_counts_as_fewer_samples():
+def test_coloured_noise_has_fewer_effective_samples():
     stream = np.random.default_rng(0)
     white = stream.normal(size=(20000, 1))
     coloured = np.zeros_like(white)
@@ -108,7 +110,7 @@ def test_coloured_noise_counts_as_fewer_samples():
     assert long_run_covariance([thirds[:21000], thirds[21000:]])[0] == pytest.approx(long_run_covariance([coloured])[0])
 
 
-def test_a_limit_of_the_base_is_found_where_there_is_one():
+def test_limit_of_the_base_is_identified():
     limited, free = (noisy_drive(SM, 7, count=1500, limit=limit) for limit in (0.9, np.inf))
     identified = identify_sm([limited])
     assert set(identified.limits) == {"omega"}
@@ -149,12 +151,12 @@ def ladder():
     return drive, identify_ssm_orders([drive], 4, limits=False)
 
 
-def test_the_order_of_a_second_order_robot_is_two(ladder):
+def test_order_two_is_selected_for_a_second_order_robot(ladder):
     (train, models), held_out = ladder, noisy_drive(published_ssm(), 16, count=700)
     choice = compare_orders(models, [train], [held_out], "gyro", requested=None)
     assert choice.order == 2
-    elsewhere = replace(held_out, twist=-held_out.twist)
-    repeated = compare_orders(models, [train], [elsewhere], "gyro", requested=None)
+    reversed_record = replace(held_out, twist=-held_out.twist)
+    repeated = compare_orders(models, [train], [reversed_record], "gyro", requested=None)
     assert repeated.order == 2  # validation rows do not affect the choice
     for row, same in zip(choice.rows, repeated.rows, strict=True):
         np.testing.assert_array_equal(row.block_fit_percent, same.block_fit_percent)
@@ -239,7 +241,7 @@ def with_spikes(drive, size):
 
 
 def as_read(drive, folder):
-    """Write the drive as a log, and read it back."""
+    """Write the drive to a log and read the log."""
     table = np.column_stack((drive.command, drive.twist, drive.yaw_rate))
     np.savetxt(folder / "log.csv", table, delimiter=",", header="v,w,ev,ew,gz", comments="")
     (folder / "map.yaml").write_text(

@@ -1,4 +1,4 @@
-"""Bags of ROS 2, both storages: what is read, whose clock counts, and that a bag can run nothing."""
+"""Reading of ROS 2 bags in both storage formats: contents, clocks, and malicious files."""
 
 import os
 import shutil
@@ -41,8 +41,8 @@ def same(first, second):
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("command", ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"])
 @pytest.mark.parametrize("pose", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"])
-def test_a_bag_reads_like_the_csv_of_the_same_drive(tmp_path, storage, command, pose):
-    """Stamps, not times of receipt: the odometry's pose is not used, the twist and the gyro stand on their samples."""
+def test_bag_gives_the_same_record_as_the_csv_of_the_same_drive(tmp_path, storage, command, pose):
+    """Times are the stamps, not the times of receipt; the pose of the odometry is not used."""
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS, command, pose), storage)
     log = read_log(bag, write_mapping(tmp_path / "topics.yaml", TOPICS))
     (record,) = log.records
@@ -75,7 +75,7 @@ def test_gyro_of_a_bag_is_read_about_the_vertical_of_tf_static(tmp_path, mounts,
 
 
 def test_stated_sign_of_a_gyro_replaces_tf_static(tmp_path):
-    """The node ignores the transforms then, too: one turn is not made twice."""
+    """The sign is not applied twice; the node ignores the transforms in this case, too."""
     topics = bag_topics({**COLUMNS, "gyro": -COLUMNS["gyro"]})
     topics["/tf_static"] = ("tf2_msgs/msg/TFMessage", [0.0], [0.0], [("body", "base_link", np.pi)])
     mapping = write_mapping(tmp_path / "map.yaml", "topics: {odometry: /odom, imu: {topic: /imu, sign: -1}}\n")
@@ -83,7 +83,7 @@ def test_stated_sign_of_a_gyro_replaces_tf_static(tmp_path):
     assert np.array_equal(record.yaw_rate, COLUMNS["gyro"])
 
 
-def test_without_a_mapping_the_usual_topics_are_taken(tmp_path):
+def test_default_topics_are_read_without_a_mapping(tmp_path):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), "mcap")
     (whole,) = read_log(bag).records
     (single,) = read_log(bag / "bag.mcap").records
@@ -91,7 +91,7 @@ def test_without_a_mapping_the_usual_topics_are_taken(tmp_path):
     assert same(whole, single)
 
 
-def test_signs_and_delays_of_topics_act(tmp_path):
+def test_signs_and_delays_of_topics_are_applied(tmp_path):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
     mapping = "topics:\n  imu: {topic: /imu, sign: -1, delay: 0.1}\n  odometry: /odom\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "topics.yaml", mapping)).records
@@ -127,13 +127,13 @@ def test_two_clocks_are_an_error_with_a_remedy(tmp_path):
     assert record.yaw_rate is not None
 
 
-def test_a_drifting_clock_is_said(tmp_path):
+def test_drifting_clock_is_a_finding(tmp_path):
     bag = altered_bag(tmp_path, "/imu", lambda received, *rest: (received + 0.1 * (received - received[0]), *rest))
     findings = read_log(bag).findings
     assert any(finding.kind == "clock drift" and "/imu" in finding.place for finding in findings)
 
 
-def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
+def test_messages_out_of_order_or_not_finite_are_omitted(tmp_path):
     def spoil(received, stamped, readings):
         stamped, readings = stamped.copy(), readings.copy()
         stamped[50], readings[70] = stamped[40], np.inf
@@ -147,7 +147,7 @@ def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
     assert list(np.flatnonzero(~log.records[0].fresh_yaw_rate)) == [50, 70]
 
 
-def test_a_pause_in_the_commands_ends_a_stretch(tmp_path):
+def test_pause_in_the_commands_ends_the_stretch(tmp_path):
     keep = (COLUMNS["t"] < 2.0) | (COLUMNS["t"] > 4.0)
     log = read_log(altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[keep] for array in arrays]))
     assert [finding.kind for finding in log.findings] == ["gap"]
@@ -180,7 +180,7 @@ def only(topics, *names):
         ),
     ],
 )
-def test_a_missing_or_wrong_topic_is_one_line(tmp_path, names, mapping, line):
+def test_missing_or_wrong_topic_raises_error_in_one_line(tmp_path, names, mapping, line):
     bag = write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), *names))
     mapping_file = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
     with one_line_error(ConfigError, match=line):
@@ -200,7 +200,7 @@ def overwrite_middle(path):
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("damage", [cut_in_half, overwrite_middle, lambda path: path.write_bytes(b"no bag")])
-def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
+def test_damaged_bag_raises_error_in_one_line(tmp_path, storage, damage):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), storage)
     file = bag / {"sqlite3": "bag.db3", "mcap": "bag.mcap"}[storage]
     damage(file)
@@ -210,7 +210,7 @@ def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
 
 
 def test_definitions_inside_a_bag_are_not_used(tmp_path):
-    """From a definition the library would generate code: one that no parser takes must make no difference."""
+    """The library would generate code from a definition, so an invalid definition must have no effect."""
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
     (plain,) = read_log(bag).records
     shutil.copytree(bag, tmp_path / "changed")
@@ -220,7 +220,7 @@ def test_definitions_inside_a_bag_are_not_used(tmp_path):
     assert same(plain, record)
 
 
-def test_commands_sent_on_change_stay_in_force(tmp_path):
+def test_commands_sent_on_change_are_held(tmp_path):
     bag = altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays])  # it changes every 25
     text = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom, imu: /imu}\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "map.yaml", text)).records
@@ -233,9 +233,7 @@ ON_CHANGE = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /od
 
 
 @pytest.mark.parametrize(("seed", "sensor_dt"), [(1, 1 / 30), (2, 0.04)])
-def test_commands_in_bursts_give_no_sample_time_and_the_mapping_that_uses_all_of_the_log_is_named(
-    tmp_path, seed, sensor_dt
-):
+def test_commands_in_bursts_give_a_finding_with_the_mapping_that_uses_the_whole_log(tmp_path, seed, sensor_dt):
     path = write_bag(tmp_path / "bag", teleoperated(seconds=40.0, seed=seed, sensor_dt=sensor_dt))
     log = read_log(path)
     (finding,) = [finding for finding in log.findings if finding.kind == "silent commands"]
@@ -282,7 +280,7 @@ topics:
     assert np.array_equal(record.command[:, 1], COLUMNS["omega_ref"][: len(record.command)])
 
 
-def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
+def test_custom_message_is_read_with_its_definition(tmp_path):
     (tmp_path / "Speeds.msg").write_text("std_msgs/Header header\nfloat64 forward\nfloat64 turning\n")
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg((tmp_path / "Speeds.msg").read_text(), "mine/msg/Speeds"))
@@ -308,7 +306,7 @@ def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
     assert np.array_equal(record.twist[:, 1], COLUMNS["omega_wheels"][: len(record.twist)])
 
 
-# Hostile files of MCAP.
+# Malicious MCAP files.
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -331,15 +329,15 @@ def mcap_topic(name: str) -> bytes:
     return schema + mcap_record(4, struct.pack("<HH", 1, 1) + b"".join(texts[3:]))
 
 
-def mcap_chunk(packed: bytes, how: str, size: int) -> bytes:
-    head = struct.pack("<QQQI", 0, 10, size, 0) + mcap_text(how)
+def mcap_chunk(packed: bytes, compression: str, size: int) -> bytes:
+    head = struct.pack("<QQQI", 0, 10, size, 0) + mcap_text(compression)
     return mcap_record(6, head + struct.pack("<Q", len(packed)) + packed)
 
 
-def zeros(megabytes: int, how: str) -> bytes:
+def zeros(megabytes: int, compression: str) -> bytes:
     """Return packed zeros."""
-    packer = lz4.frame.LZ4FrameCompressor() if how == "lz4" else zstandard.ZstdCompressor().compressobj()
-    first = packer.begin() if how == "lz4" else b""
+    packer = lz4.frame.LZ4FrameCompressor() if compression == "lz4" else zstandard.ZstdCompressor().compressobj()
+    first = packer.begin() if compression == "lz4" else b""
     return first + b"".join(packer.compress(bytes(10**6)) for _ in range(megabytes)) + packer.flush()
 
 
@@ -383,31 +381,31 @@ def _refused(path: Path) -> str:
     return str(error.value)
 
 
-@pytest.mark.parametrize("how", ["zstd", "lz4"])
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("stated_size", [1_000, 400_000_000])
-def test_decompression_bomb_is_refused_for_any_stated_size(tmp_path: Path, how: str, stated_size: int) -> None:
-    """400 MB in some kilobytes."""
-    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, how), how, stated_size))
+def test_decompression_bomb_is_refused_for_any_stated_size(tmp_path: Path, compression: str, stated_size: int) -> None:
+    """400 MB are compressed to a few kilobytes."""
+    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, compression), compression, stated_size))
     assert "chunk" in _refused(path)
 
 
-def test_many_chunks_are_counted_together(tmp_path: Path) -> None:
-    """Each is small enough; all of them are far more than such a file holds."""
+def test_total_size_of_the_chunks_is_limited(tmp_path: Path) -> None:
+    """Each chunk is small, but their sum is much larger than the file."""
     whole = mcap_message(bytes(1_000_000))
     packed = zstandard.ZstdCompressor().compress(whole)
     path = _mcap(tmp_path / "many.mcap", mcap_chunk(packed, "zstd", len(whole)) * 40)
     assert "100 times its size" in _refused(path)
 
 
-def test_chunks_of_one_time_are_not_held_together(tmp_path: Path) -> None:
-    """They are made of noise, so that each is worth its size."""
+def test_overlapping_chunks_are_not_all_in_memory(tmp_path: Path) -> None:
+    """Random data prevent a high compression ratio."""
     whole = mcap_message(os.urandom(700_000) + bytes(40_000_000))
     packed = zstandard.ZstdCompressor().compress(whole)
     path = _indexed(tmp_path / "overlap.mcap", [mcap_chunk(packed, "zstd", len(whole))] * 4)
     assert "neither /odom nor /imu" in _refused(path)
 
 
-def test_an_index_that_names_a_chunk_again_and_again_repeats_nothing(tmp_path: Path) -> None:
+def test_chunk_that_is_indexed_repeatedly_is_read_once(tmp_path: Path) -> None:
     whole = mcap_message(b"")
     chunk = mcap_chunk(zstandard.ZstdCompressor().compress(whole), "zstd", len(whole))
     with opened(_indexed(tmp_path / "again.mcap", [chunk], mentioned=3)) as reader:
@@ -416,8 +414,8 @@ def test_an_index_that_names_a_chunk_again_and_again_repeats_nothing(tmp_path: P
 
 @pytest.mark.parametrize("length", [3_000_000_000, 2**60])
 @pytest.mark.parametrize("place", ["record", "chunk", "text"])
-def test_absurd_lengths_are_not_allocated(tmp_path: Path, length: int, place: str) -> None:
-    """Neither by the library of bags nor by that of drives."""
+def test_excessive_lengths_are_not_allocated(tmp_path: Path, length: int, place: str) -> None:
+    """This applies to the readers of bags and of drive logs."""
     body = {
         "record": struct.pack("<BQ", 5, length),
         "chunk": mcap_record(6, struct.pack("<QQQI", 0, 1, 100, 0) + ZSTD + struct.pack("<Q", length) + b"abc"),
@@ -433,22 +431,22 @@ def test_absurd_lengths_are_not_allocated(tmp_path: Path, length: int, place: st
     tracemalloc.stop()
 
 
-def test_unpacked_data_equal_the_packed_data() -> None:
-    """Bit for bit, also in several frames, and no byte more than is said."""
+def test_unpacked_data_equal_the_original_data() -> None:
+    """The data are equal for one or more frames; a wrong size raises ConfigError."""
     data = os.urandom(1000) * 3
     frames = zstandard.ZstdCompressor().compress(data[:1000]) + zstandard.ZstdCompressor().compress(data[1000:])
-    for packed, how in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
-        assert unpacked(Path("x"), packed, how, len(data)) == data
+    for packed, compression in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
+        assert unpacked(Path("x"), packed, compression, len(data)) == data
         for size in (len(data) - 1, len(data) + 1):
             with pytest.raises(ConfigError, match="declared"):
-                unpacked(Path("x"), packed, how, size)
+                unpacked(Path("x"), packed, compression, size)
     with pytest.raises(ConfigError, match="compression 'rar' is not supported"):
         unpacked(Path("x"), data, "rar")
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3", "pipe.bag", "bag/metadata.yaml", "bag/bag.mcap"])
 def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
-    """Nobody writes into them: who waits for that waits for ever."""
+    """Opening them would block forever, because no process writes to them."""
     pipe = tmp_path / name
     pipe.parent.mkdir(exist_ok=True)
     if name == "bag/bag.mcap":
@@ -459,7 +457,7 @@ def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
         read_log(pipe.parent if pipe.parent != tmp_path else pipe)
 
 
-def _data_base(path: Path, change: str) -> Path:
+def _database(path: Path, change: str) -> Path:
     base = sqlite3.connect(path)
     base.executescript(
         "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
@@ -483,19 +481,19 @@ def _data_base(path: Path, change: str) -> Path:
         ),
     ],
 )
-def test_a_data_base_of_something_else_is_refused(tmp_path: Path, change: str, words: str) -> None:
-    """Values of a wrong type, and 900 MB that are nowhere in the file."""
-    assert words in _refused(_data_base(tmp_path / "bag.db3", change))
+def test_invalid_database_is_refused(tmp_path: Path, change: str, words: str) -> None:
+    """Values have a wrong type, or a computed column would return 900 MB."""
+    assert words in _refused(_database(tmp_path / "bag.db3", change))
 
 
-def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) -> None:
+def test_bag_with_file_compression_is_refused(tmp_path: Path) -> None:
     metadata = {"relative_file_paths": ["bag.mcap.zstd"], "compression_format": "zstd", "compression_mode": "FILE"}
     (tmp_path / "bag.mcap.zstd").write_bytes(b"")
     (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
     assert "its whole files are compressed; unpack the bag" in _refused(tmp_path)
 
 
-def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
+def test_error_for_a_compressed_file_contains_the_command(tmp_path: Path) -> None:
     path = tmp_path / "bag.mcap.zst"
     path.write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
     assert "bag.mcap.zst: the whole file is compressed; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
@@ -510,14 +508,14 @@ def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
     assert same(log.records[0], read_log(write_bag(tmp_path / "plain", topics)).records[0])
 
 
-def test_a_missing_command_is_named_with_missing_sensors(tmp_path: Path) -> None:
+def test_error_lists_missing_command_and_missing_sensors(tmp_path: Path) -> None:
     words = _refused(write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), "/pose")))
     assert "neither /odom nor /imu is in the bag, nor is the command /cmd_vel" in words
     assert "--draft-mapping`; the bag has /pose" in words
 
 
 @pytest.mark.parametrize("count", [2, 10_000])
-def test_file_that_is_named_again_is_refused_at_once(tmp_path: Path, count: int) -> None:
+def test_repeated_file_is_refused_without_reading(tmp_path: Path, count: int) -> None:
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
     metadata = bag / "metadata.yaml"
     stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))
@@ -541,17 +539,17 @@ _ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
         f"DROP TABLE messages; CREATE VIEW messages AS {_ENDLESS} SELECT k AS id, 1 AS topic_id FROM c;",
         f"DROP TABLE topics; CREATE VIEW topics AS {_ENDLESS} SELECT k AS id, '/t' AS name FROM c;",
         "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data);",
-        # A chain of views takes SQLite for ever to prepare, even if nobody reads one.
+        # SQLite would prepare a chain of views for an unlimited time, even if none is read.
         "CREATE VIEW v0 AS SELECT * FROM messages;"
         + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
     ],
 )
-def test_views_and_virtual_tables_of_a_data_base_are_refused(tmp_path: Path, change: str) -> None:
-    assert "not just the tables of a bag" in _refused(_data_base(tmp_path / "bag.db3", change))
+def test_views_and_virtual_tables_of_a_database_are_refused(tmp_path: Path, change: str) -> None:
+    assert "not just the tables of a bag" in _refused(_database(tmp_path / "bag.db3", change))
 
 
 def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No exception passes through SQLite: one that Ctrl-C raises in the progress handler must not get lost."""
+    """SQLite discards exceptions of its progress handler, so KeyboardInterrupt must be raised again."""
 
     def interrupted(_: object) -> bool:
         raise KeyboardInterrupt
@@ -559,11 +557,11 @@ def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeyp
     monkeypatch.setattr(sqlite_file._Watchdog, "check", interrupted)
     monkeypatch.setattr(sqlite_file, "_STEPS", 1)
     with pytest.raises(KeyboardInterrupt):
-        read_log(_data_base(tmp_path / "bag.db3", ""))
+        read_log(_database(tmp_path / "bag.db3", ""))
 
 
-def test_statement_of_too_many_steps_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_statement_with_too_many_steps_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite_file, "_STEPS", 1)
     limits = replace(file_limits(), sqlite_steps=3)
     monkeypatch.setattr(sqlite_file, "file_limits", lambda: limits)
-    assert "too long" in _refused(_data_base(tmp_path / "bag.db3", ""))
+    assert "too long" in _refused(_database(tmp_path / "bag.db3", ""))

@@ -1,4 +1,4 @@
-"""Each thing that can be wrong with a log is found, named, and shown with its place; a sound log has no findings."""
+"""Checks of logs: each fault gives a finding with its place, and a correct log has no findings."""
 
 import numpy as np
 import pytest
@@ -30,11 +30,11 @@ def changed(name, rows, value):
     return {name: column}
 
 
-def test_a_sound_log_has_no_findings(tmp_path):
+def test_correct_log_has_no_findings(tmp_path):
     assert read(tmp_path, {}).findings == ()
 
 
-def test_a_gap_ends_a_stretch(tmp_path):
+def test_gap_ends_the_stretch(tmp_path):
     keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.0)
     log = read(tmp_path, {}, keep)
     assert lines(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch starts"]
@@ -43,7 +43,7 @@ def test_a_gap_ends_a_stretch(tmp_path):
 
 
 def test_no_command_is_held_across_a_gap(tmp_path):
-    """Commands are logged only when they change; after the gap nobody knows what holds until the next one."""
+    """Commands are logged only when they change, so the command after the gap is unknown until the next one."""
     sparse = np.arange(1000) % 25 == 0
     columns = {name: np.where(sparse, COLUMNS[name], np.nan) for name in ("v_ref", "omega_ref")}
     keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.1)
@@ -63,7 +63,7 @@ def test_jitter_is_measured(tmp_path):
     assert lines(read(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.003, 1000)}), "jitter") == []
 
 
-def test_time_that_goes_backwards_begins_a_new_stretch(tmp_path):
+def test_time_that_runs_backwards_starts_a_new_stretch(tmp_path):
     log = read(tmp_path, {"t": np.where(np.arange(1000) < 600, COLUMNS["t"], COLUMNS["t"] - 12.0)})
     assert lines(log, "time backwards") == [
         "log.csv, line 602: time goes backwards by 11.980 s, to 0.000 s; a new stretch starts"
@@ -71,14 +71,14 @@ def test_time_that_goes_backwards_begins_a_new_stretch(tmp_path):
     assert [len(record.command) for record in log.records] == [600, 400]
 
 
-def test_time_that_stands_still_is_said(tmp_path):
+def test_repeated_time_is_a_finding(tmp_path):
     log = read(tmp_path, changed("t", 500, COLUMNS["t"][499]))
     assert lines(log, "time stands still") == [
         "log.csv, line 502: 1 rows have the time of the row before; the last row of each time is used"
     ]
 
 
-def test_nan_rows_of_a_sensor_are_left_out(tmp_path):
+def test_nan_rows_of_a_sensor_are_omitted(tmp_path):
     log = read(tmp_path, changed("gyro", [100, 101, 300], np.nan))
     assert lines(log, "NaN rows") == [
         "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; these rows are left out"
@@ -87,8 +87,8 @@ def test_nan_rows_of_a_sensor_are_left_out(tmp_path):
     assert list(np.flatnonzero(~record.fresh_yaw_rate)) == [100, 101, 300]
 
 
-def test_numbers_too_large_to_be_squared_are_no_readings(tmp_path):
-    """They used to end in what a library says of its own overflow."""
+def test_numbers_too_large_to_be_squared_are_not_readings(tmp_path):
+    """Their squares would overflow."""
     log = read(tmp_path, changed("gyro", [100, 300], 1e308))
     assert "column 'gyro' is not finite in 2 rows" in lines(log, "NaN rows")[0]
     for value in (1e308, -1e308, np.nan):
@@ -96,13 +96,13 @@ def test_numbers_too_large_to_be_squared_are_no_readings(tmp_path):
             read(tmp_path, changed("v_ref", slice(None), value))
 
 
-def test_an_unknown_command_ends_a_stretch(tmp_path):
+def test_unknown_command_ends_the_stretch(tmp_path):
     log = read(tmp_path, changed("v_ref", 400, np.nan))
     assert "column 'v_ref' is not finite in 1 rows" in lines(log, "NaN rows")[0]
     assert [len(record.command) for record in log.records] == [400, 599]
 
 
-def test_short_stretches_are_left_out(tmp_path):
+def test_short_stretches_are_omitted(tmp_path):
     keep = (COLUMNS["t"] < 5.0) | ((COLUMNS["t"] > 6.0) & (COLUMNS["t"] < 6.2)) | (COLUMNS["t"] > 7.0)
     log = read(tmp_path, {}, keep)
     assert lines(log, "short stretch") == ["log.csv, 6.0 to 6.2 s: 9 samples, fewer than 20; the stretch is left out"]
@@ -112,7 +112,7 @@ def test_short_stretches_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("name", "sensor", "mask"), [("gyro", "gyro", "fresh_yaw_rate"), ("v", "encoders", "fresh_twist")]
 )
-def test_a_stuck_sensor_is_left_out_from_where_it_stuck(tmp_path, name, sensor, mask):
+def test_readings_of_a_stuck_sensor_are_omitted(tmp_path, name, sensor, mask):
     rows = slice(300, 500)
     changes = changed(name, rows, COLUMNS[name][300])
     if sensor == "encoders":
@@ -124,7 +124,7 @@ def test_a_stuck_sensor_is_left_out_from_where_it_stuck(tmp_path, name, sensor, 
     assert not fresh[301:500].any() and fresh[:301].all() and fresh[500:].all()
 
 
-def test_a_robot_at_rest_is_not_stuck(tmp_path):
+def test_sensors_of_a_robot_at_rest_are_not_stuck(tmp_path):
     rows = slice(300, 500)
     names = ("v_ref", "omega_ref", "v", "omega_wheels", "gyro")
     changes = {}
@@ -134,8 +134,8 @@ def test_a_robot_at_rest_is_not_stuck(tmp_path):
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.9, 1), (0.1, 0)])
-def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, share, count):
-    """A small command may lie in a dead band, which a model should learn."""
+def test_resting_wheels_are_stuck_only_for_a_large_command(tmp_path, share, count):
+    """A small command may be within a dead band, which the model should contain."""
     rows = slice(300, 500)
     changes = changed("v_ref", rows, share * np.abs(COLUMNS["v_ref"]).max()) | changed("omega_ref", rows, 0.0)
     changes |= changed("v", rows, 0.0) | changed("omega_wheels", rows, 0.0)
@@ -146,7 +146,7 @@ def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, 
     ("name", "reading"),
     [("v", "v of the encoders"), ("omega_wheels", "omega of the encoders"), ("gyro", "omega of the gyro")],
 )
-def test_a_wrong_sign_is_an_error(tmp_path, name, reading):
+def test_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read(tmp_path, {name: -COLUMNS[name]})
     (line,) = lines(log, "wrong sign")
     assert line.startswith(f"log.csv: {reading} has the opposite sign of the command (correlation -")
@@ -155,14 +155,14 @@ def test_a_wrong_sign_is_an_error(tmp_path, name, reading):
 
 
 @pytest.mark.parametrize("gain", [0.4, 1.0, 2.0])
-def test_gains_that_a_robot_can_have_raise_no_suspicion(tmp_path, gain):
+def test_plausible_gains_give_no_finding(tmp_path, gain):
     log = read(tmp_path, {"gyro": gain * COLUMNS["gyro"]})
     assert log.findings == ()
 
 
 @pytest.mark.parametrize("count", [20, 35, 49])
-def test_a_stretch_shorter_than_the_longest_lag_is_judged_by_what_it_has(tmp_path, count):
-    """A second of lag is 50 samples here: no response can be looked for so late in so few, nor a sign be told."""
+def test_stretch_shorter_than_the_maximum_lag_has_no_error(tmp_path, count):
+    """The maximum lag of 1 s is 50 samples: a shorter stretch does not determine lag or sign."""
     log = read(tmp_path, {}, np.isin(np.arange(1000), np.arange(15, 15 + count)))  # the command changes every 25
     assert [len(record.command) for record in log.records] == [count]
     assert {finding.severity for finding in log.findings} <= {"note", "warning"}
@@ -170,8 +170,8 @@ def test_a_stretch_shorter_than_the_longest_lag_is_judged_by_what_it_has(tmp_pat
 
 @pytest.mark.parametrize("plant", ["mujoco", "mujoco:slow_motors", "mujoco:long"])
 @pytest.mark.parametrize("trajectory", ["circle", "s", "square", "fast_circle", "spiral"])
-def test_nothing_is_wrong_with_a_short_drive_at_nearly_one_speed(tmp_path, trajectory, plant):
-    """Ten seconds of a path tell little; that must not be held against the robot."""
+def test_short_drive_at_nearly_constant_speed_has_no_error(tmp_path, trajectory, plant):
+    """A drive of ten seconds contains little information, which must not cause an error."""
     run = simulate(Controller(load_config("ssm")), make_plant(plant, seed=22), load_trajectory(trajectory))
     write_rows(run, tmp_path / "drive.csv")
     findings = read_log(tmp_path / "drive.csv", "simulate").findings
@@ -179,8 +179,8 @@ def test_nothing_is_wrong_with_a_short_drive_at_nearly_one_speed(tmp_path, traje
 
 
 @pytest.mark.parametrize(("upper", "lower"), [(np.inf, 0.2), (0.15, 0.25), (0.1, np.inf)])
-def test_a_limit_of_the_base_is_no_wrong_unit(tmp_path, upper, lower):
-    """Commands far beyond the limit are up to ten times what the robot does."""
+def test_limit_of_the_base_is_not_reported_as_a_wrong_unit(tmp_path, upper, lower):
+    """Commands far beyond the limit are up to ten times the speed of the robot."""
     command, speed, pose = 3 * COLUMNS["v_ref"], np.zeros(1000), np.zeros((1000, 3))
     for k in range(1, 1000):
         taken = np.clip(command[k - 1], -lower, upper)

@@ -1,4 +1,4 @@
-"""CSV logs: what is read of them, and bad ones in one line."""
+"""Reading of CSV logs, and errors for invalid files."""
 
 import datetime
 
@@ -22,7 +22,7 @@ def read(tmp_path, columns, mapping=None, **options):
     return read_log(path, write_mapping(tmp_path / "map.yaml", *([mapping] if mapping else [])), **options)
 
 
-def test_an_even_log_comes_back_bit_for_bit(tmp_path):
+def test_evenly_sampled_log_is_read_exactly(tmp_path):
     log = read(tmp_path, COLUMNS)
     (record,) = log.records
     assert log.findings == ()
@@ -35,7 +35,7 @@ def test_an_even_log_comes_back_bit_for_bit(tmp_path):
     assert np.allclose(record.time, COLUMNS["t"], atol=1e-12)
 
 
-def test_units_and_signs_come_out_in_si(tmp_path):
+def test_units_and_signs_are_converted_to_si(tmp_path):
     mapping = """
 columns:
   time: {column: t, unit: ns}
@@ -62,8 +62,8 @@ columns:
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("rad/s", 10.0), ("m/s", 1.0), ("ticks/s", 1e4 / (2 * np.pi))])
-def test_wheels_become_v_and_omega(tmp_path, unit, factor):
-    """Radius 0.1 m and track 0.5 m: each rim runs at v -+ 0.25 omega."""
+def test_wheel_speeds_are_converted_to_v_and_omega(tmp_path, unit, factor):
+    """With radius 0.1 m and track 0.5 m, the rim speeds are v -+ 0.25 omega."""
     rims = {side: COLUMNS["v"] + s * 0.25 * COLUMNS["omega_wheels"] for side, s in (("l", -1), ("r", 1))}
     rpm = 10.0 * 30 / np.pi
     commands = {
@@ -77,8 +77,8 @@ def test_wheels_become_v_and_omega(tmp_path, unit, factor):
     assert np.allclose(record.wheel_commands[:, 1], 10.0 * (COLUMNS["v_ref"] + 0.25 * COLUMNS["omega_ref"]))
 
 
-def test_counted_ticks_become_the_mean_speed_between_two_rows(tmp_path):
-    """A wheel whose angle is t^2 turns at 2 t, exactly so in the middle of each step."""
+def test_tick_counts_are_converted_to_the_mean_speed_between_rows(tmp_path):
+    """A wheel with the angle t^2 has the speed 2 t, which equals the mean speed of a step at its middle."""
     angle = COLUMNS["t"] ** 2
     columns = {"t": COLUMNS["t"], "cl": COLUMNS["v_ref"] * 10, "cr": COLUMNS["omega_ref"]}
     columns |= {"l": 1000 / (2 * np.pi) * angle, "r": -1000 / (2 * np.pi) * angle}
@@ -105,8 +105,8 @@ columns:
 
 
 @pytest.mark.parametrize(("period", "quantum"), [(1, 0.2), (2, 0.2), (4, 0.2), (5, 0.02)])
-def test_one_reading_a_period_is_fresh_also_where_a_coarse_one_repeats(tmp_path, period, quantum):
-    """At one speed quantised readings stay the same for seconds; `held` loses none of them."""
+def test_each_held_reading_is_fresh_even_if_its_value_repeats(tmp_path, period, quantum):
+    """At constant speed, quantised readings repeat for seconds; `held` preserves all of them."""
     columns = dict(COLUMNS)
     rows = np.arange(len(COLUMNS["t"])) // period * period
     for name in ("v", "omega_wheels"):
@@ -117,7 +117,7 @@ def test_one_reading_a_period_is_fresh_also_where_a_coarse_one_repeats(tmp_path,
     assert record.fresh_twist.sum() == pytest.approx(len(rows) / period, rel=0.02)
 
 
-def test_a_delay_moves_readings_back_to_when_they_were_true(tmp_path):
+def test_delay_shifts_readings_to_their_time_of_validity(tmp_path):
     mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n  gyro: {yaw_rate: gyro, delay: 0.1}\n"
     (record,) = read(tmp_path, COLUMNS, mapping).records
     assert np.allclose(record.yaw_rate[:-5], COLUMNS["gyro"][5:], atol=1e-12)
@@ -135,7 +135,7 @@ def test_segments_and_a_fixed_sample_time_replace_time_stamps(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["sec and nanosec", "ISO 8601"])
-def test_times_of_the_calendar_and_of_ros_headers_are_read(tmp_path, kind):
+def test_iso_times_and_ros_stamps_are_read(tmp_path, kind):
     time = np.round(1.7e9 + COLUMNS["t"], 6)
     if kind == "ISO 8601":
         columns = {"t": [datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat() for t in time.tolist()]}
@@ -154,7 +154,7 @@ def test_wrapped_headings_are_unwrapped(tmp_path):
     assert np.allclose(np.diff(record.pose[:, 2]), np.diff(COLUMNS["theta"]), atol=1e-9)
 
 
-def test_stamps_rounded_to_milliseconds_keep_the_mean_rate(tmp_path):
+def test_stamps_rounded_to_milliseconds_preserve_the_mean_rate(tmp_path):
     """202 us times 100: a median step of 20 ms would lose one sample in a hundred."""
     columns = drive(dt=0.0202)
     (record,) = read(tmp_path, columns | {"t": np.round(columns["t"], 3)}).records
@@ -162,14 +162,14 @@ def test_stamps_rounded_to_milliseconds_keep_the_mean_rate(tmp_path):
     assert abs(len(record.command) - len(columns["t"])) <= 1
 
 
-def test_a_coarser_sample_time_takes_the_values_at_its_own_times(tmp_path):
+def test_coarser_sample_time_uses_the_values_at_its_times(tmp_path):
     (record,) = read(tmp_path, COLUMNS, sample_time=0.1).records
     assert np.array_equal(record.yaw_rate, COLUMNS["gyro"][::5])
     assert np.array_equal(record.command[:, 0], COLUMNS["v_ref"][::5])
 
 
-def test_a_log_of_simulate_needs_no_mapping(tmp_path):
-    """Poses stand where they were true, not where they arrived: near the true pose of a robot that moves on."""
+def test_log_of_simulate_needs_no_mapping(tmp_path):
+    """Poses are assigned to their time of validity, not to their time of arrival."""
     run = simulate(
         Controller(load_config("ssm")), make_plant("model:ssm", sensors="slam", seed=3), load_trajectory("s")
     )
@@ -187,7 +187,7 @@ def test_a_log_of_simulate_needs_no_mapping(tmp_path):
     assert np.median(np.linalg.norm(errors[:, :2], axis=1)) < 0.5 * np.median(moved)
 
 
-def test_rows_are_chosen_by_time_and_by_the_value_of_a_column(tmp_path):
+def test_rows_are_selected_by_time_and_by_the_value_of_a_column(tmp_path):
     mode = ["manual" if t < 4.0 else "auto" for t in COLUMNS["t"]]
     path = write_csv(tmp_path / "log.csv", COLUMNS | {"mode": mode})
     chosen = MAPPING + "  where: {mode: auto}\ntimes: [[3.0, 8.0], [12.0, 14.0]]\n"
@@ -197,7 +197,7 @@ def test_rows_are_chosen_by_time_and_by_the_value_of_a_column(tmp_path):
         read_log(path, write_mapping(tmp_path / "map.yaml", chosen.replace("auto", "automatic")))
 
 
-def test_a_kilohertz_log_is_thinned_and_that_is_said(tmp_path):
+def test_kilohertz_log_is_decimated_with_a_finding(tmp_path):
     columns = drive(seconds=10.0, dt=0.001)
     log = read_log(write_csv(tmp_path / "log.csv", columns), write_mapping(tmp_path / "map.yaml"))
     assert log.records[0].dt == pytest.approx(0.01)
@@ -210,7 +210,7 @@ def test_long_log_is_reduced_to_its_most_driven_parts():
     assert list(most_driven([lively], 200, part=100)) == [*range(200, 300), *range(700, 800)]
 
 
-def test_a_file_is_read_the_same_in_small_blocks(tmp_path, monkeypatch):
+def test_block_size_does_not_change_the_table(tmp_path, monkeypatch):
     path = write_csv(tmp_path / "log.csv", COLUMNS)
     whole = read_table(path, list(COLUMNS))
     monkeypatch.setattr(csv_table, "_BLOCK", 1000)
@@ -220,8 +220,8 @@ def test_a_file_is_read_the_same_in_small_blocks(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("place", ["first", "middle", "last"])
-def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypatch, place):
-    """A sensor slower than the rows leaves most of its cells empty, wherever its columns stand."""
+def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monkeypatch, place):
+    """Most cells of a slow sensor are empty, in columns at any position."""
     names = {"first": ["gyro", "v", "t"], "middle": ["t", "gyro", "v", "v_ref"], "last": ["t", "gyro", "v"]}[place]
     silent = np.arange(len(COLUMNS["t"])) % 5 > 0
     path = tmp_path / "log.csv"
@@ -247,7 +247,7 @@ def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypa
     ],
 )
 def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, words):
-    """A million columns took minutes, a file without an end of line all memory."""
+    """Parsing a million columns would take minutes, and a file without line ends would exhaust the memory."""
     file = tmp_path / "wide.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=words):
@@ -268,7 +268,7 @@ def line_of(tmp_path, columns=SHORT, mapping=MAPPING, text=None):
     return str(caught.value)
 
 
-def test_a_word_among_the_numbers_is_named_by_its_line(tmp_path):
+def test_error_for_a_cell_that_is_not_a_number_contains_its_line(tmp_path):
     columns = SHORT | {"gyro": [*SHORT["gyro"][:50], "broken", *SHORT["gyro"][51:]]}
     assert "log.csv, line 52, column 'gyro': 'broken' is not a number" in line_of(tmp_path, columns)
 
@@ -282,17 +282,17 @@ def test_a_word_among_the_numbers_is_named_by_its_line(tmp_path):
         ("t,v\n1,2\n1,2,3\n1,2\n", "log.csv, line 3: 3 cells, expected 2 as in the header"),
     ],
 )
-def test_a_file_that_is_no_table_is_one_line(tmp_path, text, line):
+def test_invalid_table_raises_error_in_one_line(tmp_path, text, line):
     assert line in line_of(tmp_path, text=text)
 
 
-def test_bytes_that_are_no_text_are_one_line(tmp_path):
+def test_binary_file_raises_error_in_one_line(tmp_path):
     (tmp_path / "log.csv").write_bytes(bytes(range(256)))
     with pytest.raises(ConfigError, match="cannot be read as CSV"):
         read_log(tmp_path / "log.csv")
 
 
-def test_a_row_cut_off_at_the_end_is_left_out(tmp_path):
+def test_truncated_last_row_is_omitted(tmp_path):
     path = write_csv(tmp_path / "log.csv", SHORT)
     path.write_text(path.read_text() + "4.0,0.5")
     log = read_log(path, write_mapping(tmp_path / "map.yaml"))
@@ -314,11 +314,11 @@ def test_a_row_cut_off_at_the_end_is_left_out(tmp_path):
         ("columns:", "source: !!python/object/new:os.mkdir [x]\ncolumns:", "unknown tag"),
     ],
 )
-def test_a_mistake_in_a_mapping_is_one_line(tmp_path, old, new, line):
+def test_invalid_mapping_raises_error_in_one_line(tmp_path, old, new, line):
     assert line in line_of(tmp_path, mapping=MAPPING.replace(old, new))
 
 
-def test_three_missing_columns_are_one_line_with_all_three(tmp_path):
+def test_error_lists_all_missing_columns(tmp_path):
     names = {"t": "time", "gyro": "gyr", "theta": "thta"}
     line = line_of(tmp_path, {names.get(name, name): value for name, value in SHORT.items()})
     assert "3 mistakes: (1) column 'gyro' is missing; did you mean 'gyr'?; (2) column 't' is missing; it has " in line

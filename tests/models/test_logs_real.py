@@ -1,4 +1,4 @@
-"""Logs of real robots: read whole, cut, and fitted with the effects of their bases."""
+"""Logs of real robots: reading, and identification with the effects of their bases."""
 
 import os
 from dataclasses import replace
@@ -28,12 +28,12 @@ from oracle.second_order import fit_second_order, response
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(MAPPINGS.glob("*.yaml"))])
-def test_every_shipped_mapping_says_where_it_comes_from(name):
+def test_shipped_mapping_has_a_source(name):
     assert load_mapping(name).source
 
 
 @pytest.mark.real_logs
-def test_the_husky_log_has_its_three_stretches():
+def test_husky_log_has_three_stretches():
     log = read_log(log_path("husky_tile"), "husky_tile")
     assert [round(record.end - record.start) for record in log.records] == [653, 30, 526]
     assert [finding.kind for finding in log.findings] == ["gap", "gap"]
@@ -41,7 +41,7 @@ def test_the_husky_log_has_its_three_stretches():
 
 
 @pytest.mark.real_logs
-def test_the_huskys_encoders_and_poses_are_fresh_at_about_half_the_rate():
+def test_encoders_and_poses_of_husky_have_half_the_rate():
     (record, *_) = read_log(log_path("husky_tile"), "husky_tile").records
     assert 0.45 < record.fresh_twist.mean() < 0.6
     assert 0.45 < record.fresh_pose.mean() < 0.6
@@ -49,8 +49,8 @@ def test_the_huskys_encoders_and_poses_are_fresh_at_about_half_the_rate():
 
 
 @pytest.mark.real_logs
-def test_after_the_stated_delay_the_huskys_encoders_turn_with_its_gyro():
-    """Correlation of the two yaw rates is greatest within one sample of no shift at all."""
+def test_encoders_and_gyro_of_husky_are_aligned_after_the_delay_in_the_mapping():
+    """The correlation of the yaw rates is maximal for a shift of at most one sample."""
     (record, *_) = read_log(log_path("husky_tile"), "husky_tile").records
     both = np.isfinite(record.twist[:, 1]) & np.isfinite(record.yaw_rate)
     wheels, gyro = record.twist[both, 1], record.yaw_rate[both]
@@ -62,7 +62,7 @@ def test_after_the_stated_delay_the_huskys_encoders_turn_with_its_gyro():
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize("terrain", ["asphalt", "gravel"])
-def test_the_warthog_logs_are_read_step_by_step(terrain):
+def test_each_step_of_the_warthog_logs_is_a_record(terrain):
     log = read_log(log_path(f"warthog_{terrain}"), f"warthog_{terrain}")
     assert len(log.records) == 100
     assert sum(len(record.command) for record in log.records) == 12000
@@ -70,7 +70,7 @@ def test_the_warthog_logs_are_read_step_by_step(terrain):
 
 
 @pytest.mark.real_logs
-def test_the_gyro_on_gravel_is_upside_down_and_that_is_found():
+def test_inverted_gyro_on_gravel_is_detected():
     log = read_log(log_path("warthog_gravel"), "warthog_asphalt")
     assert [finding.kind for finding in log.findings] == ["wrong sign"]
 
@@ -161,31 +161,33 @@ ENCODER_TRACK = 0.480865
 
 @pytest.fixture(scope="module")
 def husky():
-    """Five minutes to fit, and the two after them."""
+    """Linear fit and fit with effects of five minutes, and the next two minutes as held-out data."""
     record = read_log(log_path("husky_tile"), "husky_tile").records[0]
     parts = [record.part(0, 6000), record.part(6000, 8400)]
     train, held_out = (weight_readings(sensor_experiments([part])) for part in parts)
     guess = {name: low_high_guess[2] for name, low_high_guess in effect_settings().parameters.items()}
     linear = fit_effects({name: guess[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
-    more = [name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]]
-    start = {**linear.point, **{name: guess[name] for name in more}}
-    return linear, fit_effects(start, [*LINEAR, *more], train), held_out
+    effect_parameters = [
+        name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]
+    ]
+    start = {**linear.point, **{name: guess[name] for name in effect_parameters}}
+    return linear, fit_effects(start, [*LINEAR, *effect_parameters], train), held_out
 
 
 @pytest.mark.real_logs
-def test_the_husky_slews_as_its_configuration_says(husky):
+def test_slew_of_husky_agrees_with_its_configuration(husky):
     """max_acceleration 2.0 rad/s^2 of the base's controller (husky_control/config/control.yaml)."""
     assert husky[1].point["slew.omega"] == pytest.approx(2.0, abs=0.06)
 
 
 @pytest.mark.real_logs
-def test_the_huskys_gains_give_the_track_of_its_configuration(husky):
+def test_track_of_husky_agrees_with_its_configuration(husky):
     """wheel_separation 0.512 m, in the same file."""
     assert base_track(husky[1].point) == pytest.approx(0.512, abs=0.015)
 
 
 @pytest.mark.real_logs
-def test_effects_halve_the_error_power_of_omega_on_rows_held_out(husky):
+def test_effects_halve_the_held_out_error_power_of_omega(husky):
     linear, effects, held_out = husky
     power = [np.nansum(np.concatenate(held_out.errors(fit.point)) ** 2, axis=0) for fit in (linear, effects)]
     assert (power[1][1:] < 0.5 * power[0][1:]).all(), power
@@ -198,11 +200,11 @@ if "DIFFDRIVE_MPC_ALL" in os.environ:
     @pytest.mark.parametrize("track", [True, False], ids=["track", "no track"])
     @pytest.mark.parametrize("gyro", [True, False], ids=["gyro", "no gyro"])
     @pytest.mark.parametrize("log", FOLDERS)
-    def test_with_effects_no_row_held_out_is_predicted_worse(log, gyro, track):
+    def test_effects_do_not_worsen_the_held_out_prediction(log, gyro, track):
         data = read_data([log_path(log)], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
-        gone = {} if track else {"wheels": None, "wheel_speeds": None}
-        gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
-        halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
+        removed = {} if track else {"wheels": None, "wheel_speeds": None}
+        removed |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
+        halves = [tuple(replace(record, **removed) for record in half) for half in (data.train, data.validation)]
         data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
         plain, with_effects = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
         fits = [fitted.validation.fit_percent for fitted in (plain, with_effects)]

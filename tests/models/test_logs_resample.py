@@ -1,4 +1,4 @@
-"""Invariants of resampling: nothing from outside the log, nothing from the future, nothing across a gap."""
+"""Invariants of resampling: no data from outside the log, from the future, or across a gap."""
 
 from itertools import pairwise
 
@@ -24,9 +24,9 @@ values = st.floats(-1e3, 1e3)
 
 
 @st.composite
-def signals(draw, fewest=1):
+def signals(draw, min_count=1):
     """Draw readings at uneven times from 0 on, sometimes with a long pause."""
-    steps = draw(st.lists(st.floats(1e-3, 0.5), min_size=fewest, max_size=40))
+    steps = draw(st.lists(st.floats(1e-3, 0.5), min_size=min_count, max_size=40))
     time = np.cumsum(steps)
     value = np.array(draw(st.lists(values, min_size=len(steps), max_size=len(steps))))
     return Signal(time - time[0], value[:, None])
@@ -36,7 +36,7 @@ grids = st.tuples(st.floats(0.005, 0.2), st.integers(2, 60))
 
 
 @given(signals(), grids)
-def test_a_hold_is_the_mean_of_what_is_in_force_during_its_sample(signal, grid):
+def test_held_value_is_the_mean_of_the_active_values_during_the_sample(signal, grid):
     dt, count = grid
     times = dt * np.arange(count)
     held = hold(signal, times, dt, 0.0)
@@ -47,7 +47,7 @@ def test_a_hold_is_the_mean_of_what_is_in_force_during_its_sample(signal, grid):
 
 
 @given(signals(), grids, st.floats(0.01, 0.3))
-def test_samples_lie_between_their_two_neighbours_which_are_in_reach(signal, grid, reach):
+def test_samples_are_between_neighbours_within_reach(signal, grid, reach):
     dt, count = grid
     times = dt * np.arange(count)
     sampled, fresh = sample(signal, times, dt, 0.1 * dt, reach)
@@ -65,7 +65,7 @@ def test_samples_lie_between_their_two_neighbours_which_are_in_reach(signal, gri
 
 
 @given(signals(), grids, st.floats(0.01, 0.3))
-def test_there_are_never_more_fresh_samples_than_readings_and_each_is_near_one(signal, grid, reach):
+def test_each_fresh_sample_is_near_a_reading(signal, grid, reach):
     dt, count = grid
     times = dt * np.arange(count)
     _, fresh = sample(signal, times, dt, 0.1 * dt, reach)
@@ -74,9 +74,9 @@ def test_there_are_never_more_fresh_samples_than_readings_and_each_is_near_one(s
         assert np.abs(signal.time - t).min() <= 0.5 * dt * (1 + 1e-5)
 
 
-@given(signals(fewest=2), st.floats(0.02, 0.3))
-def test_no_record_reaches_across_a_gap(signal, longest):
-    """Every sample of every record lies between two rows that are close together."""
+@given(signals(min_count=2), st.floats(0.02, 0.3))
+def test_record_does_not_cross_a_gap(signal, longest):
+    """Every sample of a record is between two adjacent rows."""
     stretch = RawStretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
     dt = 0.01
     for first, last in pieces(stretch, longest):
@@ -85,13 +85,13 @@ def test_no_record_reaches_across_a_gap(signal, longest):
         inside = signal.time[(signal.time >= first) & (signal.time <= last)]
         assert (np.diff(inside) <= longest).all()
         known = signal.value[(signal.time >= first) & (signal.time <= last), 0]
-        # Means of values in force, to rounding.
+        # Commands are means of active values, except for rounding.
         away = np.maximum(known.min() - record.command[:, 0], record.command[:, 0] - known.max())
         assert away.max() <= 1e-9 * np.abs(known).max()
 
 
-@given(signals(fewest=2))
-def test_pieces_hold_all_rows_once(signal):
+@given(signals(min_count=2))
+def test_pieces_contain_each_row_once(signal):
     stretch = RawStretch(signal.time, signal, {})
     ends = list(pieces(stretch, 0.2))
     counted = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
@@ -100,26 +100,26 @@ def test_pieces_hold_all_rows_once(signal):
 
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
-def test_increasing_keeps_what_is_later_than_all_before(times):
+def test_increasing_selects_times_later_than_all_previous_times(times):
     selected = np.array(times)[increasing(np.array(times))]
     assert (np.diff(selected) > 0).all()
     assert selected[-1] == max(times)
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.0202, 1 / 120])
-def test_the_usual_step_does_not_count_gaps(dt):
+def test_usual_step_excludes_gaps(dt):
     time = dt * np.arange(200.0)
     time[100:] += 30.0
     assert usual_step([time]) == pytest.approx(dt, rel=1e-5)
 
 
-def test_the_usual_step_survives_jitter_and_missed_rows():
+def test_usual_step_is_robust_to_jitter_and_missing_rows():
     rng = np.random.default_rng(2)
     time = 0.02 * np.arange(5000) + rng.uniform(0, 0.004, 5000)
     assert usual_step([time[rng.random(5000) > 0.05]]) == pytest.approx(0.02, rel=1e-4)
 
 
-def test_a_part_of_a_record_keeps_its_times():
+def test_part_of_a_record_has_the_same_times():
     record = Record("log", 3.0, 0.1, np.zeros((50, 2)), yaw_rate=np.arange(50.0))
     part = record.part(10, 30)
     assert np.allclose(part.time, record.time[10:30])
@@ -129,7 +129,7 @@ def test_a_part_of_a_record_keeps_its_times():
         record.part(40, 60)
 
 
-def test_a_record_refuses_a_fresh_sample_that_is_not_finite():
+def test_fresh_sample_that_is_not_finite_raises_error():
     gyro = np.where(np.arange(30) == 7, np.nan, 0.0)
     assert not Record("log", 0.0, 0.1, np.zeros((30, 2)), yaw_rate=gyro).fresh_yaw_rate[7]
     with pytest.raises(ValueError, match="yaw_rate holds a value that is not finite"):

@@ -1,4 +1,4 @@
-"""Small robot behind the topics of a base, in lock step with the node under test, over DDS in one thread."""
+"""Simulated base that runs in lock step with the tested node, over DDS in one thread."""
 
 import os
 import tempfile
@@ -37,7 +37,7 @@ CONFIG = load_config("ssm")
 DT = CONFIG.sample_time
 PERIOD = round(DT * 1e9)
 START = 10**9
-# Far longer than any step of a test takes; reached only after a fault [s].
+# Timeout of a step of a test, which is reached only after a fault [s].
 PATIENCE = 60.0
 # Time limit for a participant to discover a service, which normally takes some hundredths of a second [s].
 DISCOVERY = 20.0
@@ -78,7 +78,7 @@ def in_name_space(name):
 
 
 class FakeBase:
-    """A velocity model with perfect sensors; `tamper` may change or drop each odometry message."""
+    """Velocity model with perfect sensors; `tamper` may change or drop each odometry message."""
 
     def __init__(self, spin, plant="model:ssm+0.005", *, stamped=True, pose_topic=False, name_space=""):
         self.context = Context()
@@ -219,12 +219,19 @@ class Stack:
         # The domain is exclusive to this process: waiting for discovery of other nodes is not needed.
         parameters = {"discovery_wait": 0.0, **parameters}
         # Files first: if two rules match a node, the later one applies.
-        parameter_words = [word for file in files for word in ("--params-file", str(file))]
-        words = ["--ros-args", *parameter_words, "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
+        file_arguments = [word for file in files for word in ("--params-file", str(file))]
+        arguments = [
+            "--ros-args",
+            *file_arguments,
+            "-p",
+            f"use_sim_time:={str(sim_time).lower()}",
+            "--log-level",
+            "warn",
+        ]
         for name, value in parameters.items():
-            words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+            arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.context = Context()
-        rclpy.init(context=self.context, args=words + in_name_space(name_space)[1:])
+        rclpy.init(context=self.context, args=arguments + in_name_space(name_space)[1:])
         self.name_space = f"/{name_space}".rstrip("/")
         self.node = TrackingNode(overrides=overrides, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -274,8 +281,8 @@ class Stack:
             for _ in range(2):
                 client = node.create_client(kind, name)
                 stack.callback(node.destroy_client, client)
-                known = self.wait_for(client.service_is_ready, DISCOVERY)
-                if known and self.wait_for(lambda: self.node.count_clients(name) > 0, DISCOVERY):
+                is_ready = self.wait_for(client.service_is_ready, DISCOVERY)
+                if is_ready and self.wait_for(lambda: self.node.count_clients(name) > 0, DISCOVERY):
                     future = client.call_async(request)
                     if self.wait_for(future.done, PATIENCE):
                         return future.result()
@@ -317,9 +324,9 @@ class Stack:
         """Request a transition of the lifecycle; return True if it succeeded."""
         before = self.state
         request = ChangeState.Request(transition=Transition(id=number))
-        made = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+        success = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
         # If the first response was lost, the second request is refused because the transition is done.
-        return made or self.state != before
+        return success or self.state != before
 
     @property
     def state(self):
@@ -334,12 +341,12 @@ class Stack:
     def publisher(self, kind, topic, qos=1):
         """Create a publisher of the base and wait until both sides have discovered each other."""
         name = self.base.node.resolve_topic_name(topic)
-        (reader,) = [each for each in self.node.subscriptions if each.topic_name == name]
+        (reader,) = [item for item in self.node.subscriptions if item.topic_name == name]
         before = reader.get_publisher_count()
-        made = self.base.node.create_publisher(kind, topic, qos)
-        self.base.until(lambda: made.get_subscription_count() > 0, "the node's subscription")
+        publisher = self.base.node.create_publisher(kind, topic, qos)
+        self.base.until(lambda: publisher.get_subscription_count() > 0, "the node's subscription")
         self.base.until(lambda: reader.get_publisher_count() > before, "the publisher")
-        return made
+        return publisher
 
     def close(self):
         self.base.close()
@@ -351,11 +358,11 @@ class Stack:
 
 @contextmanager
 def stack(*arguments, **parameters):
-    made = Stack(*arguments, **parameters)
+    running_stack = Stack(*arguments, **parameters)
     try:
-        yield made
+        yield running_stack
     finally:
-        made.close()
+        running_stack.close()
 
 
 def drive_along(s, message, topic):

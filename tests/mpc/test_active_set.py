@@ -396,7 +396,7 @@ def test_operations_stay_below_the_bound_from_any_start():
     assert stopped > 3
 
 
-def test_without_room_for_all_rows_it_is_stopped():
+def test_active_set_stops_if_rows_exceed_its_capacity():
     p, solution = constrained_problem(0)
     stopped = solve(p, max_active=solution.active - 2)
     assert stopped.status == UNFINISHED

@@ -136,7 +136,7 @@ def test_change_of_direction_with_two_sided_limits_agrees(solver):
     reference = lay_commanded(
         [Segment(v=0.3, omega=0.5, duration=0.8), Segment(v=-0.18, omega=-0.5, duration=1.2)],
         TrajectoryLimits.of_robot(),
-        name="to and fro",
+        name="back and forth",
     )
     both = pair("ssm", 1e-6 if solver else 1e-9, **{"horizon": 15} | TWO_SIDED | solver)
     both.drive(make_plant("model:ssm", seed=4), reference, 90)

@@ -69,7 +69,7 @@ def direction(v, sample, end):
 
 
 def test_turn_limits_have_the_sign_of_the_reference_direction():
-    """The reference moves to and fro and rests, also at the ends: rows by the speed have the sign of its motion."""
+    """The reference moves back and forth and rests, also at the ends: rows by the speed have the sign of its motion."""
     inner = InnerController(horizon=STEPS, **{"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5})
     controller, c, draw = inner.controller, inner.c, np.random.default_rng(0)
     controller.start(load_trajectory("circle"), 0.0)

@@ -1,4 +1,4 @@
-"""The fence: the robot stops inside its rectangle on every path that leaves it, and waits for a restart."""
+"""Fence: the robot stops inside the rectangle on every path that leaves it, and waits for a restart."""
 
 import numpy as np
 import pytest
@@ -21,11 +21,11 @@ def leaving_path(v=0.6, omega=0.2, heading=0.0):
     return lay_commanded(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
 
 
-def outside(poses, middle=(0.0, 0.0, 0.0), size=SIZE):
+def outside(poses, centre=(0.0, 0.0, 0.0), size=SIZE):
     """Return the distance of poses (n, 3) outside a rectangle [m]; negative inside."""
-    x, y, turn = middle
-    place = (poses[:, 0] - x + 1j * (poses[:, 1] - y)) * np.exp(-1j * turn)
-    return np.maximum(np.abs(place.real) - size[0] / 2, np.abs(place.imag) - size[1] / 2)
+    x, y, turn = centre
+    position = (poses[:, 0] - x + 1j * (poses[:, 1] - y)) * np.exp(-1j * turn)
+    return np.maximum(np.abs(position.real) - size[0] / 2, np.abs(position.imag) - size[1] / 2)
 
 
 @pytest.mark.parametrize("yaw_gain", [0.5, 1.0, 1.5])
@@ -41,7 +41,7 @@ def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, y
         poses.append(robot.pose)
         robot.advance(steps[-1].command)
     out = outside(np.array(poses))
-    # Inside, and near the start of the margin: it does not brake too early.
+    # The robot stops inside, near the start of the margin, so it does not brake too early.
     assert -0.16 < out.max() < 0.0
     modes = [step.mode for step in steps]
     assert modes[0] == Mode.TRACKING
@@ -49,11 +49,11 @@ def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, y
     assert "leaves the fence of 2.4 by 1.6 m; call start or reset" in steps[-1].message
 
 
-@pytest.mark.parametrize("late", [0.0, 0.08])
-def test_unknown_dead_time_exceeds_the_margin_by_its_distance_at_most(late):
+@pytest.mark.parametrize("extra_dead_time", [0.0, 0.08])
+def test_unknown_dead_time_adds_at_most_its_distance(extra_dead_time):
     controller = Controller(load_config("ssm", FENCE))
-    run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=late), leaving_path(0.9, 0.0))
-    assert outside(run.true_pose).max() <= 0.9 * late + 0.005 - 0.1
+    run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=extra_dead_time), leaving_path(0.9, 0.0))
+    assert outside(run.true_pose).max() <= 0.9 * extra_dead_time + 0.005 - 0.1
     assert run.modes[-1] == "STOPPED"
     braking = np.array(run.modes) == "BRAKING"
     slowing = np.abs(np.diff(run.command[:, 0], prepend=run.command[0, 0]))[braking]
@@ -66,7 +66,7 @@ def test_mujoco_robot_stops_inside_the_fence():
     assert run.modes[-1] == "STOPPED"
 
 
-def test_robot_waits_at_the_fence_for_a_start_and_then_drives_only_inwards():
+def test_robot_at_the_fence_waits_for_a_start_and_drives_only_inwards():
     model = load_model("ssm")
     robot = IdealRobot(model.discretise(DT), np.zeros(3), noise=1.0)
     controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
@@ -81,11 +81,11 @@ def test_robot_waits_at_the_fence_for_a_start_and_then_drives_only_inwards():
         return steps
 
     assert drive(leaving_path(), 300)[-1].mode == Mode.STOPPED
-    stood = robot.pose.copy()
+    stop_pose = robot.pose.copy()
     assert {step.mode for step in drive(None, 50)} == {Mode.STOPPED}
     outwards = drive(starting_at(leaving_path(), robot.pose), 60)
     assert outwards[-1].mode == Mode.STOPPED
-    assert np.hypot(*(robot.pose - stood)[:2]) < 0.04
+    assert np.hypot(*(robot.pose - stop_pose)[:2]) < 0.04
     back = drive(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
     assert {step.mode for step in back} == {Mode.TRACKING}
     assert outside(np.array([robot.pose]))[0] < -0.5
@@ -96,18 +96,18 @@ def test_robot_waits_at_the_fence_for_a_start_and_then_drives_only_inwards():
 
 
 @pytest.mark.parametrize("frame", ["start", "poses"])
-def test_fence_lies_at_its_configured_pose(frame):
+def test_fence_has_its_configured_pose(frame):
     start = np.array([3.0, -2.0, 1.1])
     reference = starting_at(leaving_path(0.5, 0.0), start)
     relative = np.array([0.6, -0.2, 0.7])
     turn = np.exp(1j * start[2]) * complex(*relative[:2])
-    middle = start + [turn.real, turn.imag, relative[2]]
-    configured = relative if frame == "start" else middle
-    place = {f"fence.{name}": float(value) for name, value in zip(("x", "y", "heading"), configured, strict=True)}
-    controller = Controller(load_config("ssm", {**FENCE, **place, "fence.frame": frame}))
+    centre = start + [turn.real, turn.imag, relative[2]]
+    configured = relative if frame == "start" else centre
+    position = {f"fence.{name}": float(value) for name, value in zip(("x", "y", "heading"), configured, strict=True)}
+    controller = Controller(load_config("ssm", {**FENCE, **position, "fence.frame": frame}))
     run = simulate(controller, make_plant("model:ssm", seed=2), reference)
     assert run.modes[-1] == "STOPPED"
-    assert -0.12 < outside(run.true_pose, middle).max() < -0.08
+    assert -0.12 < outside(run.true_pose, centre).max() < -0.08
 
 
 def test_unreached_or_disabled_fence_changes_no_command():

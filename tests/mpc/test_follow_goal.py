@@ -99,7 +99,7 @@ def test_goal_at_the_position_of_the_robot_succeeds(parts, robot, poses):
 
 
 @pytest.mark.parametrize("state", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
-def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(parts, state):
+def test_empty_path_is_no_arrival_if_the_robot_moves_or_is_off_the_goal(parts, state):
     loop, side, following = parts
     following.take(old := FollowGoal(STRAIGHT, "odom"))
     side.respond()

@@ -24,8 +24,8 @@ LIMITS = TrajectoryLimits(v=0.625, omega=1.5, v_acceleration=1.0, omega_accelera
 ROBOT = TrajectoryLimits.of_robot()
 REFERENCES = {name: load_trajectory(name) for name in ("circle", "square", "s", "cane")}
 REFERENCES["backwards"] = lay_segments([Segment(v=-0.4, omega=0.3, duration=8.0)], ROBOT, name="backwards")
-REFERENCES["to and fro"] = lay_segments(
-    [Segment(v=0.4, omega=0.0, duration=4.0), Segment(v=-0.4, omega=0.2, duration=4.0)], ROBOT, name="to and fro"
+REFERENCES["back and forth"] = lay_segments(
+    [Segment(v=0.4, omega=0.0, duration=4.0), Segment(v=-0.4, omega=0.2, duration=4.0)], ROBOT, name="back and forth"
 )
 REFERENCES["turning"] = lay_segments([Segment(v=0.0, omega=0.8, duration=9.0)], ROBOT, name="turning")
 

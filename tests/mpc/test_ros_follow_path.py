@@ -95,13 +95,13 @@ def without_result(client, names):
 
 def answered_once(client, names):
     """Return the result of each goal; check that each has one answer and one result."""
-    heard = {name: {"accepted": [], "result": []} for name in names}
+    events_by_name = {name: {"accepted": [], "result": []} for name in names}
     for event in list(client.events):
         if event["event"] in ("accepted", "result"):
-            heard[event["id"]][event["event"]].append(event)
-    counts = {name: (len(events["accepted"]), len(events["result"])) for name, events in heard.items()}
+            events_by_name[event["id"]][event["event"]].append(event)
+    counts = {name: (len(events["accepted"]), len(events["result"])) for name, events in events_by_name.items()}
     assert set(counts.values()) == {(1, 1)}
-    return {name: events["result"][0] for name, events in heard.items()}
+    return {name: events["result"][0] for name, events in events_by_name.items()}
 
 
 @pytest.mark.parametrize(

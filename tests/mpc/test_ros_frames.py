@@ -178,7 +178,7 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
         (0.0, 0.3, 0.0), use_tf=True, tf_timeout=0.5, trajectory="''", drive_on_reference=True, diagnostics_rate=20.0
     )
     s = robot.s
-    heard = s.listen(DiagnosticArray, "/diagnostics")
+    received = s.listen(DiagnosticArray, "/diagnostics")
     send(s, straight("map", (0.0, 0.3, 0.0), length=4.0))
     s.base.run(60)
     robot.published.discard("odom")
@@ -187,9 +187,9 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     assert "the transform of 'map' in 'odom' is 0.5" in s.loop.last.message
     s.base.run(BRAKING)
     assert s.loop.last.mode == Mode.STOPPED
-    heard.clear()
-    s.base.until(lambda: heard, "diagnostics")
-    assert heard[-1].status[0].level == DiagnosticStatus.ERROR
+    received.clear()
+    s.base.until(lambda: received, "diagnostics")
+    assert received[-1].status[0].level == DiagnosticStatus.ERROR
     robot.published.add("odom")
     s.base.run(60)
     assert s.loop.last.mode == Mode.TRACKING
@@ -223,7 +223,7 @@ def refused_for(s, reason, capfd):
 @pytest.mark.parametrize(
     ("mount", "yaw_rate"), [(None, 3.0), ((1.0, 0.0), -3.0), ((math.sqrt(0.5), math.sqrt(0.5)), 2.0)]
 )
-def test_the_gyro_turns_about_the_axis_that_its_frame_points_up(mount, yaw_rate):
+def test_gyro_axis_is_the_vertical_axis_of_its_frame(mount, yaw_rate):
     """Mounts: none, upside down, and on its side, by half and a quarter of a turn about x."""
     inbox = Inbox(NodeSettings(), lambda: 10**9, 0)
     inbox.mounts = TransformBuffer()

@@ -71,11 +71,11 @@ def test_point_in_another_frame_raises_error():
 
 def test_estimate_is_published_with_frames_and_covariance():
     with stack(drive=True) as s:
-        heard = s.listen(Odometry, "/diffdrive_mpc/estimate")
-        s.base.until(lambda: s.base.silent(1) is not None and heard, "the estimate")
+        received = s.listen(Odometry, "/diffdrive_mpc/estimate")
+        s.base.until(lambda: s.base.silent(1) is not None and received, "the estimate")
         s.base.run(80)
-        s.base.until(lambda: nanoseconds(heard[-1].header.stamp) == s.base.now, "that of the last tick")
-        message, estimate = heard[-1], s.loop.last.result.estimate
+        s.base.until(lambda: nanoseconds(received[-1].header.stamp) == s.base.now, "the estimate of the last tick")
+        message, estimate = received[-1], s.loop.last.result.estimate
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
         pose = message.pose.pose
         published = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
@@ -85,7 +85,7 @@ def test_estimate_is_published_with_frames_and_covariance():
         np.testing.assert_allclose(np.diag(covariance)[[0, 1, 5]], estimate.pose_deviation**2)
         assert np.diag(covariance)[[0, 1, 5]].min() > 0.0
         assert np.count_nonzero(covariance) == 3
-        # Before the last command moved it; the plant is a tick further.
+        # The estimate precedes the last command; the plant is one tick ahead.
         np.testing.assert_allclose(published[:2], s.base.plant.true_pose[:2], atol=0.03)
 
 
@@ -95,15 +95,15 @@ def as_twist(speeds, track):
 
 
 class WheelBase:
-    """A stack whose base takes wheel speeds in place of twists."""
+    """Stack whose base accepts wheel speeds instead of twists."""
 
-    def __init__(self, s, *, crossed=False):
-        self.s, self.heard, self.crossed = s, [], crossed
+    def __init__(self, s, *, swapped=False):
+        self.s, self.received, self.swapped = s, [], swapped
         s.base.node.create_subscription(Float64MultiArray, "wheel_commands", self.take, 1)
 
     def take(self, message):
-        self.heard.append(list(message.data))
-        self.s.base.commands.append(as_twist(message.data[:: -1 if self.crossed else 1], CONFIG.wheels.track))
+        self.received.append(list(message.data))
+        self.s.base.commands.append(as_twist(message.data[:: -1 if self.swapped else 1], CONFIG.wheels.track))
         self.s.base.times.append(self.s.base.now)
 
 
@@ -111,9 +111,9 @@ def wheels(overrides=None, **parameters):
     return stack(overrides, **{"command_output": "wheels", "wheel_radius": RADIUS, "autostart": False, **parameters})
 
 
-def start_driving(s, *, crossed=False):
+def start_driving(s, *, swapped=False):
     """Activate the node and start the drive; the base receives wheel speeds."""
-    base = WheelBase(s, crossed=crossed)
+    base = WheelBase(s, swapped=swapped)
     s.node.trigger_configure()
     s.node.trigger_activate()
     s.base.until(s.has_received_inputs, "sensors")
@@ -130,20 +130,20 @@ def test_wheel_speeds_drive_a_base_without_twist_commands():
         np.testing.assert_allclose(s.base.commands[-1], s.loop.last.command, atol=1e-12)
         assert not s.node.count_publishers("/cmd_vel")
         s.node.trigger_deactivate()
-        s.base.until(lambda: base.heard[-1] == [0.0, 0.0], "zero at the end")
+        s.base.until(lambda: base.received[-1] == [0.0, 0.0], "zero at the end")
 
 
 def test_wheel_speeds_keep_limits_and_slew():
     with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
-        base = start_driving(s, crossed=True)
-        before = len(base.heard)
+        base = start_driving(s, swapped=True)
+        before = len(base.received)
         s.base.run(60)
-        rim = RADIUS * np.array(base.heard[before:])
+        rim = RADIUS * np.array(base.received[before:])
         assert np.abs(rim).max() <= 0.4 + 1e-9
         limits, half = CONFIG.limits, 0.5 * CONFIG.wheels.track
         slope = (limits.v_slew + half * limits.omega_slew) * DT
         assert np.abs(np.diff(rim, axis=0)).max() <= slope + 1e-9
-        # A left turn: the right wheel, which is named first, is the faster one.
+        # In a left turn the right wheel, which is first in the message, is faster.
         assert rim[-1, 0] > rim[-1, 1] > 0.0
 
 
@@ -212,7 +212,7 @@ def test_bound_of_bytes_covers_every_usable_path(poses, name, frame_length):
     assert len(serialize_message(path)) <= path_bytes(poses)
 
 
-def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
+def test_too_long_path_is_rejected_without_stopping_the_robot(capfd):
     with stack(drive=True) as s:
         s.base.run(20)
         publisher = s.publisher(Path, "set_path")
@@ -253,12 +253,12 @@ def test_control_loop_runs_while_a_reference_is_read():
         publisher = s.publisher(Path, "set_path")
         publisher.publish(path)
         s.base.until(lambda: s.node._worker._process is not None, "the path to arrive")
-        # While the process that reads is halted, ticks are answered.
+        # Ticks continue while the reading process is stopped.
         os.kill(s.node._worker._process.pid, signal.SIGSTOP)
         s.base.run(3)
         assert s.loop.drive is before
         os.kill(s.node._worker._process.pid, signal.SIGCONT)
-        s.base.until(lambda: s.loop.drive is not before, "the path to be begun")
+        s.base.until(lambda: s.loop.drive is not before, "the start of the path")
         s.base.run(2)
         assert s.loop.drive.reference.name == "path"
         s.base.run(40)
@@ -276,7 +276,7 @@ def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
         s.base.tamper = long_frame
         s.base.run(math.ceil(0.2 / DT) + 3)
         assert s.loop.last.mode == Mode.BRAKING
-        # Best effort may lose a message in many fragments: send until one arrives.
+        # Best-effort QoS may lose a fragmented message: send until one arrives.
         for _ in range(200):
             if s.node._inbox.odometry.refused:
                 break
@@ -290,14 +290,14 @@ def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
         assert s.loop.last.mode == Mode.TRACKING
 
 
-class Aside:
+class RecordedProcess:
     """Side process whose responses are awaited and recorded."""
 
     def __init__(self, patience=PATIENCE):
         self.done, self.failed = [], []
         self.process = SideProcess(lambda: None, patience)
 
-    def ask(self, key, function, *arguments):
+    def submit(self, key, function, *arguments):
         self.process.submit(key, function, arguments, self.done.append, self.failed.append)
 
     def wait(self, count):
@@ -309,55 +309,55 @@ class Aside:
 
 
 @pytest.fixture(scope="module")
-def begun():
+def started_process():
     """Side process for several tests: its start takes a second."""
-    made = Aside()
-    yield made
-    made.process.close()
+    process = RecordedProcess()
+    yield process
+    process.process.close()
 
 
 @pytest.fixture
-def aside(begun):
-    begun.done.clear()
-    begun.failed.clear()
-    return begun
+def side_process(started_process):
+    started_process.done.clear()
+    started_process.failed.clear()
+    return started_process
 
 
-def test_killed_side_process_is_replaced(aside):
-    aside.ask("a", os.getpid)
-    aside.wait(1)
-    first = aside.done[0]
+def test_killed_side_process_is_replaced(side_process):
+    side_process.submit("a", os.getpid)
+    side_process.wait(1)
+    first = side_process.done[0]
     assert first != os.getpid()
     os.kill(first, 9)
-    aside.process._process.wait()
-    aside.ask("a", os.getpid)
-    aside.wait(2)
-    assert aside.failed == ["the process that converts it ended; send it again"]
-    aside.ask("a", os.getpid)
-    aside.wait(3)
-    assert aside.done[1] not in (first, os.getpid())
+    side_process.process._process.wait()
+    side_process.submit("a", os.getpid)
+    side_process.wait(2)
+    assert side_process.failed == ["the process that converts it ended; send it again"]
+    side_process.submit("a", os.getpid)
+    side_process.wait(3)
+    assert side_process.done[1] not in (first, os.getpid())
 
 
 def test_closing_a_busy_side_process_ends_it():
-    aside = Aside()
-    aside.ask("a", os.getpid)
-    aside.wait(1)
-    aside.ask("a", time.sleep, 1000.0)
-    aside.process.close()
+    side_process = RecordedProcess()
+    side_process.submit("a", os.getpid)
+    side_process.wait(1)
+    side_process.submit("a", time.sleep, 1000.0)
+    side_process.process.close()
     end = time.monotonic() + PATIENCE
     with suppress(ProcessLookupError):
         while time.monotonic() < end:
-            os.kill(aside.done[0], 0)
-            aside.process.close()
+            os.kill(side_process.done[0], 0)
+            side_process.process.close()
             time.sleep(0.05)
     assert time.monotonic() < end
-    assert not aside.process._thread.is_alive()
+    assert not side_process.process._thread.is_alive()
 
 
-# Detection of two living publishers on one topic, on drawn streams of messages.
+# Detection of two active publishers on one topic, with random streams of messages.
 
 
-def detected(messages, series=None):
+def detection_time(messages, series=None):
     """Return the time at which a second publisher is detected [s]; None if none is."""
     series = series or MessageSeries()
     for arrival, number, sent in sorted(messages, key=lambda message: message.arrival):
@@ -368,8 +368,8 @@ def detected(messages, series=None):
 
 
 def false_alarm(seed):
-    """Return True if 50 restarts are taken for two publishers."""
-    return detected(restarts(seed)) is not None
+    """Return True if 50 restarts are detected as two publishers."""
+    return detection_time(restarts(seed)) is not None
 
 
 LONG = pytest.param(1000, marks=pytest.mark.long)
@@ -377,7 +377,7 @@ LONG = pytest.param(1000, marks=pytest.mark.long)
 
 @pytest.mark.parametrize("count", [60, LONG])
 def test_second_publisher_is_detected_within_the_bound(count):
-    delays = np.array([delay_of(detected, seed) for seed in range(RESERVED, RESERVED + count)])
+    delays = np.array([delay_of(detection_time, seed) for seed in range(RESERVED, RESERVED + count)])
     assert np.isfinite(delays).all()
     assert np.mean(delays > 0.0) <= 0.01, delays[delays > 0.0]
 
@@ -393,6 +393,6 @@ def test_restarts_are_one_publisher(count):
 def test_messages_without_numbers_are_reported_as_such(kind):
     series = MessageSeries()
     messages = [message for messages in twins(RESERVED) for message in messages]
-    assert detected(without_numbers(messages, kind), series) is None
+    assert detection_time(without_numbers(messages, kind), series) is None
     assert not series.is_numbered
-    assert detected(messages, MessageSeries()) is not None
+    assert detection_time(messages, MessageSeries()) is not None

@@ -201,7 +201,7 @@ def no_times():
         (no_times(), "is not later than the previous pose"),
     ],
 )
-def test_bad_path_is_rejected_and_the_previous_one_goes_on(path, reason, capfd):
+def test_invalid_path_is_rejected_and_the_previous_one_continues(path, reason, capfd):
     with stack(drive=True) as s:
         s.base.run(10)
         sent_path(s, path)
@@ -234,11 +234,11 @@ def test_paths_marker_error_and_mode_are_published():
 def test_diagnostics_contain_times_ages_and_faults():
     # The window holds ticks in lock step only: one before them may be lost to discovery.
     with stack(diagnostics_rate=20.0, statistics_window=50) as s:
-        heard = s.listen(DiagnosticArray, "/diagnostics")
+        received = s.listen(DiagnosticArray, "/diagnostics")
         s.trigger("start")
         s.base.run(60)
-        s.base.until(lambda: heard and heard[-1].status[0].message.startswith("TRACKING"), "diagnostics")
-        status = heard[-1].status[0]
+        s.base.until(lambda: received and received[-1].status[0].message.startswith("TRACKING"), "diagnostics")
+        status = received[-1].status[0]
         values = {item.key: item.value for item in status.values}
         assert status.level == DiagnosticStatus.OK
         assert values["solver"].startswith("solved")
@@ -249,21 +249,21 @@ def test_diagnostics_contain_times_ages_and_faults():
         assert "pose age [s]" not in values
         s.base.gyro = False
         s.base.run(15)
-        heard.clear()
-        s.base.until(lambda: heard, "diagnostics")
-        assert heard[-1].status[0].level == DiagnosticStatus.WARN
-        assert "TRACKING: imu is 0." in heard[-1].status[0].message
+        received.clear()
+        s.base.until(lambda: received, "diagnostics")
+        assert received[-1].status[0].level == DiagnosticStatus.WARN
+        assert "TRACKING: imu is 0." in received[-1].status[0].message
 
 
 def test_infeasible_reference_is_named_before_driving_and_driven():
     with stack({"limits.wheel_speed": 0.45}, diagnostics_rate=20.0) as s:
-        heard = s.listen(DiagnosticArray, "/diagnostics")
+        received = s.listen(DiagnosticArray, "/diagnostics")
         response = s.trigger("start")
         assert response.success and "'circle': infeasible from" in response.message
         assert "limits.wheel_speed = 0.45" in response.message
         assert s.base.run(30)[-1, 0] > 0.1
-        s.base.until(lambda: heard and "infeasible" in heard[-1].status[0].message, "diagnostics")
-        assert heard[-1].status[0].level == DiagnosticStatus.WARN
+        s.base.until(lambda: received and "infeasible" in received[-1].status[0].message, "diagnostics")
+        assert received[-1].status[0].level == DiagnosticStatus.WARN
         s.loop.shortfall = ""
         s.loop.follow(s.loop.reference)
         assert "infeasible" in s.loop.shortfall

@@ -1,4 +1,4 @@
-"""The schema as ROS parameters: all of it, with type, text and range; changes are judged before and applied after."""
+"""ROS parameters of the schema: declaration, types, ranges, and changes at run time."""
 
 import sys
 from contextlib import contextmanager
@@ -28,30 +28,30 @@ def set_over_dds(s, **values):
     return s.call(SetParametersAtomically, "/diffdrive_mpc/set_parameters_atomically", request).result
 
 
-class Shelf:
-    """Holds declared parameters, as a node does."""
+class ParameterStore:
+    """Store of declared parameters, with the interface of a node."""
 
     def __init__(self):
-        self.held = {}
+        self.parameters = {}
 
     def declare_parameters(self, _, parameters):
-        self.held |= {name: Parameter(name, value=value) for name, value, _ in parameters}
+        self.parameters |= {name: Parameter(name, value=value) for name, value, _ in parameters}
 
     def get_parameter(self, name):
-        return self.held[name]
+        return self.parameters[name]
 
 
 @pytest.mark.parametrize("schema", [ControllerConfig, NodeSettings])
 def test_declared_parameters_are_read_back(schema):
-    shelf, instance = Shelf(), schema()
-    declare(shelf, instance)
-    assert set(shelf.held) == {name for name, _ in fields(schema)}
-    assert read(shelf, schema) == instance
+    store, instance = ParameterStore(), schema()
+    declare(store, instance)
+    assert set(store.parameters) == {name for name, _ in fields(schema)}
+    assert read(store, schema) == instance
 
 
 @given(st.sampled_from(sorted(FIELDS)), st.floats(-1e3, 1e3) | st.integers(-1000, 1000).map(float))
 def test_ranges_agree_with_the_schema(name, value):
-    """A number that the range of the descriptor excludes is refused by the schema too."""
+    """The schema also refuses numbers outside the range of the descriptor."""
     result = descriptor(FIELDS[name])
     for bounds in [*result.floating_point_range, *result.integer_range]:
         number = int(value) if result.integer_range else value
@@ -83,7 +83,7 @@ def test_every_field_is_a_parameter_with_type_text_and_range():
         assert progress.additional_constraints == "greater than 1"
 
 
-def test_configuration_file_gives_the_defaults(tmp_path):
+def test_configuration_file_defines_the_defaults(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("model: ssm\nhorizon: 25\nweights: {across: 321.0}\n")
     with stack(config=file, autostart=False) as s:
@@ -93,10 +93,12 @@ def test_configuration_file_gives_the_defaults(tmp_path):
 
 
 @contextmanager
-def started_with(*words):
-    """Yield a node with these parameters; it is not configured."""
+def started_node(*assignments):
+    """Yield an unconfigured node with the parameters `name:=value`."""
     context = Context()
-    rclpy.init(context=context, args=["--ros-args", *(word for pair in words for word in ("-p", pair))])
+    rclpy.init(
+        context=context, args=["--ros-args", *(word for assignment in assignments for word in ("-p", assignment))]
+    )
     node = None
     try:
         node = TrackingNode(context=context)
@@ -108,7 +110,7 @@ def started_with(*words):
 
 
 @pytest.mark.parametrize(
-    ("word", "message"),
+    ("assignment", "message"),
     [
         ("weights.acros:=20.0", "unknown parameter 'weights.acros'; did you mean 'weights.across'?"),
         ("across:=20.0", "unknown parameter 'across'; did you mean 'weights.across'?"),
@@ -126,26 +128,32 @@ def started_with(*words):
         ("estimator.crab:=[0.1, 0.0, 0.0]", "set expert.estimator.crab in the file"),
     ],
 )
-def test_unknown_parameter_refuses_the_start_and_is_named(word, message):
-    with pytest.raises(ConfigError) as refusal, started_with(word):
+def test_unknown_parameter_prevents_the_start(assignment, message):
+    with pytest.raises(ConfigError) as refusal, started_node(assignment):
         pass
     assert message in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_parameter_of_another_node_is_warned_of(capfd):
-    with started_with("gadget:=true"):
+def test_parameter_of_another_node_gives_a_warning(capfd):
+    with started_node("gadget:=true"):
         assert "without effect: unknown parameter 'gadget'; docs/parameters.md lists" in capfd.readouterr().err
 
 
-def test_parameters_that_ros_declares_or_that_were_constants_are_accepted(capfd):
-    words = ("qos_overrides./clock.subscription.depth:=3", "use_sim_time:=true", "expert.reentry.heading_wait:=0.3")
-    with started_with(*words, "start_type_description_service:=false", "fence.x:=1.0", "fence.enabled:=false") as node:
+def test_ros_parameters_and_former_constants_are_accepted(capfd):
+    assignments = (
+        "qos_overrides./clock.subscription.depth:=3",
+        "use_sim_time:=true",
+        "expert.reentry.heading_wait:=0.3",
+    )
+    with started_node(
+        *assignments, "start_type_description_service:=false", "fence.x:=1.0", "fence.enabled:=false"
+    ) as node:
         assert node.get_parameter("use_sim_time").value is True
     assert "without effect while fence.enabled is false: fence.x" in capfd.readouterr().err
 
 
-def test_integer_is_taken_for_a_real_parameter():
-    with started_with("weights.across:=20", "odom_timeout:=1", "limits.min_turn_radius:=1", "horizon:=12") as node:
+def test_integer_is_converted_to_float():
+    with started_node("weights.across:=20", "odom_timeout:=1", "limits.min_turn_radius:=1", "horizon:=12") as node:
         values = [node.get_parameter(name).value for name in ("weights.across", "odom_timeout", "horizon")]
         assert values == [20.0, 1.0, 12]
         assert [type(value) for value in values] == [float, float, int]
@@ -157,7 +165,7 @@ def test_integer_is_taken_for_a_real_parameter():
         assert not node.set_parameters_atomically([Parameter("weights.across", value=-3)]).successful
 
 
-def test_parameter_set_while_running_is_named_if_it_is_unknown():
+def test_error_for_unknown_parameter_at_run_time_contains_its_name():
     with stack(autostart=False) as s:
         result = set_over_dds(s, weights__acros=20.0)
         assert not result.successful

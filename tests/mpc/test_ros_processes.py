@@ -1,4 +1,4 @@
-"""Nodes as processes of their own, and in namespaces."""
+"""Nodes in separate processes and in namespaces."""
 
 import signal
 import subprocess
@@ -22,9 +22,11 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 @pytest.fixture
 def driving(request):
     """Base, and the process that drives it in simulated time; the parameter is the node's `shutdown_time`."""
-    words = ["-p", "use_sim_time:=true", "-p", "start_at_robot:=false"]
-    words += ["-p", f"shutdown_time:={getattr(request, 'param', 1.0)}"]
-    process = subprocess.Popen([COMMAND, "node", "--drive", "--ros-args", *words], stderr=subprocess.PIPE, text=True)
+    arguments = ["-p", "use_sim_time:=true", "-p", "start_at_robot:=false"]
+    arguments += ["-p", f"shutdown_time:={getattr(request, 'param', 1.0)}"]
+    process = subprocess.Popen(
+        [COMMAND, "node", "--drive", "--ros-args", *arguments], stderr=subprocess.PIPE, text=True
+    )
     base = FakeBase(lambda: time.sleep(0.001))
     try:
         base.until(lambda: moving(base, process), "the first command that moves the robot")
@@ -38,14 +40,17 @@ def driving(request):
 
 
 def moving(base, process):
-    """Let a tick pass; return True if the robot is driven."""
+    """Run a tick; return True if the robot is driven."""
     assert process.poll() is None, process.stderr.read()
     base.silent(1)
     return base.commands and any(base.commands[-1])
 
 
 def end_with(base, process, *numbers, ticks=True):
-    """Send signals and wait for the end of the process, its clock running or not; return its commands since (n, 2)."""
+    """Send signals and wait for the end of the process; return its commands (n, 2).
+
+    The clock advances if `ticks` is true.
+    """
     count = len(base.commands)
     assert any(base.commands[-1])
     process.send_signal(numbers[0])
@@ -53,9 +58,9 @@ def end_with(base, process, *numbers, ticks=True):
         time.sleep(0.3)
         process.send_signal(number)
     while ticks and process.poll() is None:
-        heard = len(base.commands)
+        count_before = len(base.commands)
         base.advance_clock()
-        base.until(lambda: len(base.commands) > heard or process.poll() is not None, "a command or the end")  # noqa: B023
+        base.until(lambda: len(base.commands) > count_before or process.poll() is not None, "a command or the end")  # noqa: B023
         base.plant.advance(base.commands[-1])
     base.until(lambda: process.poll() is not None, "the end of the process")
     for _ in range(20):
@@ -75,7 +80,7 @@ def test_interrupted_node_brakes_by_its_ramp_and_sends_zero_last(driving, number
 
 
 @pytest.mark.parametrize("driving", [0.5], indirect=True)
-def test_braking_ends_after_shutdown_time_where_the_clock_stands(driving):
+def test_braking_ends_after_shutdown_time_if_the_clock_stops(driving):
     start = time.monotonic()
     assert len(end_with(*driving, signal.SIGTERM, ticks=False)) == 2
     assert time.monotonic() - start > 0.5
@@ -89,7 +94,7 @@ def test_second_signal_or_no_shutdown_time_sends_zero_at_once(driving, numbers):
 
 
 def test_killed_node_sends_no_command(driving):
-    """A killed node cannot send zero: the base has to stop by itself when commands cease."""
+    """A killed node cannot send zero; the base must stop without commands."""
     base, process = driving
     process.kill()
     process.wait()
@@ -106,10 +111,10 @@ NAMES = {f"{name}/diffdrive_mpc: control" for name in PATHS}
 
 @pytest.fixture(scope="module")
 def driven():
-    """Three stacks that are driven in turns: how far each is from its reference, all statuses heard, all loops.
+    """Distances to the references, received diagnostics, and control loops of three stacks that run alternately.
 
-    They drive on until diagnostics of all have been heard, by whichever base: Fast DDS may lose one topic between two
-    participants for good.
+    The stacks run until diagnostics of all nodes have arrived at any base, because Fast DDS may permanently lose a
+    topic between two participants.
     """
     with ExitStack() as open_stacks:
         robots = {
@@ -125,21 +130,21 @@ def driven():
             )
             for name, path in PATHS.items()
         }
-        heard = [robot.listen(DiagnosticArray, "/diagnostics", 100) for robot in robots.values()]
+        received = [robot.listen(DiagnosticArray, "/diagnostics", 100) for robot in robots.values()]
         for robot in robots.values():
             assert robot.trigger("start").success
-        turn(robots)
+        run_alternately(robots)
         distances = {name: distance_to_reference(robot, name) for name, robot in robots.items()}
-        statuses = [status for arrays in heard for array in arrays for status in array.status]
+        statuses = [status for arrays in received for array in arrays for status in array.status]
         end = time.monotonic() + PATIENCE
         while {status.name for status in statuses} < NAMES:
-            assert time.monotonic() < end, f"heard of {sorted({status.name for status in statuses})}"
-            turn(robots, 1)
-            statuses = [status for arrays in heard for array in arrays for status in array.status]
+            assert time.monotonic() < end, f"received only {sorted({status.name for status in statuses})}"
+            run_alternately(robots, 1)
+            statuses = [status for arrays in received for array in arrays for status in array.status]
         yield distances, statuses, [robot.loop for robot in robots.values()]
 
 
-def turn(robots, ticks=TICKS):
+def run_alternately(robots, ticks=TICKS):
     for _ in range(ticks):
         for robot in robots.values():
             robot.base.step()
@@ -167,6 +172,6 @@ def test_diagnostics_name_each_robot(driven):
     assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}
 
 
-def test_robots_of_other_namespaces_are_no_rivals(driven):
+def test_robots_of_other_namespaces_are_not_reported(driven):
     _, _, loops = driven
     assert all(loop.warning == loop.objection == "" for loop in loops)

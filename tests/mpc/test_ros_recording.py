@@ -1,4 +1,4 @@
-"""Recordings of the node: commands as sent over DDS, and no influence on the drive."""
+"""Recordings of the node: contents, files, and independence of the drive."""
 
 import numpy as np
 import pytest
@@ -10,9 +10,9 @@ from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERE
 from diffdrive_mpc.models.logs.mapping import Topic
 
 
-def recorded(folder, ticks, **parameters):
+def record_drive(folder, ticks, **parameters):
     """Drive along the circle; return the file, and the commands that arrived at the base."""
-    # Diagnostics go by the clock on the wall, and a quick machine drives for less than a second of it.
+    # Diagnostics use wall time; a fast machine completes the drive in less than a second.
     settings = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
     with stack(drive=True, **settings, **parameters) as s:
         s.base.run(ticks)
@@ -23,14 +23,14 @@ def recorded(folder, ticks, **parameters):
 
 @pytest.mark.parametrize("pose_topic", [pytest.param(False, marks=pytest.mark.system), True])
 def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
-    path, sent = recorded(tmp_path / "drives", 150, pose_topic=pose_topic)
+    path, sent = record_drive(tmp_path / "drives", 150, pose_topic=pose_topic)
     log = read_drive_log(path, plans=True)
     assert not log.cut and log.pose_sensor == pose_topic
     columns = log.columns
     commands = np.column_stack([columns["v_ref_m_s"], columns["omega_ref_rad_s"]])
     with opened(path) as reader:
         (samples,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
-        counts = {known.topic: known.msgcount for known in reader.connections}
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
     assert np.array_equal(samples.value, commands)
     stamps = dict(sent)
     common = [row for row, stamp in enumerate(samples.stamped.tolist()) if stamp in stamps]
@@ -62,7 +62,7 @@ def test_each_activation_writes_a_new_file(tmp_path):
     assert len(files) == 2 and not any(read_drive_log(path).cut for path in files)
 
 
-def test_unwritable_folder_gives_a_warning_and_the_robot_drives(tmp_path, capfd):
+def test_unwritable_folder_gives_a_warning_without_stopping_the_robot(tmp_path, capfd):
     (tmp_path / "file").touch()
     with stack(drive=True, record=True, record_folder=str(tmp_path / "file")) as s:
         s.base.run(60)

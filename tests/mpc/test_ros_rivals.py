@@ -1,4 +1,4 @@
-"""Rivals for the same base over DDS: reject, brake or report."""
+"""Competing publishers of commands over DDS: reject, brake or report."""
 
 import pytest
 import rclpy
@@ -16,14 +16,14 @@ from diffdrive_mpc.mpc.step_result import Mode
 pytestmark = pytest.mark.system
 
 
-class Second:
-    """Second node of this project, in a separate context."""
+class SecondNode:
+    """SecondNode node of this project, in a separate context."""
 
     def __init__(self, name="diffdrive_mpc", commands="cmd_vel"):
-        words = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]
-        words += ["--log-level", "error", "-p", "discovery_wait:=8.0"]
+        arguments = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]
+        arguments += ["--log-level", "error", "-p", "discovery_wait:=8.0"]
         self.context = Context()
-        rclpy.init(context=self.context, args=words)
+        rclpy.init(context=self.context, args=arguments)
         self.node = TrackingNode(context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -42,22 +42,25 @@ class Second:
 def test_second_node_on_the_same_topic_is_not_activated(name):
     with stack(drive=True) as s:
         s.base.run(20)
-        second = Second(name)
+        second = SecondNode(name)
         try:
             assert second.activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
             assert "/diffdrive_mpc of this project also sends commands on /cmd_vel" in second.node.failure
-            # The first drives on, and what it hears of the second, that is not active, is no more than a name.
-            s.base.until(lambda: s.loop.warning, "the second's publisher")
+            # The first node keeps driving and reports the name of the inactive second node.
+            s.base.until(lambda: s.loop.warning, "the warning about the second publisher")
             s.base.run(20)
             assert s.loop.last.mode == Mode.TRACKING
             assert f"/{name} also publishes on /cmd_vel" in s.loop.warning
-            # Once the first is gone the second may.
+            # The second node can be activated after the first is deactivated.
             s.call(
                 ChangeState,
                 "/diffdrive_mpc/change_state",
                 ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)),
             ) if name != "diffdrive_mpc" else s.node.trigger_deactivate()
-            s.base.until(lambda: not second.node.parts["rivals"].rivals.others().project, "the end of the claim")
+            s.base.until(
+                lambda: not second.node.parts["rivals"].rivals.others().project,
+                "the end of the claim of the first node",
+            )
             assert second.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
         finally:
             second.close()
@@ -68,29 +71,31 @@ def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, com
     with stack(stamped=stamped) as s:
         context = Context()
         rclpy.init(context=context, args=[])
-        deaf = rclpy.create_node("deaf_base", context=context)
-        deaf.create_subscription(command_type, "cmd_vel", lambda _: None, 1)
-        s.base.until(lambda: "/deaf_base" in s.loop.warning, "the warning")
-        assert s.loop.warning.startswith(f"/deaf_base subscribes to /cmd_vel with type {command_type.__name__} and")
+        mismatched = rclpy.create_node("mismatched_base", context=context)
+        mismatched.create_subscription(command_type, "cmd_vel", lambda _: None, 1)
+        s.base.until(lambda: "/mismatched_base" in s.loop.warning, "the warning")
+        assert s.loop.warning.startswith(
+            f"/mismatched_base subscribes to /cmd_vel with type {command_type.__name__} and"
+        )
         assert s.loop.warning.endswith(f"set the parameter stamped:={remedy}")
-        deaf.destroy_node()
+        mismatched.destroy_node()
         rclpy.shutdown(context=context)
-        s.base.until(lambda: not s.loop.warning, "the end of it")
+        s.base.until(lambda: not s.loop.warning, "the end of the warning")
 
 
 def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():
     with stack(drive=True, exclusive_cmd_vel=True, diagnostics_rate=20.0) as s:
-        heard = s.listen(DiagnosticArray, "/diagnostics")
+        received = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
         teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
         s.base.until(lambda: s.loop.objection, "the objection")
         assert not s.base.run(60)[-1].any()
         assert "or set exclusive_cmd_vel to false" in s.loop.last.message
-        heard.clear()
-        s.base.until(lambda: heard and heard[-1].status[0].level == DiagnosticStatus.ERROR, "diagnostics")
+        received.clear()
+        s.base.until(lambda: received and received[-1].status[0].level == DiagnosticStatus.ERROR, "diagnostics")
         s.node.trigger_deactivate()
         assert s.node.trigger_activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
         assert "/fake_base also publishes on /cmd_vel" in s.node.failure
         s.base.node.destroy_publisher(teleop)
-        s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "its end")
+        s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "the end of the foreign publisher")
         assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS

@@ -67,7 +67,7 @@ def test_timed_poses_reproduce_their_trajectory(tmp_path: Path, name: str) -> No
     # A corner of the speed, where the acceleration jumps by up to 2 rad/s^2, is rounded over about one row of 20 ms.
     np.testing.assert_allclose(actual.pose, expected.pose, rtol=0, atol=2 * 0.02**2 / 8)
     np.testing.assert_allclose(actual.twist, expected.twist, rtol=0, atol=2 * 0.02 / 4)
-    # At each of at most eight starts and stops of 1 m/s^2, rounding moves the robot slightly to and fro.
+    # At each of at most eight starts and stops of 1 m/s^2, rounding moves the robot slightly back and forth.
     np.testing.assert_allclose(actual.arc_length, expected.arc_length, rtol=0, atol=8 * 1 * 0.02**2 / 8)
     assert_holds_its_ends(copy)
 

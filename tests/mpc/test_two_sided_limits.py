@@ -30,7 +30,7 @@ TWO_SIDED = {
 }
 
 
-def test_both_forms_of_a_limit_are_read_kept_and_written():
+def test_scalar_and_two_sided_limits_survive_loading_and_dumping():
     config = load_config("ssm", TWO_SIDED)
     assert config.limits.v.sides == (0.8, 0.2)
     assert config.limits.v == load_config("ssm", {"limits.v": {"reverse": 0.2, "forward": 0.8}}).limits.v
@@ -48,7 +48,7 @@ def test_both_forms_of_a_limit_are_read_kept_and_written():
 
 
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
-def test_equal_sides_give_the_same_commands_as_one_number(method):
+def test_equal_sides_give_the_same_commands_as_a_scalar(method):
     runs = []
     for sided in (False, True):
         values = {key: dict.fromkeys(SIDES[key], value) if sided else value for key, value in TIGHT.items()}
@@ -59,15 +59,15 @@ def test_equal_sides_give_the_same_commands_as_one_number(method):
     np.testing.assert_array_equal(*runs)
 
 
-def random_slews(draw):
+def random_slews(rng):
     """Return two-sided slew limits."""
-    return {key: dict(zip(SIDES[key], draw.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")}
+    return {key: dict(zip(SIDES[key], rng.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")}
 
 
-def random_reference(draw):
+def random_reference(rng):
     """Return steps between twists of any sign, within the ranges of `TWO_SIDED`."""
     segments = [
-        Segment(v=draw.uniform(-0.19, 0.7), omega=draw.uniform(-0.9, 0.9), duration=draw.uniform(0.2, 0.8))
+        Segment(v=rng.uniform(-0.19, 0.7), omega=rng.uniform(-0.9, 0.9), duration=rng.uniform(0.2, 0.8))
         for _ in range(8)
     ]
     return lay_commanded(segments, TrajectoryLimits.of_robot(), name="drawn")
@@ -75,18 +75,18 @@ def random_reference(draw):
 
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
 def test_every_command_stays_inside_the_limits(method):
-    """Random drives with changes of direction, failures, holds and limits that are tightened meanwhile."""
+    """Random drives with changes of direction, failures, holds, and limits that are tightened during the drive."""
     signs, modes = set(), set()
     for seed in range(6):
-        draw = np.random.default_rng(seed)
-        config = load_config("ssm", TWO_SIDED | random_slews(draw) | {"solver.method": method, "horizon": 12})
+        rng = np.random.default_rng(seed)
+        config = load_config("ssm", TWO_SIDED | random_slews(rng) | {"solver.method": method, "horizon": 12})
         controller, plant = Controller(config), make_plant("model:ssm", seed=seed)
-        controller.start(random_reference(draw), plant.time)
+        controller.start(random_reference(rng), plant.time)
         last = np.zeros(2)
         for tick in range(220):
             measurement = plant.measure()
-            if draw.random() < 0.01:
-                controller.update(limits={"v.reverse": draw.uniform(0.05, 0.2), "omega.left": draw.uniform(0.5, 1.5)})
+            if rng.random() < 0.01:
+                controller.update(limits={"v.reverse": rng.uniform(0.05, 0.2), "omega.left": rng.uniform(0.5, 1.5)})
             if tick in range(120, 160) and seed == 0:
                 measurement = Measurement()
             hold = Hold("pause") if tick in range(60, 75) and seed == 1 else None
@@ -118,7 +118,7 @@ def test_reference_is_compared_with_the_limit_of_its_side():
     controller = Controller(config)
 
     def reference(v, omega):
-        return lay_commanded([Segment(v=v, omega=omega, duration=3.0)], TrajectoryLimits.of_robot(), name="one")
+        return lay_commanded([Segment(v=v, omega=omega, duration=3.0)], TrajectoryLimits.of_robot(), name="constant")
 
     for v, omega in ((0.7, 0.0), (-0.19, 0.0), (0.1, 1.4), (0.1, -0.9)):
         controller.checked_reference(reference(v, omega))
@@ -131,7 +131,7 @@ def test_reference_is_compared_with_the_limit_of_its_side():
 def test_late_robot_names_its_active_limit_until_it_has_caught_up():
     """Reverse speed is limited during the drive: the reference waits, and catches up on its slow part."""
     segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
-    reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="to and fro")
+    reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="back and forth")
     controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
     controller.start(reference, plant.time)
     with pytest.warns(UserWarning, match=r"the robot will lag behind its reference: .* limits.v.reverse = 0.2"):
@@ -170,7 +170,7 @@ def test_smooth_timing_respects_the_speed_of_each_direction_and_both_rates():
     config = load_config("ssm", TWO_SIDED)
     limits = TrajectoryLimits.of_controller(config.limits)
     segments = [Segment(v=0.8, omega=0.3, duration=4.0), Segment(v=-0.2, omega=0.1, duration=6.0)]
-    trajectory = lay_smooth(segments, limits, name="to and fro")
+    trajectory = lay_smooth(segments, limits, name="back and forth")
     assert limits.v_acceleration.sides == (0.5, 0.2)  # half of the slew is reserved for tracking
     times = np.linspace(0.0, trajectory.duration, 4000)
     v = trajectory.sample(times).twist[:, 0]

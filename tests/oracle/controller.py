@@ -73,8 +73,8 @@ class OracleStep:
 
 
 @dataclass(frozen=True)
-class Stray:
-    """Position of the robot relative to a reference pose."""
+class Deviation:
+    """Deviation of the robot from a reference pose: outside the band, and delay [s]."""
 
     outside: bool
     late: float
@@ -104,9 +104,9 @@ class OracleController:
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon, spare)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
         self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
-        self.upcoming = np.zeros((2, 2))
-        self.wanted_pose = np.zeros(3)
-        self.pursuit = Pursuit(config, self._stray)
+        self.next_twists = np.zeros((2, 2))
+        self.target_pose = np.zeros(3)
+        self.pursuit = Pursuit(config, self._deviation)
         self.clock = TickClock(config.sample_time, self.estimator.max_pause)
         self.reference: Reference | None = None
         self.pending: ControllerConfig | None = None
@@ -118,7 +118,7 @@ class OracleController:
         self.config = config
         self.problem = TrackingProblem(config, self.sampled_model)
         self.pursuit.configure(config)
-        self.reach.most = config.limits.wheel_speed
+        self.reach.max_speed = config.limits.wheel_speed
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
@@ -142,15 +142,15 @@ class OracleController:
         self.guess = None
         self.plan: Plan | None = None
         self.plan_age = 0
-        self.carried, self.passing = 0.0, np.zeros(2)
+        self.turn_tolerance, self.passed_twist = 0.0, np.zeros(2)
         self.result: OracleStep | None = None
         self.has_driven = self.latched = self.finished = self.in_outage = False
-        self.time = self.sound = 0.0
+        self.time = self.last_good_time = 0.0
         self.cause = ""
 
     def resume(self) -> None:
-        """Continue after a failure after which the robot waits."""
-        self.latched, self.sound, self.cause = False, self.time, ""
+        """Continue after a failure that has stopped the robot."""
+        self.latched, self.last_good_time, self.cause = False, self.time, ""
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -190,7 +190,7 @@ class OracleController:
             # No interval of the model begins here: the active command has changed since the last tick.
             self.estimator.commands.correct_last(outcome.command)
         if not self.in_outage:
-            self.sound = self.time
+            self.last_good_time = self.time
         self.last = outcome.command
         self.has_driven |= outcome.mode is Mode.TRACKING
         plan = outcome.plan
@@ -210,7 +210,7 @@ class OracleController:
         return self.result
 
     def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
-        """Brake in a tick without usable time; send zero after a leap, because a base without commands has stopped."""
+        """Brake in a tick without usable time; send zero after a jump, because a base without commands has stopped."""
         gap, limit = self.gap, self.config.failure.resume_within
         outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > limit) or gap < -limit)
         if kind is TickKind.PAUSED:
@@ -221,7 +221,7 @@ class OracleController:
     def _tick(self, t: float, measurement: Measurement, notes: list[str], hold: Hold | None) -> Outcome:
         estimator, failure = self.estimator, self.config.failure
         reference_time = self.pursuit.advance(t - self.t0)
-        notes += estimator.correct_sent(measurement.sent, self._largest(measurement.sent))
+        notes += estimator.correct_sent(measurement.sent, self._max_sent(measurement.sent))
         estimator.advance(t)
         notes += estimator.update(t, measurement)
         rate = estimator.rate
@@ -233,12 +233,12 @@ class OracleController:
             notes += rate.missing()
             return self._brake(notes, "no pose has arrived yet", outage=True)
         if estimator.moved:
-            before, elsewhere = estimator.estimate.pose, "consecutive poses agree on a different position"
+            before, reason = estimator.estimate.pose, "consecutive poses agree on a different position"
             if not self._restart():
-                return self._brake(notes, elsewhere)
+                return self._brake(notes, reason)
             jump = np.hypot(*(estimator.estimate.pose - before)[:2])
             if self.has_driven and not jump <= failure.max_position_error:
-                return self._brake(notes, elsewhere, waits=True)
+                return self._brake(notes, reason, waits=True)
         estimate = estimator.estimate
         if not np.isfinite(estimate.pose).all():
             estimator.forget()
@@ -253,20 +253,20 @@ class OracleController:
             return self._brake(notes, f"the stopping path leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes)
-        self._carry(estimator.filter.slip(estimator.nodes[-1].posterior.mean))
+        self._update_turn_tolerance(estimator.filter.slip(estimator.nodes[-1].posterior.mean))
         astray = self._is_astray() if self.plan is not None and self.plan_age == 0 else None
-        self.reach.look(estimator.twist_gates.wheels, t, self.upcoming, estimate.slip, estimator.commands, astray)
+        self.reach.update(estimator.twist_gates.wheels, t, self.next_twists, estimate.slip, estimator.commands, astray)
         if self._at_the_end(estimate, reference_time, notes):
             return Outcome(self._ramp(), Mode.FINISHED)
         target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.allowed)
         if isinstance(target, TooFar):
             limit = failure.max_position_error
-            words = f"{target.distance:.2f} m from the reference; the limit is {limit} m"
-            return self._brake(notes, words, outage=True)
+            reason = f"{target.distance:.2f} m from the reference; the limit is {limit} m"
+            return self._brake(notes, reason, outage=True)
         notes += [target.message] if target.message else []
         return self._track(estimate, target, notes)
 
-    def _stray(self, pose: FloatArray, twist: FloatArray) -> Stray:
+    def _deviation(self, pose: FloatArray, twist: FloatArray) -> Deviation:
         """Locate the estimate relative to a reference pose (3,) with twist (2,): excess over the band, and delay."""
         settings, estimate = self.config.reentry, self.estimator.estimate
         x, y, theta = estimate.pose - pose
@@ -276,38 +276,38 @@ class OracleController:
         ahead = math.copysign(along, along * v)
         near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
         # Uncertainty of the pose must not start re-entry.
-        band = self.carried + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
+        band = self.turn_tolerance + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
         outside = abs(across) > band or abs(heading_error) > settings.heading_band or not near
         if abs(v) > STANDING:
-            return Stray(outside, -ahead / settings.wait)
-        # The reference rests or turns on the spot: the robot has to arrive first.
+            return Deviation(outside, -ahead / settings.wait)
+        # While the reference rests or turns on the spot, the delay is the time to reach it.
         turning = -math.copysign(1.0, omega) * heading_error if abs(omega) > TURNING else 0.0
-        distance = max(math.hypot(along, across) - self.carried, 0.0)
-        return Stray(outside, max(distance / settings.wait, turning / settings.heading_wait))
+        distance = max(math.hypot(along, across) - self.turn_tolerance, 0.0)
+        return Deviation(outside, max(distance / settings.wait, turning / settings.heading_wait))
 
-    def _carry(self, slip: Slip) -> None:
-        """Update the tolerance after turns on the spot, from the turning point and the slide over 1.5 rad."""
-        self.carried *= 1.0 - self.config.sample_time / _RETURN_TIME
-        v, omega = np.abs(self.passing)
+    def _update_turn_tolerance(self, slip: Slip) -> None:
+        """Update the tolerance after turns on the spot, which is the displacement of the turning point over 1.5 rad."""
+        self.turn_tolerance *= 1.0 - self.config.sample_time / _RETURN_TIME
+        v, omega = np.abs(self.passed_twist)
         if v <= STANDING and omega > TURNING:
             moves = math.hypot(slip.turn_ahead, slip.turn_left) + math.hypot(slip.slide_x, slip.slide_y)
-            self.carried = max(self.carried, _TURN_OF_DISPLACEMENT * moves)
+            self.turn_tolerance = max(self.turn_tolerance, _TURN_OF_DISPLACEMENT * moves)
 
     def _is_astray(self) -> bool:
-        """Return True if the robot is behind its present target or beside the path."""
-        pose, twist = self.wanted_pose, self.upcoming[1]
+        """Return True if the robot is late or off the path."""
+        pose, twist = self.target_pose, self.next_twists[1]
         x, y, _ = self.estimator.estimate.pose - pose
         across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
-        stray = self._stray(pose, twist)
-        return bool(stray.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or stray.outside)
+        deviation = self._deviation(pose, twist)
+        return bool(deviation.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or deviation.outside)
 
     def _restart(self) -> bool:
-        """Restart the estimate at the place of the agreeing rejected poses, if the robot has been commanded to rest."""
+        """Restart the estimate at the position of the consistent rejected poses if the commands have been zero."""
         standing = not self.estimator.commands.recent[-self.sampled_model.memory :].any()
         return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
 
     def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
-        """Return True, from then on, if the robot rests at the end of its reference or its time is over."""
+        """Return True permanently after the robot rests at the end of its reference, or after the timeout."""
         settings, reference = self.config.finish, self.reference
         assert reference is not None
         if self.finished or time < reference.duration:
@@ -326,7 +326,7 @@ class OracleController:
         report = SolverReport(status)
         if plan is not None:
             self.plan, self.plan_age = plan, 0
-            # Commands to a held base must stay small: on release it would leap.
+            # Commands to a blocked base must stay small: on release it would jump.
             share = self.config.reentry.blocked_share if target.blocked_for else 1.0
             command = self._inside(plan.commands[0], limits, share)
             return Outcome(command, Mode.TRACKING, report, plan, target.blocked_for)
@@ -340,9 +340,9 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """Run one real-time iteration: linearise along the shifted plan, solve, store the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
-        self.passing = sample.twist[0]
-        self.wanted_pose, self.problem.reach = sample.pose[1], self.reach.allowed
-        self.upcoming = sample.twist[: config.horizon + 1]
+        self.passed_twist = sample.twist[0]
+        self.target_pose, self.problem.reach = sample.pose[1], self.reach.allowed
+        self.next_twists = sample.twist[: config.horizon + 1]
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
@@ -364,7 +364,7 @@ class OracleController:
         notes += reasons
         self.plan = self.guess = None
         self.in_outage = outage and not waits
-        lasting = self.in_outage and self.time - self.sound > self.config.failure.resume_within
+        lasting = self.in_outage and self.time - self.last_good_time > self.config.failure.resume_within
         # Before the first drive and after the end, resuming is not possible.
         if self.has_driven and not self.finished:
             self.latched |= waits or lasting or (failure and not self.config.failure.resume)
@@ -375,8 +375,8 @@ class OracleController:
         command = self._ramp()
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
-    def _largest(self, sent: object) -> FloatArray:
-        """Return the largest command (2,) that a base can have received in the direction of `sent`, with rounding."""
+    def _max_sent(self, sent: object) -> FloatArray:
+        """Return the maximum command (2,) that the base can have received in the direction of `sent`, with rounding."""
         sides = np.transpose([self.config.limits.v.sides, self.config.limits.omega.sides])
         sent = np.zeros(2) if sent is None else np.asarray(sent, dtype=float)
         return 1.001 * np.maximum(np.where(sent < 0.0, sides[1], sides[0]), np.abs(self.last))

@@ -1,4 +1,4 @@
-"""Speed that the wheels attain if they cannot follow the demand of reference and commands."""
+"""Attainable wheel speed, learned while the wheels cannot follow reference and commands."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from oracle.commands import PastCommands
 # Constants of mpc/config/sensor_test.yaml.
 _SHORT, _LEAST, _SLOWER, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.25, 0.2, 0.3, 0.2, 0.2
 _ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
-# The demand has to rise by this share, and the speed by less than this share of it.
+# Minimum relative increase of the command, and maximum share of it by which the speed of a saturated wheel increases.
 _MORE, _GAINED = 0.03, 0.15
-# The limit is not learned while the robot keeps up with its reference.
+# Delay [s] and share of the band above which the limit is learned.
 ASTRAY, BESIDE = 0.25, 0.25
 
 
 class WheelReach:
-    """Limit of the wheel speed: `attained` as learned, `allowed` as applied [m/s]."""
+    """Limit of the wheel speed: the learned `attained` and the applied `allowed` [m/s]."""
 
     def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
         self.dt, self.gain, self.enabled = config.sample_time, gain, config.monitor.wheel_limits
-        self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
+        self.half_track, self.max_speed = config.wheels.track / 2, config.limits.wheel_speed
         self.wheel_yaw_ratio = config.wheels.track / config.wheels.encoder_track / gain[1, 1]
         self.window = lag + max(int(_FOR / self.dt), 4 * lag // 3) + 1
         self.restart()
 
     def restart(self) -> None:
         """Reset the learned limit."""
-        self.actual, self.short_wheel, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
+        self.actual, self.short_wheel, self.tried, self.tried_speed = np.zeros(2), 0, math.inf, 0.0
         self.slowed, self.on_spot = 0.0, False
         self._drop()
 
@@ -47,28 +47,34 @@ class WheelReach:
         turning = self.half_track * omega / (slip.omega_gain * slip.yaw_gain)
         return np.array([forward + turning, forward - turning])
 
-    def look(
-        self, wheels: TwistGate, t: float, upcoming: FloatArray, slip: Slip, commands: PastCommands, astray: bool | None
+    def update(
+        self,
+        wheels: TwistGate,
+        t: float,
+        next_twists: FloatArray,
+        slip: Slip,
+        commands: PastCommands,
+        astray: bool | None,
     ) -> None:
-        """Compare encoders at the tick `t` [s] with the twists (n, 2) of the reference, of which the second is due.
+        """Compare the encoders at tick `t` [s] with the next twists (n, 2) of the reference; the second is due now.
 
-        `astray` is True if the robot is behind or beside its reference, None while it is not tracking.
+        `astray` is True if the robot is late or off its path, None while it is not tracking.
         """
         read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
         self.actual = self.actual + _SMOOTHED * (read - self.actual)
-        wanted, before = upcoming[1], self.on_spot
-        self.on_spot = bool(abs(wanted[0]) < _ON_SPOT * self.half_track * abs(wanted[1]))
+        target, before = next_twists[1], self.on_spot
+        self.on_spot = bool(abs(target[0]) < _ON_SPOT * self.half_track * abs(target[1]))
         if self.on_spot != before:
             self._drop()
             self.tried = math.inf
-        needed = float((np.abs(upcoming) @ [1.0, self.half_track / slip.yaw_gain]).max())
+        needed = float((np.abs(next_twists) @ [1.0, self.half_track / slip.yaw_gain]).max())
         sent, wheel = commands.everything, None
-        looks = astray or (astray is not None and math.isfinite(self.attained))
-        if self.enabled and looks and len(sent) >= self.window and t - wheels.stamp < _FOR:
-            by_reference = self._rims(wanted, slip)
+        is_checked = astray or (astray is not None and math.isfinite(self.attained))
+        if self.enabled and is_checked and len(sent) >= self.window and t - wheels.stamp < _FOR:
+            by_reference = self._rims(target, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)[:, None]
             twists = self.gain @ sent[-self.window :].T
-            # During other motion a saturated wheel looks like a smaller gain.
+            # During other motion a saturated wheel is indistinguishable from a smaller gain.
             gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
             forward = sign * self._rims(twists * [[1.0], [0.0]], Slip())
             turning = sign * self._rims(np.hstack([twists, gain * twists]) * [[0.0], [1.0]], Slip())
@@ -82,22 +88,22 @@ class WheelReach:
             if short.any() and (along <= max_command + _LEAST).all():
                 rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
-        if wheel is not None and self._gains_nothing(wheel, float(min_command[wheel])):
+        if wheel is not None and self._is_saturated(wheel, float(min_command[wheel])):
             self.attained, self.slowed = abs(self.actual[wheel]), 0.0
         elif needed > _SLOWED * self.allowed:
             self.slowed += self.dt
         growth = _REGAIN[0] * self.attained + _REGAIN[1]
         self.allowed = self.attained + (growth * (self.slowed - _RETRY) if self.slowed > _RETRY else 0.0)
         faster = abs(self.actual[self.short_wheel]) > self.attained * (1 + _SHORT) + _LEAST
-        if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.most:
+        if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.max_speed:
             self._drop()
 
-    def _gains_nothing(self, wheel: int, command: float) -> bool:
-        """Return True if the wheel is not faster at a higher command than when it first was too slow."""
+    def _is_saturated(self, wheel: int, command: float) -> bool:
+        """Return True if a higher command than at the first shortfall does not make the wheel faster."""
         speed = abs(self.actual[wheel])
-        more, gained = command - self.tried, speed - self.speed_then
+        more, gained = command - self.tried, speed - self.tried_speed
         enough = more > _MORE * command
         if wheel != self.short_wheel or more < 0 or (enough and gained > _GAINED * more):
-            self.short_wheel, self.tried, self.speed_then = wheel, command, speed
+            self.short_wheel, self.tried, self.tried_speed = wheel, command, speed
             return False
         return enough

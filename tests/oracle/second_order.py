@@ -19,10 +19,10 @@ def response(parameters, command, first, dt):
     gain, slow, fast, dead_time, offset, *limit = parameters
     for level in limit:
         command = np.clip(command, -level, level)
-    late = int(dead_time / dt)
-    rest = dead_time / dt - late
-    line = np.concatenate([np.full(late + 1, (first - offset) / gain), command])
-    drive = (1 - rest) * line[1 : len(command) + 1] + rest * line[: len(command)] - line[0]
+    steps = int(dead_time / dt)
+    fraction = dead_time / dt - steps
+    line = np.concatenate([np.full(steps + 1, (first - offset) / gain), command])
+    drive = (1 - fraction) * line[1 : len(command) + 1] + fraction * line[: len(command)] - line[0]
     for lag in (slow, fast):
         keep = np.exp(-dt / lag)
         drive = signal.lfilter([0.0, 1.0 - keep], [1.0, -keep], drive)
@@ -45,8 +45,8 @@ def fit_second_order(commands, readings, fresh, dt, clip=False):
     best = min(fits, key=lambda fit: fit.cost).x
     if not clip:
         return best
-    largest = max(np.abs(u).max() for u in commands)
-    starts = sorted(([*best, level * largest] for level in _LEVELS), key=lambda start: np.sum(errors(start) ** 2))
-    bounds = [[*bound, level] for bound, level in zip(bounds, (0.2 * largest, largest), strict=True)]
+    max_command = max(np.abs(u).max() for u in commands)
+    starts = sorted(([*best, level * max_command] for level in _LEVELS), key=lambda start: np.sum(errors(start) ** 2))
+    bounds = [[*bound, level] for bound, level in zip(bounds, (0.2 * max_command, max_command), strict=True)]
     fits = [least_squares(errors, start, bounds=bounds, x_scale=[1, 0.1, 0.1, 0.1, 0.1, 0.1]) for start in starts[:2]]
     return min(fits, key=lambda fit: fit.cost).x

@@ -261,7 +261,7 @@ def test_patch_begins_and_ends_at_its_place() -> None:
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))
-    ((enter, leave),) = plant.crossed
+    ((enter, leave),) = plant.patch_spans
     assert np.isfinite(leave)
     assert np.interp([enter, leave], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
 

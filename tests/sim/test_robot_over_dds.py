@@ -177,7 +177,7 @@ def test_lost_robot_ends_the_run_with_a_complete_bag(tmp_path):
     assert len(read_true_poses(tmp_path / "bag")) == 15
 
 
-def test_a_bag_is_never_written_over(tmp_path):
+def test_existing_bag_is_not_overwritten(tmp_path):
     with pytest.raises(ConfigError, match="already exists"):
         run_robot(make_plant("model:ssm"), (0, 0, 0), settings(), load_sensor_set("default"), record=tmp_path)
 

@@ -28,8 +28,8 @@ def _run(parameters: SensorSet, ticks: int, seed: int = 0, yaw_rate: float = 0.0
     measurements = [sensors.collect(0.0, None)]
     for k in range(1, ticks + 1):
         for look in sensors.poses_due(k * DT):
-            sensors.see_pose(look, [look, 0.0, 0.0])
-        sensors.see_motion(k * DT, [5.0, 5.0, 5.0, 5.0], yaw_rate)
+            sensors.add_pose(look, [look, 0.0, 0.0])
+        sensors.add_motion(k * DT, [5.0, 5.0, 5.0, 5.0], yaw_rate)
         measurements.append(sensors.collect(k * DT, None))
     return measurements
 
@@ -63,13 +63,13 @@ def test_sensor_set_defines_the_wiring_of_sensors() -> None:
     wired["encoders"] |= {"left": -1.0, "right": 0.5, "swapped": True}
     sensors = Sensors(check(SensorSet, wired, "set"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     for rate, read in ((0.3, -0.6), (0.7, -1.0), (-0.7, 1.0)):
-        sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], rate)
+        sensors.add_motion(DT, [1.0, 2.0, 3.0, 4.0], rate)
         reading = sensors.collect(DT, None).yaw_rate
         assert reading is not None
         assert reading.value == pytest.approx(read)
     (time,) = sensors.poses_due(DT)
-    sensors.see_pose(time, [1.0, 2.0, 0.1])
-    sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], 0.0)
+    sensors.add_pose(time, [1.0, 2.0, 0.1])
+    sensors.add_motion(DT, [1.0, 2.0, 3.0, 4.0], 0.0)
     measured = sensors.collect(DT, None)
     assert measured.wheel_speeds is not None and measured.pose is not None
     assert np.array_equal(measured.wheel_speeds.value, [-2.0, 0.5, -4.0, 1.5])

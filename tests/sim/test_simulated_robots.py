@@ -100,7 +100,7 @@ def test_equal_seeds_draw_equal_robots_and_runs():
     assert (first.command == second.command).all()
 
 
-def test_who_drives_is_told_a_slew_that_grip_allows():
+def test_slew_in_the_configuration_is_feasible_for_the_grip():
     """A robot turns its yaw rate on perfect sensors' word as quickly as its user states, whatever its floor."""
     robot = min((draw_robot(seed) for seed in CASTORS), key=lambda r: r.stated["limits.omega_slew"])
     slew = robot.stated["limits.omega_slew"]

@@ -54,7 +54,7 @@ def test_bound_is_better_than_the_mpc_on_mujoco():
     assert bound.metrics.lateral_rmse_m <= ours.metrics.lateral_rmse_m
 
 
-def test_a_plant_that_is_a_model_is_known_exactly():
+def test_prediction_of_a_model_plant_is_exact():
     plant_model = identify_plant("model:ssm", "slippery", ("cane",))
     plant = make_plant("model:ssm", "slippery", "perfect")
     for _ in range(200):

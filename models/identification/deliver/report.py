@@ -52,7 +52,7 @@ class IdentificationReport:
     day
         Date of the identification.
     robot
-        Robot with values stated by its maker; None if no robot is named.
+        Robot with values stated by the manufacturer; None if no robot is named.
     """
 
     name: str

@@ -40,7 +40,7 @@ METHOD = (
 )
 _BY_GYRO = " and omega of the gyro"
 _NO_TRACK = "the track of the encoders is unknown, so steps of the wheels were not tested"
-_NO_GYRO = "the log has no gyro, so twist of the tyres, veer and the encoders' lag were not tested"
+_NO_GYRO = "the log has no gyro, so tyre twist, veer and the encoders' lag were not tested"
 # Parameters whose true value may be zero; a relative deviation is then meaningless.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 
@@ -62,7 +62,7 @@ class IdentifiedBase:
     pose
         Delay of the poses, distance travelled per encoder distance, and pose mount; None if there are too few poses.
     points
-        Parameters like `point`, fitted without one held-out block of the records each.
+        Parameters like `point`, one set per held-out block of the records, fitted without that block.
     """
 
     identified: IdentifiedModel
@@ -265,7 +265,7 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
                 lag = f", with a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
                 text = (
                     f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{lag}: encoders cannot lead "
-                    "the gyro, so the mapping states too much delay of the encoders, or the gyro is delayed"
+                    "the gyro, so the encoder delay in the mapping is too large, or the gyro is delayed"
                 )
                 result.append(Doubt("time shift", text))
                 continue

@@ -89,8 +89,8 @@ class ForeignRobot:
             self._elapsed += _STEP
         self.true_pose, self.true_twist = np.array(body[:3]), np.array(body[3:])
         for measurement_time in self._sensors.poses_due(self.time):
-            self._sensors.see_pose(measurement_time, self.true_pose)
-        self._sensors.see_motion(self.time, np.array(self.wheel_speeds * 2), body[5])
+            self._sensors.add_pose(measurement_time, self.true_pose)
+        self._sensors.add_motion(self.time, np.array(self.wheel_speeds * 2), body[5])
 
     def _servo(self, side, speed):
         """Return the motor torque of a side [N m]."""

@@ -10,7 +10,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc.models.structures.sm import SmFile, identify_sm
 from diffdrive_mpc.sim.plants.open_loop import random_commands
-from diffdrive_mpc_extras.excitation.drive_information import TOLD, DriveInformation
+from diffdrive_mpc_extras.excitation.drive_information import REPORTED, DriveInformation
 
 DT = 0.02
 NOISE = np.array([0.01, 0.02])
@@ -34,7 +34,7 @@ def test_standard_deviations_scale_with_noise_and_duration(seed):
     commands = np.vstack([steps(seed, 20.0), np.zeros((100, 2))])
     single = DriveInformation(SM, NOISE).parameters(commands, DT)
     noisy = DriveInformation(SM, 3 * NOISE).parameters(commands, DT)
-    # The prior of the second time constant does not scale with the noise: a few per cent.
+    # The prior of the second time constant does not scale with the noise, which causes differences of a few per cent.
     assert noisy.standard_deviation == pytest.approx(3 * single.standard_deviation, rel=0.1)
     repeated = DriveInformation(SM, NOISE).parameters(np.tile(commands, (4, 1)), DT)
     assert repeated.standard_deviation == pytest.approx(single.standard_deviation / 2, rel=0.1)
@@ -63,8 +63,8 @@ def test_identification_errors_agree_with_the_expected_deviations():
     for k in range(len(commands)):
         outputs[k] = sampled.C @ state
         recent = np.array([line[first + k - d, j] for j, d in enumerate(sampled.delay)])
-        older = np.array([line[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
-        state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ older
+        previous = np.array([line[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
+        state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ previous
     errors = []
     for seed in range(10):
         readings = outputs + NOISE * np.random.default_rng(seed).standard_normal(outputs.shape)
@@ -75,7 +75,7 @@ def test_identification_errors_agree_with_the_expected_deviations():
             values["lag"] = (
                 2 * identified.value(f"{channel}.damping") / identified.value(f"{channel}.natural_frequency")
             )
-            parameters = [(f"{channel}.{name}", values[name]) for name in TOLD]
+            parameters = [(f"{channel}.{name}", values[name]) for name in REPORTED]
             errors.append([(value - expected.value(name)) / expected.deviation(name) for name, value in parameters])
     # The RMS of 10 standard normal values has a standard deviation of 0.22.
     rms = np.sqrt(np.mean(np.reshape(errors, (10, 6)) ** 2, axis=0))

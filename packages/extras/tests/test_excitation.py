@@ -69,7 +69,7 @@ TICK = searched.model_excitation_settings().tick
 INFORMATION = DriveInformation(load_linear_model("sm"), (0.01, 0.02))
 
 
-def worth(twists):
+def objective(twists):
     return INFORMATION.log_determinant(np.repeat(twists, 5, axis=0), TICK / 5)
 
 
@@ -98,15 +98,15 @@ def test_search_beats_random_drives_and_is_reproducible(monkeypatch):
     quick = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: quick)
     room = Room(4.0, 3.0)
-    drive = model_excitation(room, 15.0, LIMITS, worth, seed=3)
-    repetition = model_excitation(room, 15.0, LIMITS, worth, seed=3)
+    drive = model_excitation(room, 15.0, LIMITS, objective, seed=3)
+    repetition = model_excitation(room, 15.0, LIMITS, objective, seed=3)
     assert np.array_equal(drive.twists, repetition.twists)
     stream = np.random.default_rng(4)
     for name, family in (("steps", searched._Steps), ("multi-sine", searched._Sines)):
         member = family(room, 15.0, LIMITS)
-        random_worth = [worth(member.twists(stream.uniform(size=member.genes))) for _ in range(8)]
-        assert drive.worth[name] > np.median(random_worth)
-    assert worth(drive.twists) == pytest.approx(max(drive.worth.values()))
+        random_objectives = [objective(member.twists(stream.uniform(size=member.genes))) for _ in range(8)]
+        assert drive.objectives[name] > np.median(random_objectives)
+    assert objective(drive.twists) == pytest.approx(max(drive.objectives.values()))
 
 
 def test_trajectory_file_contains_the_drive(tmp_path):

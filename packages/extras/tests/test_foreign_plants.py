@@ -1,4 +1,4 @@
-"""Robots of foreign physics as plants of the closed loop."""
+"""Robots with independent physics follow a path as plants of the closed loop."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ PATH = "{timing: smooth, segments: [{v: 0.3, omega: 0.5, duration: 1.0}]}"
 
 
 @pytest.mark.parametrize("kind", FOREIGN)
-def test_foreign_robot_follows_its_path_and_is_reproducible(kind, tmp_path):
+def test_foreign_robot_follows_its_path_reproducibly(kind, tmp_path):
     (tmp_path / "path.yaml").write_text(PATH, encoding="utf-8")
     config = load_config("ssm")
     reference = load_trajectory(tmp_path / "path.yaml", config)

@@ -1,4 +1,4 @@
-"""Controllers with features keep the promises of docs/safety.md in random lives."""
+"""Controllers with features satisfy the guarantees of docs/safety.md in random sessions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid,
 from fuzz import odd
 from fuzz.case import draw, saved_findings
 from fuzz.configs import Overrides
-from fuzz.controller import EXTRAS, ControllerFuzzer, Life, one_line
-from fuzz.runner import judged
+from fuzz.controller import EXTRAS, ControllerFuzzer, Session, one_line
+from fuzz.runner import find_fault
 
 
 def draw_surroundings(random: Random) -> Any:
@@ -111,13 +111,13 @@ class FeatureFuzzer(ControllerFuzzer):
             return []
         return [["see", draw_surroundings(random)]]
 
-    def make_life(self, controller: Controller, references: list[Any]) -> Life:
-        """Return a life in which surroundings are set."""
-        return FeatureLife(controller, references)
+    def make_session(self, controller: Controller, references: list[Any]) -> Session:
+        """Return a session in which surroundings are set."""
+        return FeatureSession(controller, references)
 
 
-class FeatureLife(Life):
-    """Life of a controller with surroundings."""
+class FeatureSession(Session):
+    """Session with obstacles and other surroundings."""
 
     def see(self, stated: Any) -> None:
         """Set surroundings near the present pose, or remove them."""
@@ -131,18 +131,18 @@ class FeatureLife(Life):
 FINDINGS = saved_findings(Path(__file__).with_name("fuzz_findings"))
 
 
-def test_drawn_cases_keep_what_is_promised():
+def test_drawn_cases_have_no_fault():
     fuzzer = FeatureFuzzer()
     cases = [draw(fuzzer, 30, index) for index in range(60)]
-    assert [judged(fuzzer, case) for case in cases] == [None] * len(cases)
+    assert [find_fault(fuzzer, case) for case in cases] == [None] * len(cases)
     assert all(any(extra.items() <= case["overrides"].items() for case in cases) for extra in FEATURES)
     assert "see" in {event[0] for case in cases for event in case["events"]}
     assert fuzzer.steps > 2000
 
 
 @pytest.mark.parametrize("key", FINDINGS)
-def test_earlier_finding_is_mended(key):
-    assert judged(FeatureFuzzer(), FINDINGS[key]) is None
+def test_earlier_finding_is_fixed(key):
+    assert find_fault(FeatureFuzzer(), FINDINGS[key]) is None
 
 
 def test_there_are_findings_to_replay():

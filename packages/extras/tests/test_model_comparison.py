@@ -16,7 +16,7 @@ from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, Kin
 @pytest.fixture(autouse=True)
 def limit_order(monkeypatch):
     """Limit the order of the SSM to 4: the true models have at most four states, and higher orders take long."""
-    monkeypatch.setattr(ssm, "LARGEST_ORDER", 4)
+    monkeypatch.setattr(ssm, "MAX_ORDER", 4)
 
 
 @pytest.mark.long
@@ -35,7 +35,7 @@ def test_sm_is_recommended_for_decoupled_channels():
 @pytest.mark.long
 def test_ssm_is_recommended_for_coupled_channels(monkeypatch):
     """Drive the published model of order 2 with cross terms ten times as large."""
-    monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
+    monkeypatch.setattr(ssm, "MAX_ORDER", 2)
     model = published_ssm()
     model.C[0, 1], model.C[1, 0] = 10 * model.C[0, 1], 10 * model.C[1, 0]
     comparison = compare_models(
@@ -88,7 +88,7 @@ def test_invalid_arguments_raise_config_error(arguments, message):
 
 
 def test_command_prints_scores_table_and_recommendation(tmp_path, monkeypatch):
-    monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
+    monkeypatch.setattr(ssm, "MAX_ORDER", 2)
     log = tmp_path / "drive.csv"
     invoke(app, "simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log)
     result = invoke(app, "models", "compare", log, "--kinds", "sm,ssm", "--parts", "2")

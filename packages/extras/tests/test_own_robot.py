@@ -19,7 +19,13 @@ from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intervals
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
-from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, learn_from, predict_by_drives, tube
+from diffdrive_mpc_extras.predicted_error.drives import (
+    absolute_errors,
+    drive_case,
+    predict_by_drives,
+    scale_by_logs,
+    tube,
+)
 from diffdrive_mpc_extras.proof.proof_file import load_proof, proof_of
 from refusals import one_line_error
 
@@ -80,14 +86,14 @@ def test_recorded_drives_scale_the_tubes_and_too_few_are_refused(folder):
         with run_log(log) as write:
             write(run_case(case), case)
     predicted = predict_by_drives(config, path, plant, 20)
-    learned = learn_from(logs, predicted, load_config(config), plant, 20, 1)
+    learned = scale_by_logs(logs, predicted, load_config(config), plant, 20, 1)
     assert "scaled by 20 recorded drives of 16 m" in learned.drives
     width = learned.lateral.everywhere
     errors = np.abs([read_drive_log(log).columns["error_across_m"][: len(width)] for log in logs])
     is_inside = [np.nanmax(errors / (share * width), axis=1) <= 1.0 + 1e-9 for share in (1.0, 0.8)]
     assert is_inside[0].sum() >= 19 and not is_inside[1].all()
     with one_line_error(ConfigError, match="3 recorded drives: 95 % needs 19"):
-        learn_from(logs[:3], predicted, load_config(config), plant, 20, 1)
+        scale_by_logs(logs[:3], predicted, load_config(config), plant, 20, 1)
     options = ["--config", config, "--trajectory", path, "--draws", "20", "--out", folder / "predicted"]
     assert "1 recorded drive" in refusal("predict-error", *options, "--learn-from", logs[0])
 

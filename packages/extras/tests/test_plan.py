@@ -1,4 +1,4 @@
-"""The planner, and the command that plans."""
+"""Planner and its command."""
 
 import itertools
 import math
@@ -41,8 +41,8 @@ BOT, MOTORS = load_vehicle("fsu_bot"), load_drive_constants("fsu_bot")
 SPEED = 0.4
 
 
-def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
-    """Build a floor with the torques of both sides [N m] at each turning radius [m]."""
+def surface(name, radius, outer, inner, *, drive=MOTORS, slip=None):
+    """Build a surface with the torques of both sides [N m] at each turning radius [m]."""
     columns = {"radius": radius, "outer": outer, "inner": inner}
     columns = {name: tuple(values.tolist()) for name, values in columns.items()}
     curve = TorqueTable(**columns, speed=SPEED, speed_exponent=0.0)
@@ -51,28 +51,28 @@ def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
 
 
 def stiff(least, slip=None):
-    """Build a floor on which the outer side is at its limit below a radius, and needs less torque in wider turns."""
+    """Build a surface with the outer side at its torque limit below a radius, and lower torques in wider turns."""
     radius = np.geomspace(0.2, 500.0, 60)
     turn = np.minimum(4.6, 0.95 * 4.6 * (least / radius) ** 1.2)
-    return floor(f"least radius {least:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
+    return surface(f"least radius {least:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
 
 
 def sliding(slip=None):
-    """Build a floor with dry friction: every turn needs the same torques, without regeneration and losses."""
+    """Build a surface with dry friction: all turns need the same torques, without regeneration and losses."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
     inner = np.where(radius < 0.195, -0.21, 0.21) - turn
     drive = MOTORS.model_copy(update={"resistance": 0.0, "regeneration": False})
-    return floor("dry friction", radius, 0.21 + turn, inner, drive=drive, slip=slip)
+    return surface("dry friction", radius, 0.21 + turn, inner, drive=drive, slip=slip)
 
 
 def dubins(start, goal, radius):
-    """Compute the length of the shortest way of bounded curvature by the six words of Shkel and Lumelsky, 2001."""
+    """Compute the length of the shortest path of bounded curvature with the six words of Shkel and Lumelsky, 2001."""
     dx, dy = (np.asarray(goal) - start)[:2] / radius
     far, toward = np.hypot(dx, dy), np.arctan2(dy, dx)
     whole = lambda angle: np.mod(angle, 2 * np.pi)  # noqa: E731
     results = []
-    # Words that begin with a turn to the left, and their mirror images.
+    # Words that start with a turn to the left, and their mirror images.
     for side in (1, -1):
         a, b = whole(side * (start[2] - toward)), whole(side * (goal[2] - toward))
         sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
@@ -94,7 +94,7 @@ def dubins(start, goal, radius):
 
 
 def dense_energy(costs, start, goal, radii):
-    """Compute the least energy of arc-straight-arc over pairs of radii by forward integration: slow and simple."""
+    """Compute the minimum energy of arc-straight-arc paths over pairs of radii by an exhaustive search."""
     best, chosen = np.inf, None
     power = lambda v, w: float(costs.power([[v, w]])[0])  # noqa: E731
     straight = power(SPEED, 0.0) / SPEED
@@ -128,7 +128,7 @@ goals = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-math.pi, math.p
 )
 
 
-def searched(costs, goal, minimise="distance", start=ORIGIN, via=NO_VIA, **allowed):
+def search_plan(costs, goal, minimise="distance", start=ORIGIN, via=NO_VIA, **allowed):
     allowed = {"reverse": False, "spot": False} | allowed
     inputs = make_inputs(costs, minimise, SPEED, SETTINGS, **allowed)
     return PlanSearch(inputs, start, np.asarray(goal, dtype=float), via, SETTINGS.search, None).run()
@@ -149,13 +149,13 @@ def ends_of(inputs, words, poses):
 
 @given(goal=goals)
 @settings(max_examples=40, deadline=None)
-def test_without_slip_the_shortest_way_is_that_of_dubins(goal):
+def test_shortest_path_without_slip_is_the_dubins_path(goal):
     costs = stiff(1.0)
-    result = searched(costs, goal)
+    result = search_plan(costs, goal)
     assert result.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
 
 
-def test_every_way_of_three_pieces_ends_where_it_should():
+def test_paths_of_three_pieces_end_at_the_goal():
     costs = load_turn_costs("fsu_bot-default")
     inputs = make_inputs(costs, "energy", SPEED, SETTINGS, reverse=True, spot=False)
     rng = np.random.default_rng(1)
@@ -172,8 +172,8 @@ def test_every_way_of_three_pieces_ends_where_it_should():
 
 @pytest.mark.parametrize("slip", [SlipCoefficients(), SYMMETRIC], ids=["no slip", "slip"])
 @pytest.mark.parametrize("goal", [(3.0, 2.0, 0.3), (2.0, -3.0, 2.5), (-2.0, 2.0, -1.5)])
-def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(goal, slip):
-    """IJRR 10.1177/02783649231216499: the inner wheels stand, so the body's radius is half the slip-track."""
+def test_best_commanded_radius_on_dry_friction_is_half_the_track(goal, slip):
+    """The inner wheels are at rest, so the turning radius is half the slip-track (IJRR 10.1177/02783649231216499)."""
     costs = sliding(slip)
     radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF])
     commands = [[SPEED, 0.0], *([SPEED, side * SPEED / radius] for radius in radii for side in (1, -1))]
@@ -182,26 +182,26 @@ def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(g
     best = np.argmin(words.costs)
     for index in words.inputs[best, [0, 2]]:
         assert abs(inputs.commands[index, 0] / inputs.commands[index, 1]) == pytest.approx(HALF)
-    result = searched(costs, goal, "energy")
+    result = search_plan(costs, goal, "energy")
     assert result.cost <= words.costs[best] * 1.0001
     arcs = [piece for piece in result.pieces if abs(piece.omega) > 0.05]
     assert arcs and all(abs(piece.radius) == pytest.approx(HALF) for piece in arcs)
 
 
 @pytest.mark.parametrize("goal", [(4.0, 2.0, 0.0), (3.0, -2.0, -1.5)])
-def test_the_energy_is_that_of_a_dense_search(goal):
+def test_energy_agrees_with_a_dense_search(goal):
     costs = stiff(0.8)
     sharp = sharpest_radius(costs, SPEED, SETTINGS)
     dense, _ = dense_energy(costs, ORIGIN, np.array(goal), np.geomspace(sharp, 30 * sharp, 25))
-    result = searched(costs, goal, "energy")
+    result = search_plan(costs, goal, "energy")
     assert result.bound <= result.cost <= 1.06 * dense
-    # Smooth turns of changing radius cost less than the best of two arcs, ramps and all.
+    # Smooth turns with varying radius need less energy than the best pair of arcs, including the ramps.
     assert plan(costs, ORIGIN, goal).energy < dense
 
 
 @given(goal=goals, minimise=st.sampled_from(["energy", "time", "distance"]))
 @settings(max_examples=30, deadline=None)
-def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
+def test_bound_does_not_exceed_the_remaining_cost(goal, minimise):
     costs = load_turn_costs("fsu_bot-grippy")
     inputs = make_inputs(costs, minimise, SPEED, SETTINGS, reverse=False, spot=False)
     search = PlanSearch(inputs, ORIGIN, np.array(goal), NO_VIA, SETTINGS.search, None)
@@ -211,12 +211,12 @@ def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
 
 @pytest.mark.parametrize("name", ["slippery", "default", "carpet", "grippy"])
 @pytest.mark.parametrize("goal", [(8.0, 5.0, 0.0), (6.0, -4.0, -1.0)])
-def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
+def test_each_plan_is_feasible_and_minimises_its_objective(name, goal):
     costs = load_turn_costs(f"fsu_bot-{name}")
     plans = plan_each(costs, ORIGIN, goal)
     for objective, best in plans.items():
-        for rival in plans.values():
-            assert best.amount(objective) <= rival.amount(objective) * 1.0005
+        for alternative in plans.values():
+            assert best.amount(objective) <= alternative.amount(objective) * 1.0005
         assert best.status == "polished"
         assert integrate_commands(costs, best.commands, ORIGIN, best.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
         sample = best.trajectory.sample([0.0, best.duration])
@@ -232,21 +232,21 @@ def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
 
 @given(x=st.floats(-50, 50), y=st.floats(-50, 50), turn=st.floats(-3, 3))
 @settings(max_examples=3, deadline=None)
-def test_the_plan_does_not_depend_on_the_frame(x, y, turn):
+def test_plan_does_not_depend_on_the_frame(x, y, turn):
     costs, goal = load_turn_costs("fsu_bot-carpet"), np.array([5.0, 2.0, 0.5])
     start = np.array([x, y, turn])
     moved = plan(costs, start, move_poses(start, goal))
-    usual = plan(costs, ORIGIN, goal)
-    assert moved.energy == pytest.approx(usual.energy, rel=2e-3)
+    reference_plan = plan(costs, ORIGIN, goal)
+    assert moved.energy == pytest.approx(reference_plan.energy, rel=2e-3)
     assert moved.poses[-1][:2] == pytest.approx(move_poses(start, goal)[:2], abs=1e-6)
 
 
-def test_it_keeps_clear_of_what_stands_there():
+def test_plan_keeps_the_margin_to_obstacles():
     costs = load_turn_costs("fsu_bot-slippery")
     discs = [MovingDisc(3.0, 0.2, 0.15), MovingDisc(4.5, -0.4, 0.15)]
     box = np.array([[2.0, 0.9], [5.0, 0.9], [5.0, 1.2], [2.0, 1.2]])
     result = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
-    # Points all along the outline of the robot, by their own distances.
+    # Distances of points on the outline of the robot.
     low, high = outline(BOT).corners.min(0), outline(BOT).corners.max(0)
     side = np.linspace(0, 1, 12)[:, None]
     corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
@@ -260,7 +260,7 @@ def test_it_keeps_clear_of_what_stands_there():
     assert result.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
 
 
-def test_driving_backward_and_turning_on_the_spot_open_ways():
+def test_reverse_and_turns_on_the_spot_permit_shorter_plans():
     costs = load_turn_costs("fsu_bot-default")
     back = plan(costs, ORIGIN, (-3.0, 0.0, 0.0), reverse=True)
     assert back.commands[:, 0].max() < 1e-6 and back.length == pytest.approx(3.0, abs=0.05)
@@ -285,7 +285,7 @@ RING = [
 
 
 @pytest.mark.parametrize(
-    ("goal", "changes", "words"),
+    ("goal", "changes", "message"),
     [
         ((0.0, 0.0, 2 * math.pi), {}, "start and goal are the same"),
         ((1.0, math.nan, 0.0), {}, "finite numbers"),
@@ -297,9 +297,9 @@ RING = [
         ((0.0, 1.0, 0.0), {}, r"minimum radius of .* m for 1.00 m of distance; allow driving backward"),
     ],
 )
-def test_impossible_plan_is_refused_in_one_sentence(goal, changes, words):
+def test_infeasible_plan_raises_plan_error(goal, changes, message):
     assert issubclass(PlanError, ConfigError)
-    with one_line_error(PlanError, match=words):
+    with one_line_error(PlanError, match=message):
         plan(load_turn_costs("fsu_bot-default"), ORIGIN, goal, **changes)
 
 
@@ -312,23 +312,23 @@ def written(tmp_path_factory):
     return out / "a"
 
 
-def test_the_trajectory_goes_from_pose_to_pose(written):
+def test_written_trajectory_connects_start_and_goal(written):
     path = load_trajectory(written / "trajectory.csv")
     start, end = path.sample([0.0, path.duration]).pose
     assert start == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
     assert end[:2] == pytest.approx([-4.0, 6.0], abs=1e-6)
     assert math.cos(end[2]) == pytest.approx(-1.0)
-    way = path.sample(np.linspace(0, path.duration, 2000)).pose
-    assert np.hypot(*(way[:, :2] - [0.0, 3.0]).T).min() < 0.02
+    poses = path.sample(np.linspace(0, path.duration, 2000)).pose
+    assert np.hypot(*(poses[:, :2] - [0.0, 3.0]).T).min() < 0.02
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (("--from", "0,0,0", "--to", "5,nan,0"), "give X,Y,DEG, 3 numbers"),
         (("--from", "0,0,0", "--to", "5,0,0", "--costs", "fsu_bot-defualt"), "did you mean 'fsu_bot-default'"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_writes_nothing(tmp_path, arguments, words):
-    assert words in refusal("plan", *arguments, "--out", tmp_path / "out")
+def test_invalid_argument_is_refused_without_output(tmp_path, arguments, message):
+    assert message in refusal("plan", *arguments, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

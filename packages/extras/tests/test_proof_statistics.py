@@ -63,7 +63,7 @@ def search(**fields: float) -> BoundarySearch:
     return BoundarySearch(**fields)  # type: ignore[arg-type]
 
 
-def test_bisection_closes_in_on_where_every_seed_holds() -> None:
+def test_bisection_converges_to_the_value_at_which_all_seeds_pass() -> None:
     robot = Robot(robot__robot__mass=17.3, sensors__pose__latency=0.2)
     searches = {
         "robot.robot.mass": search(holds=5.0, beyond=37.0, within=0.5),
@@ -160,7 +160,7 @@ def test_groups_of_dependent_scores_cover_at_least_the_level():
     assert covered <= binom.ppf(1.0 - UNLIKELY, TRIALS, level + 1 / 40 + 0.01)
 
 
-def test_a_group_counts_as_one_however_many_scores_it_has():
+def test_group_has_the_weight_of_one_score():
     rare = [np.full(1000, 9.0)] + [np.array([float(k)]) for k in range(1, 9)]
     assert conformal_quantile(rare, 0.8) == 8.0
 
@@ -172,7 +172,7 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
 
 
 @pytest.mark.parametrize(("count", "total"), [(0, 9), (59, 59), (117, 119), (20, 40)])
-def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, total):
+def test_lower_bound_of_a_share_agrees_with_the_exact_test(count, total):
     bound = Rate.of_runs(count, total).at_least(0.95)
     assert 0.0 <= bound < count / total or count == bound == 0
     # With the bound as the true share so many or more happen with the probability that is left.
@@ -180,14 +180,14 @@ def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, total):
 
 
 @pytest.mark.parametrize(("count", "total"), [(3, 40), (39, 40), (20, 40), (1, 300)])
-def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, total: int) -> None:
+def test_exact_interval_excludes_a_fortieth_on_each_side(count: int, total: int) -> None:
     rate = Rate.of_runs(count, total)
     assert binom.sf(count - 1, total, rate.low) == pytest.approx(0.025)
     assert binom.cdf(count, total, rate.high) == pytest.approx(0.025)
     assert binom.cdf(count, total, rate.bound) == pytest.approx(0.05)
 
 
-def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
+def test_tail_is_the_mean_of_the_worst_twentieth() -> None:
     values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
     assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
     # A twentieth of 30 runs is one and a half of them.
@@ -198,7 +198,7 @@ def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
     assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
 
 
-def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
+def test_width_of_a_bootstrap_interval_agrees_with_theory() -> None:
     values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
     estimate = BootstrapEstimate.of_runs(values, mean)
     half = 1.96 * np.std(values) / math.sqrt(400)

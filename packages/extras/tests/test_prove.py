@@ -46,14 +46,14 @@ def write_proof(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
-    """The folder of a proof, and the words of its command."""
+    """Folder of a proof, and the arguments of its command."""
     folder = tmp_path_factory.mktemp("proven")
     words = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
     call(*words)
     return folder / "out", words
 
 
-def test_a_proof_leaves_report_table_figures_and_worst_runs(
+def test_proof_writes_report_table_figures_and_worst_runs(
     proven: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, words = proven
@@ -71,21 +71,21 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     assert results["boundaries"][0]["tried"]["0.02"] == 2
     files = sorted((out / "worst").iterdir())
     assert [path.name for path in files] == ["01.yaml", "02.yaml", "03.yaml"]
-    # The worst are the worst, and each drives again to the same figures, from where it lies.
+    # Repeating each of the worst runs from its file gives the same results.
     errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
     errors_of_files = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
     assert errors_of_files == errors[:3]
     output = call("repeat", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
     assert "values are identical to the file" in " ".join(output.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
-    # A repeated proof drives nothing, and says the same.
+    # A repeated proof uses the stored runs and prints the same output.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
     call(*words)
     body = report.partition("## Outcomes")[2]
     assert (out / "prove.md").read_text(encoding="utf-8").partition("## Outcomes")[2] == body
 
 
-def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
+def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     plain = yaml.safe_load(proof.read_text(encoding="utf-8"))
     proof.write_text(yaml.safe_dump({key: plain[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
@@ -111,7 +111,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
         (("low: 0.0, high", "low: 0.4, high"), "low (0.4) must be below high (0.3)"),
     ],
 )
-def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:
+def test_invalid_proof_raises_one_line_error(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:
     text = proof.read_text(encoding="utf-8")
     assert change[0] in text
     proof.write_text(text.replace(*change, 1), encoding="utf-8")
@@ -120,7 +120,7 @@ def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, 
     assert not (tmp_path / "out").exists()
 
 
-def test_the_shipped_proof_can_be_driven() -> None:
+def test_shipped_proof_can_be_simulated() -> None:
     proof = load_proof(None)
     check_definitions(proof.definitions(64))
     probe = Definition.from_factors(dict(proof.probe.factors))
@@ -131,6 +131,6 @@ def test_the_shipped_proof_can_be_driven() -> None:
         for value in (search.holds, search.beyond)
     ]
     check_definitions(ends)
-    # No seed of the probe is among those that are drawn.
+    # The seeds of the probe are not among the drawn seeds.
     drawn = {definition.case.seed for definition in proof.definitions()}
     assert not drawn & set(proof.probe.seeds)

@@ -25,7 +25,7 @@ SHIPPED = load_proof(None)
 ROBOTS = {name: data for name, data in SHIPPED.factors.items() if name not in {"trajectory", "scenario"}}
 
 
-def test_a_speed_that_passes_is_wrong_no_more_often_than_it_says() -> None:
+def test_error_rate_of_accepted_speeds_is_below_the_stated_level() -> None:
     # Errors of known distribution: 0.1 s over the speed in the median, log-normal. Many speeds are just too fast.
     spread, tolerance = 0.5, 0.05
     just = tolerance / 0.1 / np.exp(spread * norm.ppf(0.95))
@@ -75,7 +75,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_a_passport_is_a_table_a_page_and_a_file(measured: Path) -> None:
+def test_passport_consists_of_table_page_and_file(measured: Path) -> None:
     passport = yaml.safe_load((measured / PASSPORT).read_text(encoding="utf-8"))
     assert [(row["surface"], row["tolerance"]) for row in passport["rows"]] == [("firm", 0.01), ("firm", 0.03)]
     rows = json.loads((measured / "passport.json").read_text(encoding="utf-8"))["speeds"]
@@ -134,7 +134,7 @@ def drawn(name: str) -> dict[str, object]:
     return {"segments": rows}
 
 
-def test_a_path_timed_by_a_passport_stays_inside_and_one_that_is_not_does_not(measured: Path, tmp_path: Path) -> None:
+def test_only_paths_timed_by_a_passport_stay_within_the_tolerance(measured: Path, tmp_path: Path) -> None:
     assert held_out(tmp_path, measured / PASSPORT, "firm", 0.01, ["bends"], 10).high >= PLAN["share"]
     assert held_out(tmp_path, None, "firm", 0.01, ["bends"], 10).high < PLAN["share"]
 
@@ -143,7 +143,7 @@ LONG_PATHS = ["slalom", "figure8", "cane", "s", "spline-340001", "spline-340002"
 
 
 @pytest.mark.long
-def test_paths_timed_by_the_shipped_plan_stay_inside(tmp_path: Path) -> None:
+def test_paths_timed_by_the_shipped_plan_stay_within_the_tolerance(tmp_path: Path) -> None:
     out = tmp_path / "out"
     call("prove", "ssm", "--tolerance", "0.01,0.02,0.05", "--out", out)
     for surface in SHIPPED.passport.surfaces:
@@ -159,5 +159,5 @@ def test_paths_timed_by_the_shipped_plan_stay_inside(tmp_path: Path) -> None:
         (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each must be above zero"),
     ],
 )
-def test_a_mistake_is_one_line(words: list[str], line: str, tmp_path: Path) -> None:
+def test_invalid_argument_raises_error_in_one_line(words: list[str], line: str, tmp_path: Path) -> None:
     assert line in " ".join(call("prove", "ssm", *words, "--out", tmp_path / "out", code=2).split())

@@ -1,4 +1,4 @@
-"""Turn costs: identification of the slip law, torques, numeric and symbolic power, least radius, and files."""
+"""Turn costs: identification of the slip law, torques, numeric and symbolic power, minimum radius, and files."""
 
 import casadi as ca
 import numpy as np
@@ -127,7 +127,7 @@ def test_braking_side_returns_no_power_without_regeneration():
     assert float(function(0.4, 0.1)) == pytest.approx(changed.power(turn)[0], rel=0.02)
 
 
-def test_least_radius_has_the_torque_limit_and_is_proportional_to_speed():
+def test_least_radius_reaches_the_torque_limit_and_is_proportional_to_speed():
     assert load_turn_costs("fsu_bot-slippery").least_radius() == 0.0
     grippy = load_turn_costs("fsu_bot-grippy")
     assert 1.5 < grippy.least_radius() < 2.5

@@ -1,4 +1,4 @@
-"""Measure the tubes of `predict-error` on robots of foreign physics: excite, identify, predict, and drive.
+"""Measure the tubes of `predict-error` on robots with independent physics: excite, identify, predict, drive.
 
     python packages/extras/tests/tubes_of_foreign_robots.py FOLDER tyres:10 belts:11 castors:12
 
@@ -29,40 +29,42 @@ _DRIVES, _SEED = 5, 9000
 _PATHS = ("s", "circle", "spline", "square", "cane")
 
 
-def record_excitation(folder, make):
+def record_excitation(folder, make_plant):
     """Drive an excitation of 120 s in a room of 6 m by 6 m; return the path of the log."""
     excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)
     config = load_config("ssm")
-    run = simulate(Controller(config), make(7), load_trajectory(path, config))
+    run = simulate(Controller(config), make_plant(7), load_trajectory(path, config))
     check_drive(run, excitation.room)
     with run_log(log) as write:
         write(run, excitation.case)
     return log
 
 
-def identify_robot(folder, make, structure="sm"):
+def identify_robot(folder, make_plant, structure="sm"):
     """Identify model, configuration and robot from the log in `folder`; return the path of the configuration.
 
     If the log is missing, it is recorded first.
     """
-    log, part = folder / "log.csv", folder / structure
-    if not (part / "robot.yaml").exists():
-        identification = identify([log if log.exists() else record_excitation(folder, make)], structure=structure)
+    log, model_folder = folder / "log.csv", folder / structure
+    if not (model_folder / "robot.yaml").exists():
+        identification = identify([log if log.exists() else record_excitation(folder, make_plant)], structure=structure)
         if identification.refusal:
             raise ValueError(identification.refusal)
-        part.mkdir(exist_ok=True)
-        identification.write_model(part)
-        write_robot(identified_robot(identification, load_config(part / "config.yaml")), part / "robot.yaml")
-    return str(part / "config.yaml")
+        model_folder.mkdir(exist_ok=True)
+        identification.write_model(model_folder)
+        write_robot(
+            identified_robot(identification, load_config(model_folder / "config.yaml")), model_folder / "robot.yaml"
+        )
+    return str(model_folder / "config.yaml")
 
 
-def measure(config, make, trajectory, oracle):
+def measure(config, make_plant, trajectory, oracle):
     """Yield, per direction, the number of drives inside, and width, oracle's width and maximum error [mm]."""
     predicted = predict_by_drives(config, trajectory, own_plant(config))
     reference, loaded = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
-    runs = (simulate(Controller(loaded), make(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
+    runs = (simulate(Controller(loaded), make_plant(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
     widths = [predicted.lateral.everywhere, predicted.along.everywhere]
     np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
@@ -77,15 +79,17 @@ def main(folder, names, oracle):
     folder.mkdir(exist_ok=True)
     with (folder / "rows.csv").open("a") as file:
         for name in names:
-            part = folder / name.replace(":", "-")
-            part.mkdir(exist_ok=True)
+            robot_folder = folder / name.replace(":", "-")
+            robot_folder.mkdir(exist_ok=True)
             kind, _, number = name.partition(":")
-            make, number = partial(FOREIGN[kind], int(number)), int(number)
+            make_plant, number = partial(FOREIGN[kind], int(number)), int(number)
             for index, structure in ((number, "sm"), (number + 2, "ssm")):
                 for path in (_PATHS[index % 5], _PATHS[(index + 1) % 5]):
                     trajectory = f"spline-{330200 + number}" if path == "spline" else path
                     try:
-                        row = measure(identify_robot(part, make, structure), make, trajectory, oracle)
+                        row = measure(
+                            identify_robot(robot_folder, make_plant, structure), make_plant, trajectory, oracle
+                        )
                         cells = [*row]
                     except ValueError as error:
                         cells = [f"no tube: {error}".replace(",", ";")]

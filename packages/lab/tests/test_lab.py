@@ -229,7 +229,7 @@ def test_unusable_link_opens_the_first_experiment_with_a_notice(page_file: Path)
 
 
 @in_browser
-def test_every_control_changes_what_is_set_and_the_link_opens_it_again(page_file: Path) -> None:
+def test_each_control_changes_a_setting_that_the_link_restores(page_file: Path) -> None:
     with laboratory(page_file) as page:
         for name in lab_settings()["choices"]:
             control = page.locator(f"#choice-{name}")
@@ -247,7 +247,7 @@ def test_every_control_changes_what_is_set_and_the_link_opens_it_again(page_file
 
 
 @in_browser
-def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> None:
+def test_pointer_touch_and_keyboard_act_as_documented(page_file: Path) -> None:
     with laboratory(page_file, viewport={"width": 390, "height": 844}, has_touch=True) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         floor = page.locator("#floor")

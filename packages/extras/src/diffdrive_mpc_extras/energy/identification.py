@@ -162,7 +162,7 @@ def _fit(blocks: _Blocks, weight: FloatArray) -> _Fit:
         if _are_separable([*columns, *additional, column]):
             additional.append(column)
     values, variance, rms = _solve(np.stack([*columns, *additional], axis=-1), blocks.power)
-    # Fit again with the ripple as measured: the difference shows how uncertain its contribution is.
+    # Fit again with the ripple as measured: the difference indicates the uncertainty of its contribution.
     columns[1] = columns[1] + ripple
     alternative, _, _ = _solve(np.stack([*columns, *additional[:1]], axis=-1), blocks.power)
     total_variance = variance[:3] + 0.25 * (values[:3] - alternative[:3]) ** 2

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.validation import simulate_experiment
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
-TOLD = ("gain", "lag", "dead_time")
+REPORTED = ("gain", "lag", "dead_time")
 """Parameters of each channel: steady-state gain [-], sum of both time constants [s], dead time [s]."""
 
 # Prior standard deviation of the logarithm of the second time constant, which many drives do not determine.
@@ -48,7 +48,7 @@ class DriveInformation:
             self._points.append(np.array([*_nearest_two_poles(model, row), *rest]))
 
     def parameters(self, commands: FloatArray, dt: float) -> ParameterEstimate:
-        """Return the parameters `TOLD` of both channels with covariance (6, 6), for commands (K, 2) every `dt` [s].
+        """Return the parameters `REPORTED` of both channels with covariance (6, 6), for commands (K, 2) every `dt` [s].
 
         The drive starts at rest.
 
@@ -62,7 +62,7 @@ class DriveInformation:
         )
 
     def log_determinant(self, commands: FloatArray, dt: float) -> float:
-        """Return the log-determinant of the information on `TOLD`, the criterion of D-optimality.
+        """Return the log-determinant of the information on `REPORTED`, the criterion of D-optimality.
 
         The value depends on the units; the difference between two drives does not.
         """
@@ -83,7 +83,7 @@ class DriveInformation:
         scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny ** 0.25))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         estimate = ParameterEstimate(layout.names, point, inverse)
-        return estimate.derived(TOLD, lambda values: np.array([np.exp(values[0]), np.exp(values[1]), values[3]]))
+        return estimate.derived(REPORTED, lambda values: np.array([np.exp(values[0]), np.exp(values[1]), values[3]]))
 
 
 def _nearest_two_poles(model: VelocityModel, row: int) -> FloatArray:

@@ -25,11 +25,11 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc_extras.excitation.drive_information import TOLD, DriveInformation
+from diffdrive_mpc_extras.excitation.drive_information import REPORTED, DriveInformation
 from diffdrive_mpc_extras.excitation.model_excitation import (
     ModelDrive,
     Room,
-    drives_tried,
+    evaluated_drives,
     model_excitation,
     model_excitation_settings,
     write_model_drive,
@@ -70,8 +70,8 @@ class Excitation:
     def lines(self, out: Path) -> list[str]:
         """Describe the result and the fence settings of the node's configuration."""
         seconds = len(self.drive.twists) * model_excitation_settings().tick
-        least_worth = min(self.drive.worth.values())
-        better = np.exp((max(self.drive.worth.values()) - least_worth) / (2 * len(CHANNELS) * len(TOLD)))
+        worse = min(self.drive.objectives.values())
+        better = np.exp((max(self.drive.objectives.values()) - worse) / (2 * len(CHANNELS) * len(REPORTED)))
         return [
             f"{out}: {self.drive.family}, {seconds:.0f} s. Standard deviations from the other family are {better:.2f} "
             "times as large (geometric mean).",
@@ -82,7 +82,7 @@ class Excitation:
     def table(self) -> Table:
         """Return a table of the expected accuracy of the parameters."""
         shown = self.expected.derived(
-            [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
+            [f"{channel}.{name}" for channel in CHANNELS for name in (*REPORTED, _LATE)],
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
         )
         rows = []
@@ -148,14 +148,14 @@ def excite_model(
     tick = model_excitation_settings().tick
     each = max(1, round(tick / loaded.sample_time))
 
-    tried, most = itertools.count(1), drives_tried()
+    tried, most = itertools.count(1), evaluated_drives()
 
-    def worth(twists: FloatArray) -> float:
+    def objective(twists: FloatArray) -> float:
         if on_drive:
             on_drive(min(next(tried), most), most)
         return information.log_determinant(np.repeat(twists, each, axis=0), tick / each)
 
-    drive = model_excitation(room, seconds, _limits(loaded, speed, yaw_rate), worth, seed)
+    drive = model_excitation(room, seconds, _limits(loaded, speed, yaw_rate), objective, seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drive.yaml"
         write_model_drive(path, drive, tick)

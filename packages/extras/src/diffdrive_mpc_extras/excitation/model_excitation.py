@@ -26,11 +26,11 @@ from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 
-Worth = Callable[[FloatArray], float]
+Objective = Callable[[FloatArray], float]
 """Objective of the search, a function of twists (K, 2), one per tick; it is maximised."""
 
 # Lower bound of the normalisation of sums of sines.
-_SAME = 1e-9
+_MIN_SCALE = 1e-9
 
 
 class ModelExcitationSettings(StrictModel):
@@ -76,11 +76,11 @@ class Room:
     def __post_init__(self) -> None:
         """Check the dimensions."""
         settings = model_excitation_settings()
-        least = 2 * (settings.margin + settings.least_reach)
-        if not (math.isfinite(self.length) and math.isfinite(self.width) and min(self.length, self.width) >= least):
+        min_size = 2 * (settings.margin + settings.least_reach)
+        if not (math.isfinite(self.length) and math.isfinite(self.width) and min(self.length, self.width) >= min_size):
             raise ConfigError(
                 f"a room of {self.length:g} by {self.width:g} m: with {settings.margin:g} m distance from the edges, "
-                f"length and width must be at least {least:g} m"
+                f"length and width must be at least {min_size:g} m"
             )
 
     @classmethod
@@ -109,17 +109,19 @@ class ModelDrive:
         "steps" or "multi-sine".
     twists
         (K, 2) v [m/s] and omega [rad/s], one per `tick`; the robot starts and ends at rest.
-    worth
+    objectives
         Objective of the best drive of each family.
     """
 
     family: str
     twists: FloatArray
-    worth: dict[str, float]
+    objectives: dict[str, float]
 
 
-def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth: Worth, seed: int = 0) -> ModelDrive:
-    """Search for the twists that maximise `worth`.
+def model_excitation(
+    room: Room, seconds: float, limits: TrajectoryLimits, objective: Objective, seed: int = 0
+) -> ModelDrive:
+    """Search for the twists that maximise `objective`.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
         Duration of the drive [s].
     limits
         Maximum speeds and accelerations of the drive.
-    worth
+    objective
         Objective function.
     seed
         Seed of the search; the result is reproducible.
@@ -140,25 +142,25 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
         If the duration is out of range, or no drive of either family contains information.
     """
     settings = model_excitation_settings()
-    least = 2 * settings.holds[1] + 2 * settings.calm
-    if not (math.isfinite(seconds) and seconds >= least):
-        raise ConfigError(f"{seconds:g} s: a drive that determines lags and dead times takes {least:g} s or more")
-    longest = load_settings().longest_excitation
-    if seconds > longest:
-        raise ConfigError(f"{seconds:g} s: give at most {longest:g} s; drive it several times for more")
+    min_seconds = 2 * settings.holds[1] + 2 * settings.calm
+    if not (math.isfinite(seconds) and seconds >= min_seconds):
+        raise ConfigError(f"{seconds:g} s: a drive that determines lags and dead times takes {min_seconds:g} s or more")
+    max_seconds = load_settings().longest_excitation
+    if seconds > max_seconds:
+        raise ConfigError(f"{seconds:g} s: give at most {max_seconds:g} s; drive it several times for more")
     families: dict[str, _Steps | _Sines] = {
         "steps": _Steps(room, seconds, limits),
         "multi-sine": _Sines(room, seconds, limits),
     }
-    candidates = {name: _best(family, worth, seed) for name, family in families.items()}
-    values = {name: worth(twists) for name, twists in candidates.items()}
+    candidates = {name: _best(family, objective, seed) for name, family in families.items()}
+    values = {name: objective(twists) for name, twists in candidates.items()}
     best = max(values, key=lambda name: values[name])
     if not math.isfinite(values[best]):
         raise ConfigError("no drive determines all of the model's parameters; give more time, room or speed")
     return ModelDrive(best, candidates[best], values)
 
 
-def drives_tried() -> int:
+def evaluated_drives() -> int:
     """Return the number of drives that a search evaluates."""
     settings = model_excitation_settings()
     return 2 * (settings.population * (settings.generations + 1) + 1)
@@ -179,20 +181,20 @@ def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
         "timing: commanded",
         "segments:",
     ]
-    for twist, ticks in _held(drive.twists):
-        held = {"v": round(twist[0], 4), "omega": round(twist[1], 4), "duration": round(ticks * tick, 4)}
-        lines.append("- " + yaml.safe_dump(held, sort_keys=False, default_flow_style=True).strip())
+    for twist, ticks in _group_twists(drive.twists):
+        segment = {"v": round(twist[0], 4), "omega": round(twist[1], 4), "duration": round(ticks * tick, 4)}
+        lines.append("- " + yaml.safe_dump(segment, sort_keys=False, default_flow_style=True).strip())
     with whole_file(path) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _held(twists: FloatArray) -> list[tuple[tuple[float, float], int]]:
+def _group_twists(twists: FloatArray) -> list[tuple[tuple[float, float], int]]:
     """Group equal consecutive twists; return each twist with its number of ticks."""
     rows = [tuple(map(float, np.round(row, 4))) for row in twists]
     return [((row[0], row[1]), len(list(group))) for row, group in itertools.groupby(rows)]
 
 
-def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
+def _best(family: _Steps | _Sines, objective: Objective, seed: int) -> FloatArray:
     """Search for the best member of the family and return its twists."""
     from scipy import optimize  # noqa: PLC0415 - loads slowly
 
@@ -200,7 +202,7 @@ def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
     stream = np.random.default_rng(seed)
 
     def cost(genes: FloatArray) -> float:
-        value = worth(family.twists(genes))
+        value = objective(family.twists(genes))
         return -value if math.isfinite(value) else math.inf
 
     result = optimize.differential_evolution(
@@ -221,11 +223,11 @@ class _Sines:
     def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
         settings = model_excitation_settings()
         self._reach, self._tick, self._sines = room.reach, settings.tick, settings.sines
-        self._most = np.array([limits.v, limits.omega])
+        self._max_twist = np.array([limits.v, limits.omega])
         self._slope = np.array([limits.v_acceleration, limits.omega_acceleration])
         self._times = settings.tick * (np.arange(round(seconds / settings.tick)) + 0.5)
         edge = np.minimum(self._times, seconds - self._times) / settings.calm
-        self._swell = np.sin(0.5 * np.pi * np.clip(edge, 0.0, 1.0)) ** 2
+        self._fade = np.sin(0.5 * np.pi * np.clip(edge, 0.0, 1.0)) ** 2
         self._low, self._high = np.log(settings.frequencies)
         self.genes = 6 * settings.sines
 
@@ -233,9 +235,9 @@ class _Sines:
         """Build twists (K, 2)."""
         frequency, amplitude, phase = genes.reshape(3, 2, self._sines)
         angle = 2 * np.pi * np.exp(self._low + (self._high - self._low) * frequency)[..., None] * self._times
-        rows = np.sum(amplitude[..., None] * np.sin(angle + 2 * np.pi * phase[..., None]), axis=1) * self._swell
+        rows = np.sum(amplitude[..., None] * np.sin(angle + 2 * np.pi * phase[..., None]), axis=1) * self._fade
         steps = np.abs(np.diff(np.pad(rows, ((0, 0), (1, 1))))).max(axis=1) / (self._slope * self._tick)
-        rows /= np.maximum(np.maximum(np.abs(rows).max(axis=1) / self._most, steps), _SAME)[:, None]
+        rows /= np.maximum(np.maximum(np.abs(rows).max(axis=1) / self._max_twist, steps), _MIN_SCALE)[:, None]
         # The headings do not depend on v, so the path scales with v.
         share = float((np.abs(path_of(rows.T, self._tick)[:, :2]) / self._reach).max())
         rows[0] /= max(share, 1.0)
@@ -248,7 +250,7 @@ class _Steps:
     def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
         settings = model_excitation_settings()
         self._reach, self._tick = room.reach, settings.tick
-        self._most = np.array([limits.v, limits.omega])
+        self._max_twist = np.array([limits.v, limits.omega])
         self._step = settings.tick * np.array([limits.v_acceleration, limits.omega_acceleration])
         self._count = round(seconds / settings.tick)
         self._holds = settings.holds
@@ -257,12 +259,12 @@ class _Steps:
 
     def twists(self, genes: FloatArray) -> FloatArray:
         """Build twists (K, 2)."""
-        levels = (2 * genes.reshape(3, self._moves)[:2].T - 1) * self._most
+        levels = (2 * genes.reshape(3, self._moves)[:2].T - 1) * self._max_twist
         shortest, longest = self._holds
         holds = shortest * (longest / shortest) ** genes.reshape(3, self._moves)[2]
         pose, twist = np.zeros(3), np.zeros(2)
         rows: list[FloatArray] = []
-        stop = int(np.ceil((self._most / self._step).max()))
+        stop = int(np.ceil((self._max_twist / self._step).max()))
         left = self._count - stop
         for k in itertools.count():
             if left <= 0:
@@ -280,8 +282,8 @@ class _Steps:
         v, omega = level
         for target in ((v, omega), (-v, omega), (v, -omega), (-v, -omega)):
             move = self._ramp(twist, np.array(target), ticks)
-            way = self._way(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
-            if (np.abs(way[:, :2]) <= self._reach).all():
+            path = self._integrate(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
+            if (np.abs(path[:, :2]) <= self._reach).all():
                 return move
         # Braking stays inside the room: the previous moves ensure this.
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
@@ -291,7 +293,7 @@ class _Steps:
         steps = np.arange(1, ticks + 1)[:, None] * self._step
         return np.asarray(twist + np.clip(target - twist, -steps, steps))
 
-    def _way(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
+    def _integrate(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
         """Integrate twists (K, 2) from `pose` to (K + 1, 3) poses."""
         path = path_of(twists, self._tick)
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -299,4 +301,4 @@ class _Steps:
         return np.column_stack([points, pose[2] + path[:, 2]])
 
     def _end(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
-        return np.asarray(self._way(pose, twists)[-1])
+        return np.asarray(self._integrate(pose, twists)[-1])

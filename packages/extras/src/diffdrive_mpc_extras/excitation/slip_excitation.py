@@ -124,5 +124,5 @@ def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:
     """Compute the end of `twist`; None if its path leaves the square."""
-    way = integrate_pose(pose, twist[0], twist[1], np.linspace(0.0, hold, 11)[1:])
-    return way[-1] if np.abs(way[:, :2]).max() <= reach else None
+    path = integrate_pose(pose, twist[0], twist[1], np.linspace(0.0, hold, 11)[1:])
+    return path[-1] if np.abs(path[:, :2]).max() <= reach else None

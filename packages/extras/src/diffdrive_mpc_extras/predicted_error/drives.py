@@ -28,7 +28,8 @@ from diffdrive_mpc_extras.replay.reference import logged_reference
 MODEL_ERROR = 1.1
 """Factor that widens the tubes of simulated drives to account for differences between model structure and robot.
 
-Tuned on mujoco:hauler, mujoco:long_naive and eight robots of foreign physics; the maximum required factor was 1.12.
+Tuned on mujoco:hauler, mujoco:long_naive and eight robots with independent physics; the maximum required factor was
+1.12.
 """
 DRAWS = 60
 """Default number of simulated drives; the tube of whole drives needs at least level / (1 - level)."""
@@ -36,7 +37,7 @@ LEVEL = 0.95
 _WINDOW = 1.0
 """Time over which squared errors are averaged for the shape of a tube [s]."""
 _MEAN_SHARE = 0.5
-"""Share of the path's mean error in the width of each place, which keeps the tube open on straight sections [-]."""
+"""Share of the path's mean error in the width at each position, which keeps the tube open on straight sections [-]."""
 
 
 def drive_case(config: str, trajectory: str, plant: str, seed: int) -> Case:
@@ -60,7 +61,7 @@ def absolute_errors(run: Run, count: int) -> tuple[FloatArray, FloatArray]:
 def tube(errors: FloatArray, dt: float, level: float = LEVEL) -> ErrorTube:
     """Compute the tube from the errors (m, n) [m] of m drives with sample time `dt` [s].
 
-    The width is a multiple of the root mean square over drives and neighbouring places. The errors of each drive are
+    The width is a multiple of the root mean square over drives and neighbouring positions. The errors of each drive are
     divided by the width from the other drives (jackknife); the multiples are conformal quantiles of these ratios.
 
     Raises ConfigError if too few drives arrive for the level.
@@ -129,7 +130,7 @@ def predict_reference(
     time = np.asarray(np.arange(max(2, int(reference.duration / dt) + 1)) * dt, dtype=np.float64)
     tasks = [partial(_errors, reference, config, plant, seed, len(time)) for seed in range(draws)]
     results = run_tasks(tasks, jobs, on_done)
-    lateral, along = (tube(np.array(errors), dt).times(MODEL_ERROR) for errors in zip(*results, strict=True))
+    lateral, along = (tube(np.array(errors), dt).scaled(MODEL_ERROR) for errors in zip(*results, strict=True))
     sample = reference.sample(time)
     return PredictedError(
         reference.name,
@@ -144,7 +145,7 @@ def predict_reference(
     )
 
 
-def learn_from(
+def scale_by_logs(
     logs: Sequence[Path], predicted: PredictedError, config: ControllerConfig, plant: str, draws: int, jobs: int
 ) -> PredictedError:
     """Scale the tubes of a prediction by conformal quantiles of recorded drives.
@@ -176,7 +177,7 @@ def learn_from(
         required = f"{100 * LEVEL:g} % needs {LEVEL / (1.0 - LEVEL):.0f}"
         raise ConfigError(f"{len(logs)} recorded drives: {required}; record more drives")
     factors = f"scaled by {len(logs)} recorded drives of {metres:.0f} m, lateral {lateral:.2f}, along {along:.2f} times"
-    predicted = replace(predicted, lateral=predicted.lateral.times(lateral), along=predicted.along.times(along))
+    predicted = replace(predicted, lateral=predicted.lateral.scaled(lateral), along=predicted.along.scaled(along))
     return replace(predicted, drives=f"{predicted.drives}, {factors}")
 
 

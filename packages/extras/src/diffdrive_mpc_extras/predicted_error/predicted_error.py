@@ -47,7 +47,7 @@ class ErrorTube:
     everywhere: FloatArray
     shares: Mapping[str, FloatArray]
 
-    def times(self, factor: float) -> ErrorTube:
+    def scaled(self, factor: float) -> ErrorTube:
         """Return the tube, widened by a factor."""
         return replace(self, at_each_place=factor * self.at_each_place, everywhere=factor * self.everywhere)
 

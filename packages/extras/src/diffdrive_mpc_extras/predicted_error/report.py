@@ -15,7 +15,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import Direction
-from diffdrive_mpc_extras.predicted_error.drives import DRAWS, learn_from, predict_by_drives
+from diffdrive_mpc_extras.predicted_error.drives import DRAWS, predict_by_drives, scale_by_logs
 from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
@@ -35,7 +35,7 @@ def predict_robot_into(
 ) -> PredictedError:
     """Predict the error from simulated drives on a plant, by default `own_plant`, and write it with `write_prediction`.
 
-    If `logs` of recorded drives are given, `learn_from` scales the tubes.
+    If `logs` of recorded drives are given, `scale_by_logs` scales the tubes.
 
     Raises ConfigError or ValueError if a name is unknown, a file is invalid, no plant belongs to the configuration, or
     the trajectory is not drivable; OSError if `out` is not writable.
@@ -45,7 +45,7 @@ def predict_robot_into(
     with ProgressBar("driving", draws, lines=True) as bar:
         predicted = predict_by_drives(config, trajectory, plant, draws, jobs, bar.advance)
     if logs:
-        predicted = learn_from(logs, predicted, load_config(config), plant, draws, jobs)
+        predicted = scale_by_logs(logs, predicted, load_config(config), plant, draws, jobs)
     return write_prediction(predicted, out)
 
 

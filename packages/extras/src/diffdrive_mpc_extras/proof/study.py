@@ -44,7 +44,7 @@ class ProofPlan:
 
 
 @dataclass(frozen=True)
-class Proven:
+class ProofResults:
     """Results of a proof.
 
     Attributes
@@ -66,7 +66,7 @@ class Proven:
     worst: dict[str, CampaignRun] = field(default_factory=dict)
 
 
-class ProofStudy(Study[ProofPlan, Proven]):
+class ProofStudy(Study[ProofPlan, ProofResults]):
     """Study of one controller: drawn runs, maps and boundaries.
 
     Parameters
@@ -108,7 +108,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
         """Return the case of the base run."""
         return [plan.probe.case]
 
-    def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
+    def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> ProofResults:
         """Simulate all runs that are not stored yet."""
         place, proof = replace(self._place, jobs=jobs), self._proof
         driven = drive_all(plan.drawn, place, bar, "driving runs")
@@ -125,9 +125,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive, proof.band)
         worst_runs = worst(driven, self._worst_runs)
         files = {f"{k:02d}.yaml": run for k, run in enumerate(worst_runs, start=1)}
-        return Proven(driven, maps, boundaries, len(tried), files)
+        return ProofResults(driven, maps, boundaries, len(tried), files)
 
-    def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - not used
+    def report(self, results: ProofResults, seconds: float) -> Report:  # noqa: ARG002 - not used
         """Return the report with tables, and figures of the errors and of each map."""
         estimates, tail = error_estimates(results.driven), tail_charts(results.driven)
         figures = ({"errors.png": tail} if tail else {}) | {
@@ -151,12 +151,12 @@ class ProofStudy(Study[ProofPlan, Proven]):
         )
 
 
-def write_proof(proven: Proven, out: Path) -> None:
+def write_proof(results: ProofResults, out: Path) -> None:
     """Write the table of the drawn runs and the worst runs into `out`; raises ConfigError if this fails."""
-    write_table([run.columns for run in proven.driven], out / RESULTS)
+    write_table([run.columns for run in results.driven], out / RESULTS)
     for old in (out / WORST).glob("[0-9][0-9].yaml"):
         old.unlink()
-    for name, run in proven.worst.items():
+    for name, run in results.worst.items():
         write_run(run, out / WORST / name)
 
 

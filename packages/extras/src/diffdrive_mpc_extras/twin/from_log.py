@@ -100,7 +100,7 @@ def fit_twin_to_logs(
     robot
         Robot file with known values of the robot: mass, wheel base, motors; shipped name or path.
     model
-        Identified model for the initial values and the comparison; by default an SM of the same rows.
+        Identified model for the initial values and the comparison; by default an SM identified from the same rows.
     effects
         True to identify the effects of the base for that SM.
     seconds
@@ -189,8 +189,8 @@ def energy_note(records: Sequence[Record]) -> str:
     has_no_currents = all(record.motor_current is None and record.battery is None for record in records)
     reason = "the log contains no currents" if has_no_currents else "the currents of the log are not fitted"
     return (
-        f"energy and power of a drive with this plant use prior motor losses and may be wrong by a factor of several: "
-        f"{reason}; use them to compare drives, not to size a battery"
+        f"energy and power of a drive with this plant use prior motor losses and may be several times too high or too "
+        f"low: {reason}; use them to compare drives, not to size a battery"
     )
 
 
@@ -207,7 +207,7 @@ def _notes(model: IdentifiedModel) -> Sequence[str]:
     notes = []
     if model.effects.yaw_relaxation is not None:
         notes.append(
-            "the plant has no twist of the tyres (yaw_relaxation): its contacts creep with time, not over an angle"
+            "the plant does not model tyre twist (yaw_relaxation): its contacts relax with time, not with the angle"
         )
     if model.effects.wheel_command is not None:
         notes.append("steps, coasting and top speed of the wheels come from the model; they are not fitted again")
