@@ -84,7 +84,7 @@ def simulate(
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
-        warnings.warn(escaped(str(shortfall)), stacklevel=2)
+        warnings.warn(escaped(str(shortfall)), stacklevel=3)
     # The arguments are checked above.
     return loop.simulate(
         controller,

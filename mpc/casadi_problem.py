@@ -6,7 +6,7 @@ The functions use the same formulas as the compiled controller (`mpc.problem.for
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
@@ -86,7 +86,7 @@ class CasadiProblem:
     stage_cost: ca.Function
     limited: ca.Function
     horizon: ca.Function
-    nlp: dict[str, ca.SX]
+    nlp: dict[str, ca.SX] = field(repr=False)
 
     def arguments(self, inputs: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the arguments of a solver call: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.

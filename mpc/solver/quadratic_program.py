@@ -44,6 +44,10 @@ class QuadraticProgram(NamedTuple):
     variables: tuple[str, ...]
     rows: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        shape = f"{self.q.size} variables, {len(self.rows)} rows, {self.P.nnz + self.A.nnz} nonzeros"
+        return f"QuadraticProgram of {shape}: P, q, A, l, u, variables, rows"
+
 
 def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[str]) -> QuadraticProgram:
     """Copy the program of a tick with all limits.
