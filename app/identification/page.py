@@ -61,7 +61,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     )
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.findings_summary, *verdict.answers()],
+        summary=[*report.findings_summary, *verdict.headed_answers(folder)],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_drive_views(trials), *other_charts(report), *_pictures(folder)],
@@ -99,7 +99,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
     )
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
-        label = f"maximum lateral error over the circle's radius ({worst.path})"
+        label = f"maximum lateral error over the circle's radius, on path {worst.path}"
         figures.append(
             KeyFigure(
                 "trial drives",

@@ -36,7 +36,7 @@ from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.logs.record import labelled
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import TextTable, plain_line
@@ -196,14 +196,12 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
 
 def _print_log(log: Log) -> None:
     _print_line(log.name)
-    for line in summary(log):
-        _print_line(line, indent="  ")
+    echo("\n".join(f"  {line}" for line in summary(log)))
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for severity in ("note", "warning", "error"):
-        for line in counted([finding for finding in findings if finding.severity == severity]):
-            _print_line(f"{severity}: {line}")
+    for line in labelled(findings):
+        _print_line(line)
 
 
 def _print_identification(identification: Identification, out: Path) -> None:
@@ -224,8 +222,8 @@ def _print_identification(identification: Identification, out: Path) -> None:
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 
-def _print_line(text: str, indent: str = "") -> None:
-    output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
+def _print_line(text: str) -> None:
+    output_console().print(plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
 # Draft of a mapping as a file, and findings from reading the log with it.

@@ -165,6 +165,12 @@ class TrialVerdict:
             next_step = "report.md lists the remedies."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
+    def headed_answers(self, folder: Path) -> list[str]:
+        """Return the answers, each after its question, and the next command for files in `folder`."""
+        command = " ".join(line.strip(" \\") for line in next_command(folder)) if self.promise else ""
+        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.answers(), strict=True)]
+        return [*texts[:-1], f"{texts[-1]} {command}".strip()]
+
     def lines(self, folder: Path = Path()) -> list[str]:
         """Return the limits of the base, and the answers with the next command in at most ten lines of 80 columns."""
         permission, *others = self.answers()

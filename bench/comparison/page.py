@@ -76,8 +76,8 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
     ranked = sorted(complete(drivers), key=errors.__getitem__)
-    listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
-    others = ", ".join(name for name in drivers if name not in ranked)
+    listed = "; ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
+    others = "; ".join(name for name in drivers if name not in ranked)
     completed = total(main, "completed")
     first = "All" if completed == len(main) else f"{completed} of"
     return [
@@ -93,7 +93,7 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
     predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
     completed, fallbacks = total(results.main, "completed"), total(predictive_rows, "fallbacks")
     times = step_times(predictive_rows)
-    controllers = ", ".join(ours)
+    controllers = "; ".join(ours)
     return [
         KeyFigure(
             "completed",

@@ -97,6 +97,7 @@ def test_model_file_of_the_user_is_labelled_by_its_stem(tmp_path: Path) -> None:
     case = quick_case(model=str(path), plant=f"model:{path}")
     assert case.labels["model"] == "my_robot"
     assert case.labels["plant"] == "model:my_robot"
+    assert quick_case(plant="model:my_robot/model.yaml+0.04").labels["plant"] == "model:my_robot+0.04"
     assert case.horizon == load_config("ssm").horizon
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
 
