@@ -28,8 +28,7 @@ _ORDER = "the order is simulate(controller, plant, reference)"
 
 
 @checked_call(
-    seed="a plant takes it: make_plant('mujoco', seed=1)",
-    model="a controller takes it: Controller('ssm', model=model)",
+    seed="a plant takes it: make_plant('mujoco', seed=1)", model="a controller takes it: Controller('ssm', model=model)"
 )
 def simulate(
     controller: TrackingController | ControllerConfig | str | Path | Mapping[str, object],

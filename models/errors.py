@@ -81,7 +81,8 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                     raise
                 from diffdrive_mpc.models.suggestions import similar_name  # noqa: PLC0415 - needed in case of an error
 
-                known = [str(p).partition(":")[0] for p in signature(function).parameters.values() if p.name not in ("self", "cls")]
+                names = [str(p).partition(":")[0] for p in signature(function).parameters.values()]
+                known = [name for name in names if name not in ("self", "cls")]
                 unknown = [name for name in kwargs if name not in known]
                 name = unknown[0] if unknown else ""
                 hint = f"; {remedies[name]}" if name in remedies else similar_name(name, known)

@@ -83,31 +83,19 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
         figures.append(KeyFigure(f"FIT of {channel}", f"{number(float(fit[i]), 1)} %", training, rating))  # type: ignore[arg-type]
     for i, channel in enumerate(CHANNELS):
         dead_time, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
-        figures.append(
-            KeyFigure(
-                f"{channel} follows after", f"{dead_time + lag:.0f} ms", f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
-            )
-        )
+        parts = f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
+        figures.append(KeyFigure(f"{channel} follows after", f"{dead_time + lag:.0f} ms", parts))
     verdicts = [doubt.verdict for doubt in report.doubts] + [
         finding.verdict for finding in report.data.findings if finding.verdict
     ]
     relevant = sum(verdict is not None and verdict.matters for verdict in verdicts)
-    figures.append(
-        KeyFigure(
-            "warnings", str(len(verdicts)), f"{relevant or 'none'} relevant for driving", "bad" if relevant else ""
-        )
-    )
+    note = f"{relevant or 'none'} relevant for driving"
+    figures.append(KeyFigure("warnings", str(len(verdicts)), note, "bad" if relevant else ""))
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
         label = f"maximum lateral error over the circle's radius, on path {worst.path}"
-        figures.append(
-            KeyFigure(
-                "trial drives",
-                f"{100 * worst.lateral_share:.1f} %",
-                label,
-                "bad" if trial_doubts(drives) else "good",
-            )
-        )
+        share = f"{100 * worst.lateral_share:.1f} %"
+        figures.append(KeyFigure("trial drives", share, label, "bad" if trial_doubts(drives) else "good"))
     return figures
 
 
@@ -145,4 +133,5 @@ def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> lis
 
 
 def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
+    first = words[:1] if words.partition(":")[0] in CHANNELS else words[:1].upper()
+    return first + words[1:] + ("" if words.endswith(".") else ".")

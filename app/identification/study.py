@@ -12,13 +12,7 @@ from typing import Any, Protocol
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
-from diffdrive_mpc.app.identification.trial_drives import (
-    FIRST_CIRCLE,
-    first_circle,
-    recipe,
-    trial_doubts,
-    trial_table,
-)
+from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle, recipe, trial_doubts, trial_table
 from diffdrive_mpc.app.identification.unexplained_motion import write_robot
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.bench.html_report.document import write_page
@@ -125,7 +119,7 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
     if robot is not None:
         stated = load_stated_robot(robot)
         for line in (f"{stated.name}, data stated by its maker, not identified:", *stated.lines()):
-            _print_line(line, indent="" if line.endswith(":") else "  ")
+            echo(line if line.endswith(":") else f"  {plain_line(line)}")
     try:
         return identify(
             logs,
@@ -157,16 +151,11 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
         identification.write_model(folder)
     if identification.advice:
         identification.advice.write(folder)
-    parts = [
-        report.markdown(
-            figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
-        )
-    ]
+    head = ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
+    parts = [report.markdown(figures, head)]
     if verdict.drives:
-        parts += [
-            trial_table(verdict.drives).markdown(),
-            "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives)),
-        ]
+        doubts = "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives))
+        parts += [trial_table(verdict.drives).markdown(), doubts]
     if is_usable and verdict.config is not None:
         circle = first_circle(verdict.config, identification.model)
         (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")

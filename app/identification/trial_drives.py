@@ -346,7 +346,8 @@ def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[Trial
         "commanded, and the base must stop when the node is killed (docs/robot.md, step 4).",
         f"On the ground, with {free_space:.2g} m of free space on all sides and a hand on the emergency stop: "
         "`diffdrive-mpc node --config "
-        f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
+        f"config.yaml --trajectory {FIRST_CIRCLE} --autostart{arguments}` with the topics of the robot; "
+        "call start (docs/robot.md, step 5).",
         "Check that the mode stays TRACKING, that the lateral error is a few centimetres and does not grow, and that "
         "the message is empty or names a fault (docs/safety.md).",
         f"Stop the robot if it oscillates increasingly, turns in the wrong direction, or is more than "

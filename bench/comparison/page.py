@@ -93,23 +93,14 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
     predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
     completed, fallbacks = total(results.main, "completed"), total(predictive_rows, "fallbacks")
     times = step_times(predictive_rows)
-    controllers = "; ".join(ours)
+    controllers, runs = "; ".join(ours), len(results.main)
+    percentiles = [number(1e3 * time_percentile(times, share), 2) for share in (50, 99)]
+    timed = f"of {times.size} timed steps; {controllers}"
     return [
-        KeyFigure(
-            "completed",
-            f"{completed} of {len(results.main)}",
-            "runs",
-            "good" if completed == len(results.main) else "bad",
-        ),
+        KeyFigure("completed", f"{completed} of {runs}", "runs", "good" if completed == runs else "bad"),
         _min_error(drivers),
-        KeyFigure(
-            "step time, median",
-            f"{number(1e3 * time_percentile(times, 50), 2)} ms",
-            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {controllers}",
-        ),
-        KeyFigure(
-            "late steps", str(total(predictive_rows, "deadline_misses")), f"of {times.size} timed steps; {controllers}"
-        ),
+        KeyFigure("step time, median", f"{percentiles[0]} ms", f"p99 {percentiles[1]} ms; {controllers}"),
+        KeyFigure("late steps", str(total(predictive_rows, "deadline_misses")), timed),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a new plan", "good" if not fallbacks else "bad"),
     ]
 

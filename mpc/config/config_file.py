@@ -27,8 +27,7 @@ _FAST_TURN = 15.0
 
 @checked_call()
 def load_config(
-    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm",
-    overrides: Mapping[str, object] | None = None,
+    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm", overrides: Mapping[str, object] | None = None
 ) -> ControllerConfig:
     """Read and check a configuration.
 

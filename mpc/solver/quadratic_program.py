@@ -45,8 +45,8 @@ class QuadraticProgram(NamedTuple):
     rows: tuple[str, ...]
 
     def __repr__(self) -> str:
-        shape = f"{self.q.size} variables, {len(self.rows)} rows, {self.P.nnz + self.A.nnz} nonzeros"
-        return f"QuadraticProgram of {shape}: P, q, A, l, u, variables, rows"
+        """Return the sizes, without the arrays."""
+        return f"QuadraticProgram of {len(self.q)} variables, {len(self.rows)} rows: P, q, A, l, u, variables, rows"
 
 
 def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[str]) -> QuadraticProgram:

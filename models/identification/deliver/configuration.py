@@ -68,7 +68,8 @@ def node_text(topics: Topics) -> str:
         "use_imu": ("imu", str("imu" in usable).lower()),
         "pose_source": ("pose", "topic" if "pose" in usable else "odometry"),
     }
-    lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
+    command = "diffdrive-mpc node --config config.yaml --trajectory first_circle.yaml --autostart"
+    lines = [f"# {command} {node_arguments(topics)}", "/**:", "  ros__parameters:"]
     lines += [f"    {name}: {value}{_reason(topics, role)}" for name, (role, value) in values.items()]
     for role, (topic, kind) in topics.items():
         if role in _TYPES and role not in usable:
