@@ -36,15 +36,15 @@ from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
-ITSELF, HELD_OUT = "model itself", "model of held-out data"
+ITSELF, HELD_OUT = "model itself", "held-out model"
 UNEXPLAINED = "the model with its unexplained motion"
 _TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
     "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
-    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. Drives on a "
-    "model of held-out data with another structure test whether the result depends on the part of the log or on the "
-    "structure. Neither includes the surface: start slowly, with free space."
+    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. The held-out "
+    "model is of another structure and fitted to the held-out data; drives on it test whether the result depends on the "
+    "part of the log or on the structure. Neither includes the surface: start slowly, with free space."
 )
 
 
@@ -242,7 +242,7 @@ def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Build a table of errors with a row for each stand-in and path."""
-    columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "over circle radius [%]")
+    columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "of radius [%]")
     return TextTable(
         _TITLE,
         (*columns, "fall-backs", "completed"),
