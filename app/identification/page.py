@@ -61,7 +61,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     )
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.findings_summary, *verdict.headed_answers(folder)],
+        summary=[*report.findings_summary, *verdict.headed_answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_drive_views(trials), *other_charts(report), *_pictures(folder)],
