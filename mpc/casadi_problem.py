@@ -96,7 +96,10 @@ class CasadiProblem:
         inputs
             Inputs of `horizon`, and the bounds `lower` and `upper` (4 + K, N), from `Controller.problem_inputs`.
         """
-        values = [inputs[name] for name in self.horizon.name_in()[1:]]
+        names = self.horizon.name_in()[1:]
+        if missing := [name for name in (*names, "lower", "upper") if name not in inputs]:
+            raise ValueError(f"inputs: {', '.join(missing)} missing; give those of Controller.problem_inputs()")
+        values = [inputs[name] for name in names]
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]
         lower, upper = np.copysign(bounds[0], inputs["lower"]), np.copysign(bounds[1], inputs["upper"])
         hard, soft = lower[:4].size, np.full(lower[4:].size, np.inf)

@@ -5,7 +5,15 @@ import sys
 import numpy as np
 import pytest
 
-from diffdrive_mpc import ConfigError, Controller, MissingPackageError, load_config, load_trajectory, make_plant
+from diffdrive_mpc import (
+    ArgumentError,
+    ConfigError,
+    Controller,
+    MissingPackageError,
+    load_config,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.sim import simulate
@@ -83,8 +91,9 @@ def test_wrong_arguments_and_commands_are_refused_with_one_line():
     with pytest.raises(RuntimeError, match="call reset"):
         env.step([0.0, 0.0])
     env.reset()
-    with pytest.raises(ValueError, match="give two finite numbers"):
-        env.step([np.nan, 0.0])
+    for action in ([np.nan, 0.0], [0.1], "x"):
+        with pytest.raises(ValueError, match="give two finite numbers"):
+            env.step(action)
 
 
 def test_missing_gymnasium_is_one_line_with_the_remedy(monkeypatch):
@@ -118,3 +127,6 @@ def test_many_drives_with_a_mistake_drive_nothing():
         with pytest.raises(ConfigError, match="unknown|did you mean"):
             drive_many(**{"seeds": [0], "on_done": lambda: done.append(1), **change})
     assert not done
+    for seeds in ([], [0.5]):
+        with pytest.raises(ArgumentError, match="seeds: expected at least one whole number"):
+            drive_many("ssm", "circle", seeds, plant="model:ssm")

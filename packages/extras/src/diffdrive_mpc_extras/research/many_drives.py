@@ -75,7 +75,9 @@ def drive_many(
         else {_name(number, config): config for number, config in enumerate(_each(configs))}
     )
     loaded = {name: load_config(config) for name, config in named.items()}
-    drawn = [int(seed) for seed in seeds]
+    drawn = list(seeds)
+    if not drawn or any(seed != int(seed) for seed in drawn):
+        raise wrong_type("seeds", "at least one whole number", drawn, "give range(5), or a list")
     paths = _each(trajectories)
     check_count(len(loaded) * len(paths) * len(drawn))
     tasks = []
