@@ -42,9 +42,9 @@ _TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
     "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
-    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. The held-out "
-    "model is of another structure and fitted to the held-out data; drives on it test whether the result depends on the "
-    "part of the log or on the structure. Neither includes the surface: start slowly, with free space."
+    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. The "
+    "held-out model has another structure and is fitted to the held-out data; drives on it test whether the result "
+    "depends on the part of the log or on the structure. Neither includes the surface: start slowly, with free space."
 )
 
 
