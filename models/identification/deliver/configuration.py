@@ -68,7 +68,8 @@ def node_text(topics: Topics) -> str:
         "use_imu": ("imu", str("imu" in readable_topics).lower()),
         "pose_source": ("pose", "topic" if "pose" in readable_topics else "odometry"),
     }
-    lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
+    command = "diffdrive-mpc node --config config.yaml --trajectory first_circle.yaml --autostart"
+    lines = [f"# {command} {node_arguments(topics)}", "/**:", "  ros__parameters:"]
     lines += [f"    {name}: {value}{_topic_comment(topics, role)}" for name, (role, value) in values.items()]
     for role, (topic, message_type) in topics.items():
         if role in _TYPES and role not in readable_topics:
@@ -169,6 +170,8 @@ _SENSORS = "from the log and its mapping; the robot's node reads the sensor with
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _TRACK_TOLERANCE = 0.01
 """Relative difference below which two tracks are equal [-]."""
+_SAME_SCALE = 1.05
+"""Scale of a robot up to which lengths keep their defaults [-]."""
 _UNKNOWN_WHEELS = (
     "# The log does not determine wheels.track and wheels.encoder_track, which keep the default; set them, and "
     "limits.wheel_speed."
@@ -422,7 +425,7 @@ def _scaled_lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, l
     track_ratio = geometry.track / default.track if geometry is not None else 0.0
     scale, quantity = max((speed_ratio, "speed"), (track_ratio, "track"))
     settings: dict[str, list[Setting]] = {}
-    if scale > 1.0:
+    if scale > _SAME_SCALE:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
             reason = f"m, {scale:.1f} times the default {length:g} m, like the robot's {quantity}"
