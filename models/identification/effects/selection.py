@@ -77,7 +77,7 @@ def fit_folds(fit: EffectFit, data: Weighted) -> FoldFits:
     return FoldFits(fit, tuple(fold.point for fold in fits))
 
 
-class Comparison(NamedTuple):
+class BlockComparison(NamedTuple):
     """Comparison of two models on held-out blocks."""
 
     gain: float
@@ -88,13 +88,13 @@ class Comparison(NamedTuple):
     """Number of blocks with a decrease."""
 
 
-def gain(old: FoldFits, new: FoldFits, data: Weighted) -> Comparison:
+def gain(old: FoldFits, new: FoldFits, data: Weighted) -> BlockComparison:
     """Compare the models `old` and `new` on the held-out blocks."""
     powers = np.array([_powers(model, data) for model in (old, new)])
     improvements = -np.diff(np.log(powers).mean(axis=2), axis=0)[0]
     total = np.log(powers.sum(axis=1)).mean(axis=1)
     error = float(improvements.std(ddof=1) / np.sqrt(len(improvements)))
-    return Comparison(float(total[0] - total[1]), error, int(np.sum(improvements > 0)))
+    return BlockComparison(float(total[0] - total[1]), error, int(np.sum(improvements > 0)))
 
 
 def _powers(model: FoldFits, data: Weighted) -> FloatArray:
