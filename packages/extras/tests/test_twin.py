@@ -22,7 +22,7 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc_extras.twin.fitting import fit_twin, identifiable_parameters
 from diffdrive_mpc_extras.twin.free_run import FreeMotion, cut_stretch, drive, most_active_windows, sensor_readings
-from diffdrive_mpc_extras.twin.held_out import identified_model
+from diffdrive_mpc_extras.twin.held_out import model_with_sensors
 from diffdrive_mpc_extras.twin.nominal import nominal_robot
 from diffdrive_mpc_extras.twin.problem import TwinProblem
 from diffdrive_mpc_extras.twin.settings import twin_settings
@@ -91,7 +91,7 @@ def fit_record(record, file, seconds):
     train, held_out = map(tuple, divide([record], 0.6))
     data = LogData(train, held_out, ("drive",), "the rest", "gyro", (), ())
     runs = join_experiments(sensor_experiments(train))
-    model = identified_model(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
+    model = model_with_sensors(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
     nominal = nominal_robot("drive", train, file)
     space = space_of(nominal, model.effects, has_gyro=True, has_encoder_lag=False)
     return fit_twin(TwinProblem(space, most_active_windows(runs, model.model.dc_gain, seconds)), model.start(nominal))

@@ -25,9 +25,9 @@ from diffdrive_mpc_extras.twin.free_run import most_active_windows
 from diffdrive_mpc_extras.twin.held_out import (
     HeldOutPrediction,
     HeldOutScore,
-    IdentifiedModel,
+    ModelWithSensors,
     fit_percent,
-    identified_model,
+    model_with_sensors,
     pose_drifts,
     predict_with_model,
     predict_with_twin,
@@ -68,7 +68,7 @@ class FittedTwin:
     name: str
     data: LogData
     fit: TwinFit
-    model: IdentifiedModel
+    model: ModelWithSensors
     model_name: str
     twin_score: HeldOutScore
     model_score: HeldOutScore
@@ -145,7 +145,7 @@ def fit_twin_to_logs(
         assert isinstance(report, ModelFile)
         content = report
     experiments = sensor_experiments(data.train, data.yaw)
-    velocity_model = identified_model(content, join_experiments(experiments))
+    velocity_model = model_with_sensors(content, join_experiments(experiments))
     has_gyro = data.yaw == "gyro"
     sensors = {"gyro.offset": 0.0, "encoders.delay": 0.0} | dict(velocity_model.sensors)
     poses = pose_sensor(data.train, sensors) if has_gyro else None
@@ -202,7 +202,7 @@ def _model_content(model: str | Path) -> ModelFile:
     return read_model_file(path)
 
 
-def _notes(model: IdentifiedModel) -> Sequence[str]:
+def _notes(model: ModelWithSensors) -> Sequence[str]:
     """List the parts of the identified model that the plant lacks or takes over."""
     notes = []
     if model.effects.yaw_relaxation is not None:

@@ -31,8 +31,8 @@ _MIN_LAG = 0.01
 
 
 @dataclass(frozen=True)
-class IdentifiedModel:
-    """Identified velocity model with the sensors of a log.
+class ModelWithSensors:
+    """Identified velocity model with the parameters of the sensors of a log.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class IdentifiedModel:
         return values | {names[name]: value for name, value in self.sensors.items() if name in names}
 
 
-def identified_model(content: ModelFile, runs: Sequence[SampledExperiment]) -> IdentifiedModel:
+def model_with_sensors(content: ModelFile, runs: Sequence[SampledExperiment]) -> ModelWithSensors:
     """Build the model of a file with the sensors of a log; sensors that the file lacks are estimated from `runs`.
 
     Raises
@@ -110,15 +110,15 @@ def identified_model(content: ModelFile, runs: Sequence[SampledExperiment]) -> I
     if "gyro.offset" not in sensors:
         motion_effects = motion_effects.model_copy(update={"twist_slew": None})
     if motion_effects == BaseEffects():
-        without_offset = IdentifiedModel(model, effects, {}, sensors | {"gyro.offset": 0.0})
+        without_offset = ModelWithSensors(model, effects, {}, sensors | {"gyro.offset": 0.0})
         sensors.setdefault("gyro.offset", _gyro_offset(without_offset, runs))
-        return IdentifiedModel(model, effects, {}, sensors)
+        return ModelWithSensors(model, effects, {}, sensors)
     if "gyro.offset" not in sensors or content.structure != "sm":
         raise ConfigError(
             f"model '{content.name}' has base effects without the sensors that they were identified with; "
             "use a file that `identify --effects` wrote"
         )
-    return IdentifiedModel(model, effects, _free_run_parameters(content.model_dump(), effects, sensors), sensors)
+    return ModelWithSensors(model, effects, _free_run_parameters(content.model_dump(), effects, sensors), sensors)
 
 
 def _free_run_parameters(
@@ -164,7 +164,7 @@ _GYRO_OUTPUTS = 3
 """Number of readings in a log with a gyro: v and omega of the encoders, omega of the gyro."""
 
 
-def _gyro_offset(model: IdentifiedModel, runs: Sequence[SampledExperiment]) -> float:
+def _gyro_offset(model: ModelWithSensors, runs: Sequence[SampledExperiment]) -> float:
     """Compute the mean residual of the model's omega [rad/s], within the bounds of the parameter."""
     low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
     residuals = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
@@ -207,7 +207,7 @@ class HeldOutScore:
     predictions: tuple[HeldOutPrediction, ...]
 
 
-def predict_with_model(model: IdentifiedModel, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
+def predict_with_model(model: ModelWithSensors, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
     """Predict experiments with the identified model, in one free run over each section without gaps."""
     runs = join_experiments(experiments)
     outputs = split_rows([model.readings(run) for run in runs], experiments)
@@ -216,7 +216,7 @@ def predict_with_model(model: IdentifiedModel, experiments: Sequence[SampledExpe
 
 
 def predict_with_twin(
-    fit: TwinFit, model: IdentifiedModel, experiments: Sequence[SampledExperiment]
+    fit: TwinFit, model: ModelWithSensors, experiments: Sequence[SampledExperiment]
 ) -> list[HeldOutPrediction]:
     """Predict experiments with the twin, as `predict_with_model`; the gain of `model` gives the initial motion."""
     runs = join_experiments(experiments)
