@@ -168,8 +168,6 @@ _SENSORS = "from the log and its mapping: the robot's node reads the sensor with
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _SAME_TRACK = 0.01
 """Relative difference below which two tracks are equal [-]."""
-_SAME_SCALE = 1.05
-"""Scale of a robot up to which lengths keep their defaults [-]."""
 _UNKNOWN_WHEELS = (
     "# Not in the log: wheels.track and wheels.encoder_track keep the default; set them, and limits.wheel_speed with "
     "them."
@@ -422,7 +420,7 @@ def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Set
     speed_ratio, track_ratio = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
     scale, why = max((speed_ratio, "the robot is faster by this factor"), (track_ratio, "its track is as much wider"))
     settings: dict[str, list[Setting]] = {}
-    if scale > _SAME_SCALE:
+    if round(scale, 1) > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
             reason = f"m, {scale:.1f} times the default {length:g} m: {why}"
