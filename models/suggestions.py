@@ -89,8 +89,7 @@ def unit_of(schema: type[BaseModel], location: list[Any]) -> str:
     """Return the unit that the description of the key at `location` states, such as "m/s"; "" without a unit."""
     *parents, key = [str(part) for part in location] or [""]
     level = _level(schema, parents)
-    field = level.model_fields.get(key) if level else None
-    unit = re.search(r"\[([^][,;]+)\]$", (field.description if field else None) or "")
+    unit = re.search(r"\[([^][,;]+)\]$", getattr(level and level.model_fields.get(key), "description", None) or "")
     return "" if unit is None else unit[1].removeprefix("-")
 
 

@@ -92,6 +92,8 @@ class CasadiProblem:
     def arguments(self, inputs: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the arguments of a solver call: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.
 
+        Raises ValueError if an input is missing.
+
         Parameters
         ----------
         inputs

@@ -170,8 +170,6 @@ _SENSORS = "from the log and its mapping; the robot's node reads the sensor with
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _TRACK_TOLERANCE = 0.01
 """Relative difference below which two tracks are equal [-]."""
-_SAME_SCALE = 1.05
-"""Scale of a robot up to which lengths keep their defaults [-]."""
 _UNKNOWN_WHEELS = (
     "# The log does not determine wheels.track and wheels.encoder_track, which keep the default; set them, and "
     "limits.wheel_speed."
@@ -425,7 +423,7 @@ def _scaled_lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, l
     track_ratio = geometry.track / default.track if geometry is not None else 0.0
     scale, quantity = max((speed_ratio, "speed"), (track_ratio, "track"))
     settings: dict[str, list[Setting]] = {}
-    if scale > _SAME_SCALE:
+    if round(scale, 1) > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
             reason = f"m, {scale:.1f} times the default {length:g} m, like the robot's {quantity}"

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from textwrap import wrap
-from typing import Any
 
 import numpy as np
 
@@ -108,8 +107,7 @@ def summary(log: Log) -> list[str]:
         f"one sample every {dt:.4g} s",
         "commands": "; ".join(_command_summary(records, channel, settings) for channel in (0, 1)),
     } | {CHANNELS[channel]: _response_summary(streams, channel, settings) for channel in (0, 1)}
-    layout: Any = {"width": 78, "subsequent_indent": 10 * " ", "break_long_words": False, "break_on_hyphens": False}
-    return [line for head, text in texts.items() for line in wrap(f"{head:10}{text}", **layout)]
+    return [line for head, text in texts.items() for line in wrap(f"{head:10}{text}", 78, subsequent_indent=10 * " ")]
 
 
 def _command_summary(records: Sequence[Record], channel: int, settings: CheckSettings) -> str:
