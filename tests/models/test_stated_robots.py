@@ -84,7 +84,7 @@ def test_model_is_identified_from_the_log_alone(identification, husky_bag):
     plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
     assert identification.content.channels == plain.content.channels
     assert identification.content.provenance.origin == "identified"
-    # The track is the maker's; without a robot nobody states it.
+    # The track is that of the manufacturer; without a robot it is unknown.
     assert not any("determines the track" in warning for warning in identification.report.warnings)
     assert any("determines the track" in warning for warning in plain.report.warnings)
 

@@ -35,7 +35,7 @@ class FenceWatch:
         return float((np.abs([place.real, place.imag]) - half).max())
 
     def path_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
-        """Predict poses (3,) now and at each sample until rest: the command `last` (2,) once more, then braking."""
+        """Predict poses (3,) now and at each sample until rest: repeat the command `last` (2,) once, then brake."""
         commands, model = copy.deepcopy(estimator.commands), estimator.model
         belief = estimator.nodes[-1].posterior._replace(mean=estimator.estimate.mean)
         command = np.array(last)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc prove --tolerance`: what its statistics promise, and paths timed by what it measures."""
+"""`diffdrive-mpc prove --tolerance`: error rates of its statistics, and paths timed by a passport."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Files of campaigns, proofs, plans and drives from a stranger: what they name is neither opened nor run."""
+"""Untrusted files of campaigns, proofs, plans and drives: files that they name are neither opened nor run."""
 
 import json
 import pickle
@@ -23,7 +23,7 @@ from untrusted_files import SHORT, call, write_untrusted_files
 
 @pytest.fixture
 def stranger(tmp_path):
-    """A folder of files that nobody has reviewed."""
+    """Folder of untrusted files."""
     folder = write_untrusted_files(tmp_path / "stranger")
     (folder / "costs.yaml").write_text("vehicle: fsu_bot\n")
     return folder
