@@ -257,13 +257,21 @@ def combinations(**values: Iterable[object]) -> list[Case]:
     return [Case(**entry) for entry in fixed]  # type: ignore[arg-type]
 
 
+_WRITTEN = ("config", "model", "plant", "robot", "surface")
+"""Stems of the files that `identify` and `twin` write."""
+
+
 def label(value: object) -> str:
-    """Return a value as text with paths reduced to their stems, including "model:PATH+SECONDS", "KIND:PATH@PLANT"."""
+    """Return a value as text with paths reduced to their stems, including "model:PATH+SECONDS", "KIND:PATH@PLANT".
+
+    A file with a name that `identify` or `twin` gives, such as my_robot/model.yaml, is reduced to its folder.
+    """
     inner, at_sign, outer = str(value).rpartition("@")
     if at_sign and outer.partition(":")[0] in BUILT_IN:
         return f"{label(inner)}@{label(outer)}"
     kind, separator, rest = str(value).rpartition(":")
-    base = Path(rest).name
+    folder, base = Path(rest).parent.name, Path(rest).name
     for suffix in (".yaml", ".yml", ".csv"):
         base = base.replace(suffix, "")
-    return kind + separator + base
+    stem, plus, delay = base.partition("+")
+    return kind + separator + (folder if folder and stem in _WRITTEN else stem) + plus + delay

@@ -28,8 +28,7 @@ _ORDER = "the order is simulate(controller, plant, reference)"
 
 
 @checked_call(
-    seed="a plant takes it: make_plant('mujoco', seed=1)",
-    model="a controller takes it: Controller('ssm', model=model)",
+    seed="a plant takes it: make_plant('mujoco', seed=1)", model="a controller takes it: Controller('ssm', model=model)"
 )
 def simulate(
     controller: TrackingController | ControllerConfig | str | Path | Mapping[str, object],
@@ -84,7 +83,7 @@ def simulate(
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
-        warnings.warn(escaped(str(shortfall)), stacklevel=2)
+        warnings.warn(escaped(str(shortfall)), stacklevel=3)
     # The arguments are checked above.
     return loop.simulate(
         controller,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import re
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -17,7 +17,7 @@ from pydantic_core import SchemaError
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import read_input
-from diffdrive_mpc.models.suggestions import similar_name, suggestion
+from diffdrive_mpc.models.suggestions import similar_name, suggestion, unit_of
 from diffdrive_mpc.models.table import plain_line
 
 # Conversion of YAML text to plain values, with bounds: documents that are too deep, too large or recursive are rejected
@@ -181,6 +181,10 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Return the fields that a file or a caller has set, for a short `repr`."""
+        return (pair for pair in super().__repr_args__() if pair[0] in self.model_fields_set)
+
 
 Schema = TypeVar("Schema", bound=BaseModel)
 
@@ -284,6 +288,8 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         return f"key '{place}' is missing"
     message = plain_line(str(error["msg"]).removeprefix("Value error, "))
     stated_value, hint = error.get("input"), ""
+    if kind.startswith(("less_than", "greater_than", "float", "int")) and (unit := unit_of(schema, location)):
+        message += f" {unit}" if "_than" in kind else f" in {unit}"
     if kind == "model_type":
         message = "expected keys and values"
     if stated_value is None and kind.endswith("_type") and place:

@@ -41,11 +41,19 @@ class MissingPackageError(DiffdriveMpcError, ImportError):
     """Error for a feature whose package is not installed; its message states how to install it."""
 
 
-class FormerNameWarning(UserWarning):
-    """Warning for a file that uses the name of an earlier version; the file is still read."""
+class NoteWarning(UserWarning):
+    """Base of warnings that commands print as a note: one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(_one_line(message))
+
+
+class FormerNameWarning(NoteWarning):
+    """Warning for a file that uses the name of an earlier version; the file is still read."""
+
+
+class UnusualValueWarning(NoteWarning):
+    """Warning for a value that is valid, but probably in another unit."""
 
 
 class ArgumentError(DiffdriveMpcError, TypeError):
@@ -74,7 +82,8 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                     raise
                 from diffdrive_mpc.models.suggestions import similar_name  # noqa: PLC0415 - needed in case of an error
 
-                known = [str(p).partition(":")[0] for p in signature(function).parameters.values() if p.name != "self"]
+                names = [str(p).partition(":")[0] for p in signature(function).parameters.values()]
+                known = [name for name in names if name not in ("self", "cls")]
                 unknown = [name for name in kwargs if name not in known]
                 name = unknown[0] if unknown else ""
                 hint = f"; {remedies[name]}" if name in remedies else similar_name(name, known)

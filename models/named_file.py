@@ -55,6 +55,8 @@ def named_file(
         return Path(name)
     hint = similar_name(text, known)
     missing = "there is no such file; " if Path(text).suffix or os.sep in text else ""
+    if Path(text).is_dir():
+        missing = f"a folder with {', '.join(sorted(path.name for path in Path(text).glob('*.yaml')))}; "
     raise ConfigError(
         f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, get_args, get_origin
 
@@ -68,10 +69,7 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
     the same spelling. Siblings of the unknown key precede other keys.
     """
     *parents, key = [str(part) for part in location]
-    level: type[BaseModel] | None = schema
-    for parent in parents:
-        if not parent.isdigit():
-            level = _child(level, parent) if level else None
+    level = _level(schema, parents)
     known = _names(level) if level else []
     paths = _paths(schema)
     similar = difflib.get_close_matches(key, known, n=1, cutoff=0.85)
@@ -85,6 +83,24 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
         *first, last = [f"'{shown(path)}'" for path in candidates[:_MAX_SUGGESTIONS]]
         return f"; did you mean {', '.join(first)}{' or ' if first else ''}{last}?"
     return f"; known keys: {', '.join(known)}" if known else ""
+
+
+def unit_of(schema: type[BaseModel], location: list[Any]) -> str:
+    """Return the unit that the description of the key at `location` states, such as "m/s"; "" without a unit."""
+    *parents, key = [str(part) for part in location] or [""]
+    level = _level(schema, parents)
+    field = level.model_fields.get(key) if level else None
+    unit = re.search(r"\[([^][,;]+)\]$", (field.description if field else None) or "")
+    return "" if unit is None else unit[1].removeprefix("-")
+
+
+def _level(schema: type[BaseModel], parents: list[str]) -> type[BaseModel] | None:
+    """Return the schema of the group at the end of the path `parents`; None if it has no schema."""
+    level: type[BaseModel] | None = schema
+    for parent in parents:
+        if not parent.isdigit():
+            level = _child(level, parent) if level else None
+    return level
 
 
 def _synonyms(key: str) -> list[str]:

@@ -6,7 +6,7 @@ The functions use the same formulas as the compiled controller (`mpc.problem.for
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
@@ -87,7 +87,7 @@ class CasadiProblem:
     stage_cost: ca.Function
     limited: ca.Function
     horizon: ca.Function
-    nlp: dict[str, ca.SX]
+    nlp: dict[str, ca.SX] = field(repr=False)
 
     def arguments(self, inputs: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return the arguments of a solver call: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.
@@ -97,7 +97,10 @@ class CasadiProblem:
         inputs
             Inputs of `horizon`, and the bounds `lower` and `upper` (4 + K, N), from `Controller.problem_inputs`.
         """
-        values = [inputs[name] for name in self.horizon.name_in()[1:]]
+        names = self.horizon.name_in()[1:]
+        if missing := [name for name in (*names, "lower", "upper") if name not in inputs]:
+            raise ValueError(f"inputs: {', '.join(missing)} missing; give those of Controller.problem_inputs()")
+        values = [inputs[name] for name in names]
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]
         lower, upper = np.copysign(bounds[0], inputs["lower"]), np.copysign(bounds[1], inputs["upper"])
         # The first four kinds of limit are hard. A soft limit takes two rows, one for each of its sides and slacks.

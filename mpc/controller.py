@@ -526,6 +526,7 @@ class Controller:
         """Continue along the waiting reference after a failure that has latched the robot."""
         self._tick.lib.ddmpc_resume(self._c)
 
+    @checked_call()
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
@@ -552,7 +553,7 @@ class Controller:
             try:
                 check_speeds(self._reference, config.limits, config.sample_time, self.model.dc_gain, self._pursuit.time)
             except ValueError as error:
-                warnings.warn(f"the robot will lag behind its reference: {error}", stacklevel=2)
+                warnings.warn(f"the robot will lag behind its reference: {error}", stacklevel=3)
         return config
 
     def updated(
@@ -824,7 +825,11 @@ def _with_speed_limit(config: ControllerConfig, speed: float | None) -> Controll
 
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Return commands as an array (K, 2); raise ValueError for a wrong shape or invalid values."""
-    pairs = np.asarray(commands, dtype=float)
+    try:
+        pairs = np.asarray(commands, dtype=float)
+    except (TypeError, ValueError) as error:
+        remedy = "give an array (K, 2) of v_ref [m/s], omega_ref [rad/s]"
+        raise wrong_type("commands", "pairs of numbers", commands, remedy) from error
     # The comparison is negated so that NaN fails.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _MAX_COMMAND).all():
         raise ValueError(

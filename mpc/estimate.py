@@ -31,6 +31,11 @@ class Estimate:
     def __init__(self, layout: ResultLayout, block: FloatArray, time: float) -> None:
         self._layout, self._block, self.time = layout, block, time
 
+    def __repr__(self) -> str:
+        """Return time, pose and twist."""
+        (x, y, theta), (v, omega) = self.pose.tolist(), self.twist.tolist()
+        return f"Estimate at {self.time:g} s: {x:.3f} m {y:.3f} m {theta:.3f} rad, {v:.3f} m/s {omega:.3f} rad/s"
+
     @property
     def pose_age(self) -> float:
         """Time since the stamp of the last accepted pose [s]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -82,7 +82,7 @@ class StepResult:
     blocked_for: float
     step_time: float
     solve_time: float = float("nan")
-    _planned: tuple[ResultLayout, FloatArray] | None = None
+    _planned: tuple[ResultLayout, FloatArray] | None = field(default=None, repr=False)
     unused_sensors: tuple[str, ...] = ()
     clearance: float = float("nan")
     clearance_ahead: float = float("nan")

@@ -7,11 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import (
-    FloatArray,
-    Reference,
-    TrackingController,
-)
+from diffdrive_mpc.models.errors import checked_number
+from diffdrive_mpc.models.interface import FloatArray, Reference, TrackingController
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Surrounded
@@ -93,7 +90,7 @@ def simulate(
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
     """Raise ValueError for an invalid `extra_time` or different sample times of controller and plant."""
-    if not (np.isfinite(extra_time) and extra_time >= 0):
+    if not 0 <= checked_number("extra_time", extra_time, "give a time in seconds") < np.inf:
         raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
     period = getattr(controller, "sample_time", None)
     if period is not None and not math.isclose(period, plant.sample_time, rel_tol=_SAME_PERIOD):

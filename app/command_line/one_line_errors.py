@@ -121,8 +121,8 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a note about former names in a file, or any other warning in Python's format."""
-    if category.__name__ == "FormerNameWarning":
+    """Print a note about the content of a file, or any other warning in Python's format."""
+    if "NoteWarning" in (base.__name__ for base in category.__mro__):
         # A file may be read twice but is reported once.
         note = f"note: {plain_line(str(message))}"
         if note not in _SHOWN_NOTES:

@@ -60,8 +60,8 @@ def robot(
 ) -> None:
     """Run the simulated robot as a ROS 2 node with a twist as input and odometry, IMU, pose, joint states as output.
 
-    The robot is at the start of the trajectory initially and runs until Ctrl-C. Arguments after `--ros-args` are passed
-    to ROS, for example remappings and parameters.
+    The robot stands at the start of the trajectory until a node drives it, and runs until Ctrl-C. Arguments after
+    `--ros-args` are passed to ROS, for example remappings and parameters.
     """
     if duration is not None and not duration > 0:
         raise ValueError(f"--duration {duration}: use a time above zero in seconds")

@@ -61,7 +61,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     )
     toggles = [Toggle("stand-in", plants, plants, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     content = Shown(
-        summary=[*report.findings_summary, *verdict.conclusions()],
+        summary=[*report.findings_summary, *verdict.headed_answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_drive_views(trials), *other_charts(report), *_pictures(folder)],
@@ -83,29 +83,19 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
         figures.append(KeyFigure(f"FIT of {channel}", f"{number(float(fit[i]), 1)} %", training, rating))  # type: ignore[arg-type]
     for i, channel in enumerate(CHANNELS):
         dead_time, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
-        figures.append(
-            KeyFigure(
-                f"delay of {channel}", f"{dead_time + lag:.0f} ms", f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
-            )
-        )
+        parts = f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
+        figures.append(KeyFigure(f"delay of {channel}", f"{dead_time + lag:.0f} ms", parts))
     all_verdicts = [doubt.verdict for doubt in report.doubts] + [
         finding.verdict for finding in report.data.findings if finding.verdict
     ]
     count = sum(verdict is not None and verdict.matters for verdict in all_verdicts)
-    figures.append(
-        KeyFigure("warnings", str(len(all_verdicts)), f"{count or 'none'} relevant for driving", "bad" if count else "")
-    )
+    note = f"{count or 'none'} relevant for driving"
+    figures.append(KeyFigure("warnings", str(len(all_verdicts)), note, "bad" if count else ""))
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
-        label = f"maximum lateral error, relative to the radius of the circle ({worst.path})"
-        figures.append(
-            KeyFigure(
-                "trial drives",
-                f"{100 * worst.lateral_share:.1f} %",
-                label,
-                "bad" if trial_doubts(drives) else "good",
-            )
-        )
+        label = f"maximum lateral error over the circle's radius, on path {worst.path}"
+        share = f"{100 * worst.lateral_share:.1f} %"
+        figures.append(KeyFigure("trial drives", share, label, "bad" if trial_doubts(drives) else "good"))
     return figures
 
 
@@ -143,4 +133,5 @@ def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> lis
 
 
 def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    first = text[:1] if text.partition(":")[0] in CHANNELS else text[:1].upper()
+    return first + text[1:] + ("" if text.endswith(".") else ".")

@@ -12,13 +12,7 @@ from typing import Any, Protocol
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
-from diffdrive_mpc.app.identification.trial_drives import (
-    FIRST_CIRCLE,
-    first_circle,
-    recipe,
-    trial_doubts,
-    trial_table,
-)
+from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle, recipe, trial_doubts, trial_table
 from diffdrive_mpc.app.identification.unexplained_motion import write_robot
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.bench.html_report.document import write_page
@@ -36,7 +30,7 @@ from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.logs.record import labelled
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import TextTable, plain_line
@@ -125,7 +119,7 @@ def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapp
     if robot is not None:
         stated = load_stated_robot(robot)
         for line in (f"{stated.name}, values stated by the manufacturer, not identified:", *stated.lines()):
-            _print_line(line, indent="" if line.endswith(":") else "  ")
+            echo(line if line.endswith(":") else f"  {plain_line(line)}")
     try:
         return identify(
             logs,
@@ -157,16 +151,11 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
         identification.write_model(folder)
     if identification.advice:
         identification.advice.write(folder)
-    sections = [
-        report.markdown(
-            figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
-        )
-    ]
+    head = ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
+    sections = [report.markdown(figures, head)]
     if verdict.drives:
-        sections += [
-            trial_table(verdict.drives).markdown(),
-            "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives)),
-        ]
+        doubts = "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives))
+        sections += [trial_table(verdict.drives).markdown(), doubts]
     if is_usable and verdict.config is not None:
         circle = first_circle(verdict.config, identification.model)
         (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
@@ -196,14 +185,12 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
 
 def _print_log(log: Log) -> None:
     _print_line(log.name)
-    for line in summary(log):
-        _print_line(line, indent="  ")
+    echo("\n".join(f"  {line}" for line in summary(log)))
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for severity in ("note", "warning", "error"):
-        for line in counted([finding for finding in findings if finding.severity == severity]):
-            _print_line(f"{severity}: {line}")
+    for line in labelled(findings):
+        _print_line(line)
 
 
 def _print_identification(identification: Identification, out: Path) -> None:
@@ -224,8 +211,8 @@ def _print_identification(identification: Identification, out: Path) -> None:
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 
-def _print_line(text: str, indent: str = "") -> None:
-    output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
+def _print_line(text: str) -> None:
+    output_console().print(plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
 # Draft of a mapping file, and findings in the log as read with the draft.

@@ -36,15 +36,15 @@ from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
-ITSELF, HELD_OUT = "model itself", "model of held-out data"
+ITSELF, HELD_OUT = "model itself", "held-out model"
 UNEXPLAINED = "the model with its unexplained motion"
 _TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
     "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
-    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. Drives on a "
-    "model of held-out data with another structure test whether the result depends on the part of the log or on the "
-    "structure. Neither includes the surface: start slowly, with free space."
+    "below {:g} % is good. Drives on the model itself test whether configuration and model are consistent. The "
+    "held-out model has another structure and is fitted to the held-out data; drives on it test whether the result "
+    "depends on the part of the log or on the structure. Neither includes the surface: start slowly, with free space."
 )
 
 
@@ -245,7 +245,7 @@ def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Tabulate the errors by stand-in and path."""
-    columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "over circle radius [%]")
+    columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "of radius [%]")
     return TextTable(
         _TITLE,
         (*columns, "fall-backs", "completed"),
@@ -349,7 +349,8 @@ def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[Trial
         "commanded, and the base must stop when the node is killed (docs/robot.md, step 4).",
         f"On the ground, with {free_space:.2g} m of free space on all sides and a hand on the emergency stop: "
         "`diffdrive-mpc node --config "
-        f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
+        f"config.yaml --trajectory {FIRST_CIRCLE} --autostart{arguments}` with the topics of the robot; "
+        "call start (docs/robot.md, step 5).",
         "Check that the mode stays TRACKING, that the lateral error is a few centimetres and does not grow, and that "
         "the message is empty or names a fault (docs/safety.md).",
         f"Stop the robot if it oscillates increasingly, turns in the wrong direction, or is more than "

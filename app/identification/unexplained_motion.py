@@ -146,8 +146,8 @@ def _round_values(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the sc
 
 def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tuple[float, float]:
     """Return the standard deviations for v and omega, each for the first of `names` in the estimate; by default 0."""
-    known = {} if estimate is None else {name: deviation for name, _, deviation in estimate.rows}
-    v, omega = (next((known[name.format(c)] for name in names if name.format(c) in known), 0.0) for c in CHANNELS)
+    by_name = {} if estimate is None else {name: deviation for name, _, deviation in estimate.rows}
+    v, omega = (next((by_name[name.format(c)] for name in names if name.format(c) in by_name), 0.0) for c in CHANNELS)
     return float(f"{v:.3g}"), float(f"{omega:.3g}")
 
 

@@ -165,6 +165,12 @@ class TrialVerdict:
             next_step = "report.md lists the remedies."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
+    def headed_answers(self) -> list[str]:
+        """Return the answers, each after its question, and the next command in the folder of the files."""
+        command = " ".join(line.strip(" \\") for line in next_command()) if self.promise else ""
+        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.answers(), strict=True)]
+        return [*texts[:-1], f"{texts[-1]} {command}".strip()]
+
     def lines(self, folder: Path = Path()) -> list[str]:
         """Format limits of the base, conclusions and next command in lines of 80 columns."""
         permission, *others = self.conclusions()

@@ -76,8 +76,8 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
     ranked = sorted(completed_groups(drivers), key=errors.__getitem__)
-    listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
-    others = ", ".join(name for name in drivers if name not in ranked)
+    listed = "; ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
+    others = "; ".join(name for name in drivers if name not in ranked)
     completed = total(main, "completed")
     first = "All" if completed == len(main) else f"{completed} of"
     return [
@@ -93,23 +93,14 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
     predictive_rows = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in groups.values()})]
     completed, fallbacks = total(results.main, "completed"), total(predictive_rows, "fallbacks")
     times = step_times(predictive_rows)
-    controllers = ", ".join(groups)
+    controllers, runs = "; ".join(groups), len(results.main)
+    percentiles = [number(1e3 * time_percentile(times, share), 2) for share in (50, 99)]
+    timed = f"of {times.size} timed steps; {controllers}"
     return [
-        KeyFigure(
-            "completed",
-            f"{completed} of {len(results.main)}",
-            "runs",
-            "good" if completed == len(results.main) else "bad",
-        ),
+        KeyFigure("completed", f"{completed} of {runs}", "runs", "good" if completed == runs else "bad"),
         _min_error(drivers),
-        KeyFigure(
-            "step time, median",
-            f"{number(1e3 * time_percentile(times, 50), 2)} ms",
-            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {controllers}",
-        ),
-        KeyFigure(
-            "late steps", str(total(predictive_rows, "deadline_misses")), f"of {times.size} timed steps; {controllers}"
-        ),
+        KeyFigure("step time, median", f"{percentiles[0]} ms", f"p99 {percentiles[1]} ms; {controllers}"),
+        KeyFigure("late steps", str(total(predictive_rows, "deadline_misses")), timed),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a new plan", "good" if not fallbacks else "bad"),
     ]
 

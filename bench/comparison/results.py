@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
 
 import numpy as np
 from pandas import DataFrame
@@ -186,7 +185,7 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
         "thresholds": metric_settings().model_dump(),
         "experiment": options | {"horizons": settings.horizons},
         "configuration": {
-            "file": None if settings.config is None else Path(settings.config).stem,
+            "file": None if settings.config is None else label(settings.config),
             "set": _swept_values(settings),
             "controllers": _configurations(settings) if settings.has_mpc else [],
         },
@@ -200,7 +199,7 @@ def labels_of(settings: ComparisonSettings, dimension: str) -> list[object]:
 
 def chosen_configuration(settings: ComparisonSettings) -> str:
     """Describe the configuration file and changed values as a phrase; empty for built-in values."""
-    parts = [] if settings.config is None else [f"file {Path(settings.config).stem}"]
+    parts = [] if settings.config is None else [f"file {label(settings.config)}"]
     parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept_values(settings).items()]
     return "; ".join(parts)
 

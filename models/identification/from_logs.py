@@ -334,7 +334,7 @@ def identify_data(
         data.train,
         fitted.geometry,
         report.slip,
-        stated=data.stated_track,
+        mapping_track=data.stated_track,
         keep_sample_time=predictor is not None,
         sensors=data.sensors,
         notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
@@ -426,8 +426,8 @@ def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | Non
     """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
-        known = (*STRUCTURES, *finders())
-        raise OptionError("structure", f" '{name}': give one of {', '.join(known)}{similar_name(name, known)}")
+        names = (*STRUCTURES, *finders())
+        raise OptionError("structure", f" '{name}': give one of {', '.join(names)}{similar_name(name, names)}")
     selected_structure = STRUCTURES[ACCOMPANYING if predictor else name]
     if effects and (predictor or not selected_structure.supports_effects):
         supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.supports_effects)

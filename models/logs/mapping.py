@@ -372,7 +372,8 @@ class Topics(StrictModel):
         spaces = sorted(name.removesuffix(ending) for name in recorded if name.endswith(ending))
         if len(spaces) != 1:
             reason = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
-            raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {reason}; give a mapping file")
+            remedy = f"give a mapping file; the bag has {', '.join(sorted(recorded))}"
+            raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {reason}; {remedy}")
         named: dict[str, Topic | None] = {}
         for role in ("command", "odometry", "imu"):
             topic: Topic | None = getattr(self, role)

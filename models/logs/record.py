@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -298,6 +298,12 @@ def counted(findings: Sequence[Finding], max_per_kind: int = 2) -> list[str]:
             more = f" (and {rest} more like it)" if rest > 0 else ""
             lines.append(f"{finding}{more}" + (f" ({finding.verdict})" if finding.verdict else ""))
     return lines
+
+
+def labelled(findings: Sequence[Finding]) -> list[str]:
+    """Format findings as `counted` does, each after its severity, errors last."""
+    grouped = {name: [finding for finding in findings if finding.severity == name] for name in get_args(Severity)}
+    return [f"{severity}: {line}" for severity, group in grouped.items() for line in counted(group)]
 
 
 def ranges(numbers: Iterable[int], max_runs: int = 5) -> str:

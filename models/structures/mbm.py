@@ -10,16 +10,18 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
+from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track, wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
+from diffdrive_mpc.models.output_error.experiment import wheel_experiments
 from diffdrive_mpc.models.output_error.input_limits import effects_of, limit_names
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
+from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -105,14 +107,11 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
         If a record lacks a signal, or the readings or commands never change.
     """
     experiments = wheel_experiments(records)
-    yaw = identify_channel(
-        [experiment.channel(1, 1) for experiment in twist_experiments(records)],
-        "omega",
-        offset=True,
-        limit=limits,
-    )
+    v, yaw = identify_channels(records, limits=limits)
     sides = SIDES[: experiments[0].outputs.shape[1]]
-    fit = fit_output_error([_start(experiments, sides, wheel_radius, yaw, limits)], experiments)
+    geometry = wheel_geometry(records) or WheelGeometry(wheel_radius, 1.0)
+    track = firmware_track(records, geometry, np.diag([channel.content["gain"] for channel in (v, yaw)]))
+    fit = fit_output_error([_start(sides, wheel_radius, track or geometry.track, v, yaw)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
     parameters = _with_effective_track(join_estimates([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
@@ -151,41 +150,15 @@ def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -
 
 
 def _start(
-    experiments: Sequence[SampledExperiment],
-    sides: tuple[int, ...],
-    radius: float,
-    yaw: IdentifiedChannel,
-    limits: bool,
+    sides: tuple[int, ...], radius: float, track: float, v: IdentifiedChannel, yaw: IdentifiedChannel
 ) -> tuple[Layout, FloatArray]:
-    """Return layout and initial parameters.
-
-    Forward motion determines the parameters of all motors and the limits of v, turning motion the track, and `yaw` the
-    limits of omega.
-    """
-    forward = [_combine(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
-    turning = [_combine(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
-    v = identify_channel(forward, "wheels", limit=limits)
-    omega = identify_channel(turning, "wheels' difference", limit=False)
+    """Return layout and initial parameters from the channels of SM and the track of the firmware [m]."""
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
-    # `turning` responds to omega_ref with the gain of the motors times the firmware's track.
-    track = np.log(omega.content["gain"] / v.content["gain"])
     limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
     levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
+    dead_time = [channel.parameters.value("dead_time") for channel in (v, yaw)]
     layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), limited=limited)
-    dead_time = [channel.parameters.value("dead_time") for channel in (v, omega)]
-    return layout, np.concatenate([np.tile(motor, len(sides)), [track], dead_time, levels])
-
-
-def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
-    """Build an experiment from one command to a weighted sum of the wheel speeds."""
-    return SampledExperiment(
-        experiment.name,
-        experiment.dt,
-        experiment.inputs[:, column : column + 1],
-        (experiment.outputs @ weights)[:, None],
-        np.asarray(experiment.counts.all(axis=1, keepdims=True)),
-        experiment.follows,
-    )
+    return layout, np.concatenate([np.tile(motor, len(sides)), [np.log(track)], dead_time, levels])
 
 
 def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:

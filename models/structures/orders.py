@@ -20,6 +20,7 @@ from diffdrive_mpc.models.output_error.experiment import (
 )
 from diffdrive_mpc.models.output_error.held_out import hold_out
 from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
@@ -109,7 +110,8 @@ def compare_orders(
     criteria = _criteria(models)
     held_out: list[FloatArray | None] = [None] * len(models)
     if not requested:
-        held_out[_FLOOR:] = _block_fits(models[_FLOOR:], join_experiments(twist_experiments(train, yaw)))
+        experiments = join_experiments(twist_experiments(train, yaw))
+        held_out[_FLOOR:] = [block_fit(model.fits[0], experiments) for model in models[_FLOOR:]]
     rows = tuple(
         OrderRow(
             identified,
@@ -150,18 +152,13 @@ def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
     return bool(gain.mean() < -_ROUNDING or gain.min() < -_WORTH)
 
 
-def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment]) -> list[FloatArray | None]:
-    """Compute FIT (2,) [%] of each model on held-out blocks; None if the records are too short."""
-    spread = output_spread(experiments)
-    fits: list[FloatArray | None] = []
-    for model in models:
-        try:
-            powers = hold_out(model.fits[0], experiments, brief=True, fixed_weights=True).powers
-        except ValueError:
-            fits.append(None)
-        else:
-            fits.append(100.0 * (1.0 - np.sqrt(powers.mean(axis=0)) / spread))
-    return fits
+def block_fit(fit: OutputErrorFit, experiments: Sequence[SampledExperiment]) -> FloatArray | None:
+    """Return FIT (p,) [%] on held-out blocks of joined experiments; None if they are too short."""
+    try:
+        powers = hold_out(fit, experiments, brief=True, fixed_weights=True).powers
+    except ValueError:
+        return None
+    return np.asarray(100.0 * (1.0 - np.sqrt(powers.mean(axis=0)) / output_spread(experiments)))
 
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:

@@ -10,7 +10,12 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import (
+    SampledExperiment,
+    YawSource,
+    join_experiments,
+    twist_experiments,
+)
 from diffdrive_mpc.models.output_error.input_limits import effects_of, limit_names
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
@@ -33,7 +38,7 @@ from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SsmFile
-from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders, is_behind
+from diffdrive_mpc.models.structures.orders import OrderChoice, block_fit, compare_orders, is_behind
 from diffdrive_mpc.models.structures.registry import MAX_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -72,6 +77,9 @@ def choose_order(
 ) -> OrderChoice:
     """Identify every order up to `largest` and select one by `compare_orders`.
 
+    SM as a state space takes the place of order 4, and is selected, if it predicts held-out blocks better than the
+    selected order.
+
     Parameters
     ----------
     train
@@ -93,7 +101,22 @@ def choose_order(
     channels = identify_channels(train, yaw=yaw, limits=limits)
     models = _identify_orders(train, channels, largest, yaw)
     floor = validate(_decoupled(channels), train, yaw).fit_percent
-    return compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
+    choice = compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
+    blocks = choice.rows[choice.order - 1].block_fit_percent
+    if blocks is None or largest < _DECOUPLED:
+        return choice
+    experiments = twist_experiments(train, yaw)
+    parts = [[part.channel(row, row) for part in join_experiments(experiments)] for row in range(len(channels))]
+    simpler = [block_fit(channel.fit, part) for channel, part in zip(channels, parts, strict=True)]
+    score = np.concatenate([fit for fit in simpler if fit is not None]).mean()
+    if score <= blocks.mean():
+        return choice
+    fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
+    if fit.sandwich.condition > estimator_settings().warn.condition:
+        return choice
+    models[_DECOUPLED - 1] = _build_model(fit, yaw)
+    reason = f"SM as a state space; its mean FIT on blocks held out in turn is {score:.2f} % ({blocks.mean():.2f} %)"
+    return replace(compare_orders(models, train, validation, yaw, requested=_DECOUPLED), reason=reason)
 
 
 def identify_ssm_orders(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.errors import checked_call, wrong_type
+from diffdrive_mpc.models.errors import UnusualValueWarning, checked_call, wrong_type
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
@@ -20,12 +21,13 @@ from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
+_FAST_TURN = 15.0
+"""Yaw rate above which a limit is probably in degrees [rad/s]."""
 
 
 @checked_call()
 def load_config(
-    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm",
-    overrides: Mapping[str, object] | None = None,
+    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm", overrides: Mapping[str, object] | None = None
 ) -> ControllerConfig:
     """Read and check a configuration.
 
@@ -98,7 +100,13 @@ def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) ->
 
 
 def _check_config(values: Mapping[str, object], where: str) -> ControllerConfig:
-    return check(ControllerConfig, values, where, shown_key)
+    config = check(ControllerConfig, values, where, shown_key)
+    fastest = max(config.limits.omega.sides)
+    if fastest > _FAST_TURN:
+        degrees = f"if it is in degrees, give {np.radians(fastest):.3g}"
+        message = f"{where}: limits.omega = {fastest:g} rad/s is {fastest / (2 * np.pi):.1f} turns a second; {degrees}"
+        warnings.warn(message, UnusualValueWarning, stacklevel=4)
+    return config
 
 
 def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:

@@ -136,6 +136,7 @@ class TrackingNode(PartHost):
     def bring_up(self) -> None:
         """Configure and activate if the parameter autostart is set; raise ValueError with the reason of a failure."""
         if not self.get_parameter("autostart").value:
+            self.get_logger().info("unconfigured: configure and activate this lifecycle node, or use --autostart")
             return
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() is not TransitionCallbackReturn.SUCCESS:

@@ -44,6 +44,10 @@ class QuadraticProgram(NamedTuple):
     variables: tuple[str, ...]
     rows: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return the sizes, without the arrays."""
+        return f"QuadraticProgram of {len(self.q)} variables, {len(self.rows)} rows: P, q, A, l, u, variables, rows"
+
 
 def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[str]) -> QuadraticProgram:
     """Copy the program of a tick with all limits.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Trajectory(ABC):
     remark: str = field(default="", kw_only=True)
 
     @staticmethod
+    @checked_call()
     def from_arrays(
         t: ArrayLike,
         x: ArrayLike,
@@ -77,6 +79,7 @@ class Trajectory(ABC):
         return trajectory_from_arrays(name, columns)
 
     @staticmethod
+    @checked_call()
     def from_waypoints(
         points: ArrayLike,
         *,

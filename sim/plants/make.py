@@ -12,7 +12,7 @@ import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import checked_call, wrong_type
+from diffdrive_mpc.models.errors import checked_call, checked_number, wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.models.two_sided import sides_of
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
 
 _MODEL_PREFIX = f"{MODEL}:"
+_MAX_PERIOD = 0.5
+"""Maximum sample time, as in a configuration [s]."""
 _IDENTIFIED = 57
 """Key of the random stream of identified robots, which differs from that of the noise."""
 
@@ -98,6 +100,8 @@ def make_plant(
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
+    if sample_time is not None and not 0.0 < checked_number("sample_time", sample_time, "give seconds") <= _MAX_PERIOD:
+        raise ConfigError(f"sample_time {sample_time!r} s: give a time above 0, at most {_MAX_PERIOD:g} s")
     model = None if isinstance(name, (str, Path)) else _checked_model(name)
     name = str(name) if model is None else f"{_MODEL_PREFIX}{model.name}"
     wrapped = split_plant(name)

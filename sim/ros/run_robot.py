@@ -76,7 +76,7 @@ def run_robot(
         )
         memory = math.ceil(sensors.pose.latency / plant.sample_time)
         base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
-        node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}")
+        node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}; it waits for commands")
         if isinstance(clock, SteppedClock):
             drive_in_lock_step(base, clock, settings.lock_step, spin, is_running)
         else:

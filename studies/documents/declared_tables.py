@@ -59,9 +59,9 @@ def parameter_tables() -> str:
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
-    known = {*keys, *(key.partition(".")[0] for key in keys)}
+    names = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
-        if name not in known:
+        if name not in names:
             raise ConfigError(f"{_ADVICE.name}: '{name}' is neither a parameter nor a group; remove the entry")
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():

@@ -283,8 +283,8 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
             )
         )
     columns = ["test", "P3: yaw rate [rad/s]", "P3: track [m]"]
-    for driven in results:
-        columns += [f"{driven.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
+    for result in results:
+        columns += [f"{result.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
     return [
         Table(
             "Driven virtual track",

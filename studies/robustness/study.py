@@ -138,7 +138,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         """Build the report with tables, and with a figure if there are several controllers."""
         from studies.robustness.results import draw_ratios  # noqa: PLC0415
 
-        several = len(by(results, "driver")) > 1
+        has_comparison = len(by(results, "driver")) > 1
         return Report(
             counted=f"{len(results)} runs",
             meta={"statistics": STATISTICS, "settled_s": self._settled},
@@ -150,5 +150,5 @@ class RobustnessStudy(Study[Plan, DataFrame]):
             ],
             notes=[f"Errors: {STATISTICS}. Settled: after {self._settled:g} s."],
             tables=study_tables(results),
-            figures={"ratios.png": partial(draw_ratios, results)} if several else {},
+            figures={"ratios.png": partial(draw_ratios, results)} if has_comparison else {},
         )

@@ -373,10 +373,10 @@ def _median_step_time(subject: _RunningSubject) -> float:
     return float(np.median([step.whole for step in subject.drive.steps]))
 
 
-def _gaps(subject: _RunningSubject, converged: Subject, every: int) -> FloatArray:
-    """Compute |command - converged command| (n, 2) at every `every`-th tick [m/s, rad/s]."""
+def _gaps(subject: _RunningSubject, converged: Subject, interval: int) -> FloatArray:
+    """Compute |command - converged command| (n, 2) [m/s, rad/s] at ticks that are multiples of `interval`."""
     gaps: list[FloatArray] = []
-    for k in range(0, len(subject.drive.ticks), every):
+    for k in range(0, len(subject.drive.ticks), interval):
         data = subject.drive.peer_data[k]
         converged.reset(data)
         (step,), _ = converged.run([data])

@@ -167,7 +167,7 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
         from studies.tracking.floor import position_floor  # noqa: PLC0415 - loads slowly
 
         combinations = group[["model", "trajectory", "sensors"]].drop_duplicates().itertuples(index=False, name=None)
-        floors = [getattr(position_floor(*place, assumed=assumed), error) for place in combinations]
+        floors = [getattr(position_floor(*names, assumed=assumed), error) for names in combinations]
         return number(1e3 * float(np.mean(floors)), 2)
 
     return {

@@ -20,6 +20,7 @@ from diffdrive_mpc.bench.comparison.properties import measure_properties, proper
 from diffdrive_mpc.bench.controllers import LatePlant, build
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
+from file_kinds import KINDS
 
 QUICK = {
     "controllers": ("mpc",),
@@ -145,3 +146,10 @@ def test_model_of_the_plant_fits_it_better_than_another_model(outcome: RunOutcom
         (1 + 3 + 8) / 3,
         (5 + 7) / 2,
     ]
+
+
+def test_files_of_the_user_are_labelled_by_stem_or_folder(tmp_path):
+    path = tmp_path / "my_robot.yaml"
+    path.write_text(KINDS["model"].texts["ssm"])
+    assert quick_case(model=str(path), plant=f"model:{path}").labels["model"] == "my_robot"
+    assert quick_case(plant="model:my_robot/model.yaml+0.04").labels["plant"] == "model:my_robot+0.04"

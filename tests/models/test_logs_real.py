@@ -2,6 +2,8 @@
 
 import os
 from dataclasses import replace
+from functools import cache
+from itertools import chain, pairwise, product
 
 import numpy as np
 import pytest
@@ -12,10 +14,17 @@ from diffdrive_mpc.models.identification.effects.free_run import base_track, sen
 from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.fitting import fit
-from diffdrive_mpc.models.identification.log_data import read_data
+from diffdrive_mpc.models.identification.log_data import divide, read_data
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.mapping import MAPPINGS, load_mapping
+from diffdrive_mpc.models.output_error.experiment import join_experiments, twist_experiments
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.structures.structure import IdentificationConditions
+from oracle.second_order import fit_second_order, response
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(MAPPINGS.glob("*.yaml"))])
@@ -64,6 +73,87 @@ def test_each_step_of_the_warthog_logs_is_a_record(terrain):
 def test_inverted_gyro_on_gravel_is_detected():
     log = read_log(log_path("warthog_gravel"), "warthog_asphalt")
     assert [finding.kind for finding in log.findings] == ["wrong sign"]
+
+
+MIN_READINGS = identification_settings().min_readings
+CUTS = ("at the step", "60 rows before", "anywhere")
+# Each log, and each way to cut, once; DIFFDRIVE_MPC_ALL=1 takes every log in every way.
+EACH_ONCE = tuple(zip(FOLDERS, CUTS, strict=True))
+CUT_CASES = tuple(product(FOLDERS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ else EACH_ONCE
+
+
+def stretches(records, cut, past):
+    """Cut the records in pieces and omit pieces that are too short. Without a `past`, no piece follows the previous."""
+    pieces = []
+    for record in records:
+        count = len(record.command)
+        steps = np.flatnonzero(np.any(np.diff(record.command, axis=0) != 0, axis=1)) + 1
+        edges = {
+            "at the step": steps,
+            "60 rows before": steps - 60,
+            "anywhere": np.random.default_rng(count).choice(count, count // 120, replace=False),
+        }[cut]
+        edges = np.unique([0, *edges[(edges > 0) & (edges < count)], count]).tolist()
+        pieces += [record.part(a, b) for a, b in pairwise(edges) if past or b - a > 30]
+    # As `identify` does.
+    pieces = [p for p in pieces if min(p.fresh_twist.sum(), p.fresh_yaw_rate.sum()) >= MIN_READINGS]
+    return pieces if past else [replace(piece, start=3600.0 * i) for i, piece in enumerate(pieces)]
+
+
+@cache
+def halves(log):
+    """Return records to identify from and held-out records, divided as `identify` does."""
+    records = read_log(log_path(log), log).records
+    if len(records) < 10:  # seven minutes in one piece says it as well as all of it
+        records = (records[0].part(0, 8400),)
+    return divide(records, 0.6)
+
+
+@cache
+def as_shipped(log):
+    train, held_out = halves(log)
+    return validate(identify_sm(train, limits=False).system, held_out).fit_percent
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize(("log", "cut"), CUT_CASES)
+def test_a_cut_costs_less_than_three_points(log, cut):
+    train, held_out = halves(log)
+    fits = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
+    assert (fits > as_shipped(log) - 3.0).all(), fits
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize("log", FOLDERS)
+def test_a_plain_fit_is_no_better(log):
+    assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize(("log", "cut"), CUT_CASES)
+def test_cut_without_known_past_costs_little_fit(log, cut):
+    train, held_out = halves(log)
+    train = stretches(train, cut, past=False)
+    fits = validate(identify_sm(train, limits=False).system, held_out).fit_percent
+    assert (fits > baseline_fit(train, held_out) - 0.5).all(), fits
+
+
+@pytest.mark.long
+@pytest.mark.real_logs
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("log", FOLDERS)
+def test_no_structure_is_behind_the_better_baseline(log, quarter):
+    """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
+    before, rest = divide([*chain(*halves(log))], quarter / 4)
+    held_out, after = divide(rest, 1 / (4 - quarter))
+    train = before + after
+    conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
+    models = [STRUCTURES[name].identify(train, conditions).identified for name in ("sm", "mbm_modes", "ssm")]
+    fits = np.array([validate(model.system, held_out).fit_percent for model in models])
+    for clip in (False, True):
+        assert (fits > baseline_fit(train, held_out, clip) - 0.5).all(), fits
+    gain = np.subtract(*(validate(model.system, train).fit_percent for model in models[::-2]))
+    assert gain.mean() > -1e-3 and gain.min() > -0.25, gain
 
 
 ENCODER_TRACK = 0.480865
@@ -119,3 +209,20 @@ if "DIFFDRIVE_MPC_ALL" in os.environ:
         plain, with_effects = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
         fits = [fitted.validation.fit_percent for fitted in (plain, with_effects)]
         assert (fits[1] > fits[0] - 1.0).all(), fits
+
+
+def baseline_fit(train, held_out, clip=False):
+    """Return the (2,) FIT [%] on the held-out records of the baseline identified from `train`."""
+    fits = []
+    for row in (0, 1):
+        training, validation = (
+            [s.channel(row, row) for s in join_experiments(twist_experiments(part))] for part in (train, held_out)
+        )
+        u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in training), strict=True)
+        baseline = fit_second_order(u, y, c, training[0].dt, clip)
+        firsts = [s.outputs[np.argmax(s.counts), 0] for s in validation]
+        runs = [response(baseline, s.inputs[:, 0], f, s.dt) for s, f in zip(validation, firsts, strict=True)]
+        keep = [s.counts[:, 0] for s in validation]
+        measured = [s.outputs[k, 0] for s, k in zip(validation, keep, strict=True)]
+        fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, keep, strict=True)]))
+    return np.array(fits)

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from diffdrive_mpc import ConfigError, ControllerConfig, load_config
-from diffdrive_mpc.models.errors import FormerNameWarning
+from diffdrive_mpc.models.errors import FormerNameWarning, UnusualValueWarning
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
 from diffdrive_mpc.mpc.config.config_file import replace_values
@@ -105,3 +105,12 @@ def test_key_may_be_given_with_or_without_expert_and_by_its_former_name():
 def test_commented_yaml_contains_every_key():
     config = ControllerConfig()
     assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
+
+
+def test_yaw_rate_limit_in_degrees_gives_a_warning():
+    with pytest.warns(UnusualValueWarning, match="omega = 90 rad/s is 14.3 turns a second; if it is in degrees, give"):
+        load_config("ssm", {"limits.omega": 90.0})
+
+
+def test_repr_shows_only_the_values_that_are_set():
+    assert "limits=Limits(v=1.2)" in repr(load_config("ssm", {"limits.v": 1.2}))

@@ -156,6 +156,13 @@ def test_linearisation_has_the_gradient_of_the_nonlinear_cost():
     assert (program.P @ np.append(plan, np.zeros(150)) + program.q)[:30] == pytest.approx(expected, abs=1e-9)
 
 
+def test_reprs_state_sizes_without_arrays():
+    controller, _, step = drive(load_config("ssm", {"horizon": 5}), ticks=5)
+    assert repr(controller.quadratic_program()).startswith("QuadraticProgram of 60 variables, 95 rows, ")
+    assert "nlp" not in repr(casadi_problem(controller.config))
+    assert "_planned" not in repr(step) and "estimate=Estimate at 0.0808 s: " in repr(step)
+
+
 def test_missing_plan_and_short_plan_are_refused():
     controller = Controller("ssm")
     controller.start(load_trajectory("circle"), 0.0)

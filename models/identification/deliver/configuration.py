@@ -68,7 +68,8 @@ def node_text(topics: Topics) -> str:
         "use_imu": ("imu", str("imu" in readable_topics).lower()),
         "pose_source": ("pose", "topic" if "pose" in readable_topics else "odometry"),
     }
-    lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
+    command = "diffdrive-mpc node --config config.yaml --trajectory first_circle.yaml --autostart"
+    lines = [f"# {command} {node_arguments(topics)}", "/**:", "  ros__parameters:"]
     lines += [f"    {name}: {value}{_topic_comment(topics, role)}" for name, (role, value) in values.items()]
     for role, (topic, message_type) in topics.items():
         if role in _TYPES and role not in readable_topics:
@@ -169,6 +170,8 @@ _SENSORS = "from the log and its mapping; the robot's node reads the sensor with
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _TRACK_TOLERANCE = 0.01
 """Relative difference below which two tracks are equal [-]."""
+_SAME_SCALE = 1.05
+"""Scale of a robot up to which lengths keep their defaults [-]."""
 _UNKNOWN_WHEELS = (
     "# The log does not determine wheels.track and wheels.encoder_track, which keep the default; set them, and "
     "limits.wheel_speed."
@@ -282,11 +285,11 @@ class IdentifiedConfiguration:
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
-        stated = {
+        texts = {
             name: ", ".join(f"{key}: {number:.6g}" for key, number in values.items())
             for name, values in self.sensors.items()
         }
-        lines += _group("sensors", [Setting(name, f"{{{values}}}", _SENSORS) for name, values in stated.items()])
+        lines += _group("sensors", [Setting(name, f"{{{text}}}", _SENSORS) for name, text in texts.items()])
         lines += _group("failure", self._select("failure", expert=False))
         expert_lines = [line for group in self.groups for line in _group(group, self._select(group, expert=True))]
         lines += ["expert:", *(f"  {line}" for line in expert_lines)] if expert_lines else []
@@ -314,7 +317,7 @@ def configure(
     geometry: WheelGeometry | None,
     slip: SlipPrior,
     *,
-    stated: float | None = None,
+    mapping_track: float | None = None,
     keep_sample_time: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
     notes: tuple[str, ...] = (),
@@ -333,7 +336,7 @@ def configure(
         Wheel radius and track from the log; None if the log has no wheel speeds.
     slip
         Initial slip estimate of the filter.
-    stated
+    mapping_track
         Track stated by the mapping [m], for a log without wheel speeds.
     keep_sample_time
         True if the predicting model requires the sample time of the log.
@@ -353,8 +356,8 @@ def configure(
     gain = np.diag(identified.model.dc_gain)
     limit, speeds = _speed_limits(identified, commands, base, gain)
     limits = [*_slew_limits(identified), *speeds]
-    if stated is not None and geometry is None:
-        geometry = WheelGeometry(np.nan, stated)
+    if mapping_track is not None and geometry is None:
+        geometry = WheelGeometry(np.nan, mapping_track)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     assumed_track = track or load_robot().track
@@ -363,7 +366,7 @@ def configure(
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
-            _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
+            _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, mapping_track)}"),
         ]
     lengths = _scaled_lengths(limit[0] * gain[0], geometry)
     return IdentifiedConfiguration(
@@ -406,12 +409,12 @@ def _speed_limits(
     return limit, [*settings, *predictions]
 
 
-def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
+def _source_of_track(geometry: WheelGeometry, mapping_track: float | None) -> str:
     if np.isnan(geometry.radius):
         return "as stated by the mapping"
     source = "for the computation of the log's omega"
-    if stated is not None and abs(geometry.track - stated) > _TRACK_TOLERANCE * stated:
-        source += f"; the log's wheels determine it, so the {stated:g} m of the mapping are not used"
+    if mapping_track is not None and abs(geometry.track - mapping_track) > _TRACK_TOLERANCE * mapping_track:
+        source += f"; the log's wheels determine it, so the {mapping_track:g} m of the mapping are not used"
     return source
 
 
@@ -422,7 +425,7 @@ def _scaled_lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, l
     track_ratio = geometry.track / default.track if geometry is not None else 0.0
     scale, quantity = max((speed_ratio, "speed"), (track_ratio, "track"))
     settings: dict[str, list[Setting]] = {}
-    if scale > 1.0:
+    if scale > _SAME_SCALE:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
             reason = f"m, {scale:.1f} times the default {length:g} m, like the robot's {quantity}"
@@ -540,11 +543,11 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRob
     }
     reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
     groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
-    for key, stated in keys.items():
+    for key, entry in keys.items():
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
-            value = f"'{stated.value}'" if isinstance(stated.value, str) else stated.value
-            groups[group].append(Setting(name, value, f"{stated.reason}, stated by the manufacturer of {robot.name}"))
+            value = f"'{entry.value}'" if isinstance(entry.value, str) else entry.value
+            groups[group].append(Setting(name, value, f"{entry.reason}, stated by the maker of {robot.name}"))
     limits, wheels, free_space = (tuple(settings) for settings in groups.values())
     return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 

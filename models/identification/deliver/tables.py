@@ -84,8 +84,8 @@ def order_table(choice: OrderChoice) -> TextTable:
     for order, row in enumerate(choice.rows, start=1):
         fits = (row.train_fit_percent, row.block_fit_percent, row.validation_fit_percent)
         cells = [number(float(x), 2) for fit in fits for x in (np.full(2, np.nan) if fit is None else fit)]
-        chosen = "chosen" if order == choice.order else ""
-        rows.append((f"{order}", chosen, str(row.parameters), *cells, f"{row.aic:.0f}", f"{row.bic:.0f}"))
+        mark = "chosen" if order == choice.order else ""
+        rows.append((f"{order}", mark, str(row.parameters), *cells, f"{row.aic:.0f}", f"{row.bic:.0f}"))
     columns = (
         *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT blocks v [%]", "omega [%]"),
         *("FIT validation v [%]", "omega [%]", "AIC", "BIC"),

@@ -159,8 +159,8 @@ def _apply_delay(values: FloatArray, initial: float, steps: float) -> FloatArray
     """Delay `values` (n,) by `steps` steps with linear interpolation; `initial` is the value before the first step."""
     whole = int(steps)
     history = np.concatenate([np.full(whole + 1, initial), values])
-    rest = steps - whole
-    return np.asarray((1.0 - rest) * history[1 : 1 + len(values)] + rest * history[: len(values)])
+    fraction = steps - whole
+    return np.asarray((1.0 - fraction) * history[1 : 1 + len(values)] + fraction * history[: len(values)])
 
 
 def _apply_lag(values: FloatArray, lag: float, step: float) -> FloatArray:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from textwrap import wrap
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +86,7 @@ def compare_logs(logs: Sequence[Log]) -> list[Finding]:
 
 
 def summary(log: Log) -> list[str]:
-    """Summarise a log in five lines: streams, times, commands, and responses of v and omega."""
+    """Summarise a log in lines of 78 columns: streams, times, commands, and responses of v and omega."""
     settings = check_settings()
     records = log.records
     dt = records[0].dt
@@ -100,13 +102,14 @@ def summary(log: Log) -> list[str]:
     ]
     duration = sum(len(record.command) for record in records) * dt
     stretches = "1 stretch" if len(records) == 1 else f"{len(records)} stretches"
-    lines = [
-        f"streams   {', '.join(entries)}",
-        f"time      {records[0].start:.1f} to {records[-1].end:.1f} s, with {duration:.0f} s in {stretches}, "
+    texts = {
+        "streams": ", ".join(entries),
+        "time": f"{records[0].start:.1f} to {records[-1].end:.1f} s, with {duration:.0f} s in {stretches}, "
         f"one sample every {dt:.4g} s",
-        "commands  " + "; ".join(_command_summary(records, channel, settings) for channel in (0, 1)),
-    ]
-    return [*lines, *(f"{CHANNELS[channel]:10}" + _response_summary(streams, channel, settings) for channel in (0, 1))]
+        "commands": "; ".join(_command_summary(records, channel, settings) for channel in (0, 1)),
+    } | {CHANNELS[channel]: _response_summary(streams, channel, settings) for channel in (0, 1)}
+    layout: Any = {"width": 78, "subsequent_indent": 10 * " ", "break_long_words": False, "break_on_hyphens": False}
+    return [line for head, text in texts.items() for line in wrap(f"{head:10}{text}", **layout)]
 
 
 def _command_summary(records: Sequence[Record], channel: int, settings: CheckSettings) -> str:

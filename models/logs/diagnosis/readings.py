@@ -211,10 +211,12 @@ def check_period(name: str, period: float, settings: CheckSettings) -> Finding |
 def in_degrees(heading: FloatArray) -> bool:
     """Return True if headings (n,) declared in radians have steps of values in degrees.
 
-    Between readings, radians change by less than 1.5 modulo a full turn; degrees change by up to 360.
+    Between readings, radians change by less than 1.5 modulo a full turn; degrees change by up to 360. Headings within
+    10 count as radians, because poses that restart leap, too.
     """
     steps = np.abs(np.diff(heading[np.isfinite(heading)]))
     steps = steps[steps > 0]
     wrapped_steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
     full_turn = np.abs(steps - 360.0) < 20.0
-    return len(steps) > 0 and bool(full_turn.any() or np.mean((wrapped_steps > 1.5) | (steps > 50)) > 0.003)
+    leaps = len(steps) > 0 and (full_turn.any() or np.mean((wrapped_steps > 1.5) | (steps > 50)) > 0.003)
+    return bool(leaps and np.nanmax(heading) - np.nanmin(heading) > 10.0)

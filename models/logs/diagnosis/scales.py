@@ -192,9 +192,10 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _weak_finding(
     log: str, name: str, channel: int, relation: _CommandRelation, max_correlation: float, settings: CheckSettings
 ) -> Finding:
+    restarts = ", that poses do not restart within a stretch (`segment`)" if name == POSE else ""
     message = (
         f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.correlation:.2f}); check "
-        "the column, and that the robot executed these commands"
+        f"the column{restarts}, and that the robot executed these commands"
     )
     # If another sensor responds, this one is faulty. Poses are not used for the model.
     is_faulty = name != POSE and max_correlation > settings.clear_correlation

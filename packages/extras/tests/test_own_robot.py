@@ -1,4 +1,4 @@
-"""The robot of a configuration: its plant, tubes from its simulated drives, and its proof."""
+"""Robot of a configuration: its plant, tubes from simulated drives, proof and passport."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ segments: [{v: 0.4, omega: 0.5, duration: 1.0}, {v: 0.4, omega: 0.0, duration: 1
 
 
 def robot(size=0.01):
-    """Return a robot whose motion beyond its model has this standard deviation [m/s, rad/s]."""
+    """Return a robot with unexplained motion of this standard deviation [m/s, rad/s]."""
     rows = np.repeat(np.random.default_rng(3).normal(size=(60, 3)), 25, axis=0)
     return IdentifiedRobot(
         model="model.yaml",
@@ -55,7 +55,7 @@ def robot(size=0.01):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Files as `identify` writes them."""
+    """Return a folder with the files that `identify` writes."""
     shutil.copy(model_path("sm"), tmp_path / "model.yaml")
     (tmp_path / "config.yaml").write_text("model: model.yaml\n", encoding="utf-8")
     (tmp_path / "short.yaml").write_text(SHORT, encoding="utf-8")
@@ -63,7 +63,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_configuration_has_its_twin_or_its_identified_robot_or_a_refusal(folder):
+def test_plant_of_a_configuration_is_its_twin_or_its_identified_robot(folder):
     config = str(folder / "config.yaml")
     assert own_plant("ssm") == "mujoco"
     assert own_plant(config) == f"model:{folder / 'robot.yaml'}"
@@ -73,12 +73,12 @@ def test_a_configuration_has_its_twin_or_its_identified_robot_or_a_refusal(folde
         (folder / name).unlink()
     with one_line_error(ConfigError, match="neither plant.yaml .* give --plant"):
         own_plant(config)
-    for words in (["prove", config], ["prove", config, "--tolerance", "0.05"]):
-        assert "neither plant.yaml" in refusal(*words, "--out", folder / "out")
+    for arguments in (["prove", config], ["prove", config, "--tolerance", "0.05"]):
+        assert "neither plant.yaml" in refusal(*arguments, "--out", folder / "out")
     assert "give --plant" in refusal("predict-error", "--config", config, "--trajectory", "s", "--out", folder / "out")
 
 
-def test_recorded_drives_scale_the_tubes_or_are_refused_as_too_few(folder):
+def test_recorded_drives_scale_the_tubes_and_too_few_are_refused(folder):
     config, path = str(folder / "config.yaml"), str(folder / "short.yaml")
     plant, logs = own_plant(config), [folder / f"{seed}.mcap" for seed in range(20)]
     for seed, log in enumerate(logs):
@@ -89,45 +89,45 @@ def test_recorded_drives_scale_the_tubes_or_are_refused_as_too_few(folder):
     learned = scale_by_logs(logs, predicted, load_config(config), plant, 20, 1)
     assert "scaled by 20 recorded drives of 16 m" in learned.drives
     width = learned.lateral.everywhere
-    across = np.abs([read_drive_log(log).columns["error_across_m"][: len(width)] for log in logs])
-    inside = [np.nanmax(across / (share * width), axis=1) <= 1.0 + 1e-9 for share in (1.0, 0.8)]
-    assert inside[0].sum() >= 19 and not inside[1].all()
+    errors = np.abs([read_drive_log(log).columns["error_across_m"][: len(width)] for log in logs])
+    is_inside = [np.nanmax(errors / (share * width), axis=1) <= 1.0 + 1e-9 for share in (1.0, 0.8)]
+    assert is_inside[0].sum() >= 19 and not is_inside[1].all()
     with one_line_error(ConfigError, match="3 recorded drives: 95 % needs 19"):
         scale_by_logs(logs[:3], predicted, load_config(config), plant, 20, 1)
-    words = ["predict-error", "--config", config, "--trajectory", path, "--draws", "20", "--out", folder / "predicted"]
-    assert "1 recorded drive" in refusal(*words, "--learn-from", logs[0])
+    options = ["--config", config, "--trajectory", path, "--draws", "20", "--out", folder / "predicted"]
+    assert "1 recorded drive" in refusal("predict-error", *options, "--learn-from", logs[0])
 
 
-def test_runs_differ_by_seed_and_repeat_and_grow_with_the_unexplained_motion(folder):
+def test_errors_depend_on_the_seed_and_grow_with_the_unexplained_motion(folder):
     config, path = str(folder / "config.yaml"), str(folder / "short.yaml")
 
-    def largest(seed):
+    def max_error(seed):
         run = run_case(drive_case(config, path, own_plant(config), seed))
         return absolute_errors(run, 100)[0].max()
 
-    calm = [largest(seed) for seed in range(4)]
-    assert calm[0] == largest(0) and len(set(calm)) == 4
+    errors = [max_error(seed) for seed in range(4)]
+    assert errors[0] == max_error(0) and len(set(errors)) == 4
     write_robot(robot(0.06), folder / "robot.yaml")
-    assert np.median([largest(seed) for seed in range(4)]) > 1.5 * np.median(calm)
+    assert np.median([max_error(seed) for seed in range(4)]) > 1.5 * np.median(errors)
 
 
-def made_up(count, seed):
-    """Return errors (count, 300) of drives that are alike: small on a straight, large in a turn."""
+def artificial_errors(count, seed):
+    """Return errors (count, 300) of similar drives: small on a straight, large in a turn."""
     rng = np.random.default_rng(seed)
     scale = np.where(np.arange(300) < 150, 0.002, 0.01) * rng.lognormal(sigma=0.4, size=(count, 1))
     return np.abs(scale * np.cumsum(rng.normal(size=(count, 300)), axis=1) / np.sqrt(np.arange(300) + 1.0))
 
 
-def test_a_tube_holds_the_stated_share_of_other_drives():
-    width = tube(made_up(200, 1), 0.02)
-    inside = (made_up(2000, 2) <= width.everywhere).all(axis=1).mean()
+def test_tube_contains_the_stated_share_of_other_drives():
+    width = tube(artificial_errors(200, 1), 0.02)
+    inside = (artificial_errors(2000, 2) <= width.everywhere).all(axis=1).mean()
     assert 0.92 < inside < 0.98
-    assert 0.93 < (made_up(2000, 3) <= width.at_each_place).mean() < 0.97
+    assert 0.93 < (artificial_errors(2000, 3) <= width.at_each_place).mean() < 0.97
     assert width.everywhere[20:130].mean() < 0.6 * width.everywhere[170:280].mean()
 
 
-def test_drives_that_do_not_arrive_widen_a_tube_or_refuse_it():
-    errors = made_up(60, 1)
+def test_lost_drives_widen_a_tube_and_too_many_are_refused():
+    errors = artificial_errors(60, 1)
     lost = errors.copy()
     lost[:2, 40:] = np.inf
     assert tube(lost, 0.02).everywhere.max() >= tube(errors[2:], 0.02).everywhere.max()
@@ -136,15 +136,15 @@ def test_drives_that_do_not_arrive_widen_a_tube_or_refuse_it():
         tube(lost, 0.02)
 
 
-def test_the_command_drives_the_identified_robot_without_a_calibration(folder):
-    words = ["--config", folder / "config.yaml", "--trajectory", folder / "short.yaml", "--draws", "20", "--jobs", "1"]
-    printed = call("predict-error", *words, "--out", folder / "out")
-    assert "20 drives simulated on robot.yaml" in " ".join(printed.split())
+def test_predict_error_simulates_the_identified_robot(folder):
+    files = ["--config", folder / "config.yaml", "--trajectory", folder / "short.yaml"]
+    output = call("predict-error", *files, "--draws", "20", "--jobs", "1", "--out", folder / "out")
+    assert "20 drives simulated on robot.yaml" in " ".join(output.split())
     rows = np.genfromtxt(folder / "out" / "predicted-error.csv", delimiter=",", names=True)
     assert (rows["lateral_everywhere"] >= rows["lateral"]).all() and (rows["lateral"] > 0.0005).all()
 
 
-def test_a_proof_drives_the_identified_robot_and_a_passport_its_surface(folder):
+def test_proof_and_passport_use_the_identified_robot_and_its_surface(folder):
     proof = proof_of(str(folder / "config.yaml"), None, None)
     assert {run.case.plant for run in proof.definitions(8)} == {f"model:{folder / 'robot.yaml'}"}
     plan = proof.passport.model_dump() | {
@@ -155,20 +155,20 @@ def test_a_proof_drives_the_identified_robot_and_a_passport_its_surface(folder):
         "confidence": 0.8,
     }
     plan |= {"curvatures": [0.0], "speeds": [0.3], "straight": 0.2, "arc": 0.2}
-    (folder / "mine.yaml").write_text(
-        yaml.safe_dump({"description": "mine", "runs": 1, "passport": plan}), encoding="utf-8"
+    (folder / "campaign.yaml").write_text(
+        yaml.safe_dump({"description": "test", "runs": 1, "passport": plan}), encoding="utf-8"
     )
-    words = ["--campaign", folder / "mine.yaml", "--tolerance", "0.05", "--jobs", "1", "--out", folder / "out"]
-    call("prove", folder / "config.yaml", *words)
+    options = ["--campaign", folder / "campaign.yaml", "--tolerance", "0.05", "--jobs", "1", "--out", folder / "out"]
+    call("prove", folder / "config.yaml", *options)
     (row,) = json.loads((folder / "out" / "passport.json").read_text(encoding="utf-8"))["speeds"]
     assert (row["surface"], sum(rate["of"] for rate in row["fresh"].values())) == ("log", 4)
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in (folder / "out" / "runs").glob("*/*.json")]
     assert runs and all(run["run"]["plant"].startswith("model:files ") for run in runs)
 
 
-def test_the_passport_varies_track_wheel_base_and_wheel_servo_and_scales_them_to_a_twin(folder):
-    varied = set(load_proof(None).passport.factors)
-    assert varied == {
+def test_passport_varies_track_wheel_base_and_wheel_servo_around_the_values_of_a_twin(folder):
+    factors = set(load_proof(None).passport.factors)
+    assert factors == {
         "robot.robot.track",
         "robot.twin.chassis.wheel_base",
         "robot.twin.driver.proportional_gain",
@@ -178,7 +178,7 @@ def test_the_passport_varies_track_wheel_base_and_wheel_servo_and_scales_them_to
     assert wide["uniform"] == pytest.approx([0.52 / 0.33 * 0.30, 0.52 / 0.33 * 0.36])
 
 
-def test_the_node_predicts_for_the_identified_robot(folder):
+def test_node_predicts_for_the_identified_robot(folder):
     pytest.importorskip("rclpy")
     from diffdrive_mpc_extras.ros.path_error import ErrorPredictor, PredictedErrorSettings
 

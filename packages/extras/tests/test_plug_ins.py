@@ -19,7 +19,7 @@ from diffdrive_mpc_extras.free_space.pieces import packaged_libraries
 
 
 def test_wheel_holds_free_space_and_needs_no_compiler(tmp_path):
-    """An editable installation compiles it at first use instead, so that it fails without a compiler."""
+    """An editable installation compiles free space at first use, so it fails without a compiler."""
     origin = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
     is_editable = bool(origin.get("dir_info", {}).get("editable"))
     load = "from diffdrive_mpc_extras.free_space.pieces import load_free_space; load_free_space()"
@@ -32,7 +32,7 @@ def test_wheel_holds_free_space_and_needs_no_compiler(tmp_path):
 PACKAGE = "diffdrive-mpc-extras"
 COMMANDS = sorted(name for name, package in known_packages()["commands"].items() if package == PACKAGE)
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-LOADED = """
+LIST_MODULES = """
 import sys
 sys.argv[1:] = {words}
 from diffdrive_mpc.app.cli import main
@@ -46,27 +46,27 @@ print(*(name for name in ("casadi", "scipy", "pandas", "mujoco", "matplotlib") i
 
 
 def loaded_by(*words: str) -> list[str]:
-    done = subprocess.run(
-        [sys.executable, "-c", LOADED.format(words=list(words))], capture_output=True, text=True, check=True
+    process = subprocess.run(
+        [sys.executable, "-c", LIST_MODULES.format(words=list(words))], capture_output=True, text=True, check=True
     )
-    return [line for line in done.stdout.splitlines() if re.fullmatch(r"[a-z_0-9.]+", line)]
+    return [line for line in process.stdout.splitlines() if re.fullmatch(r"[a-z_0-9.]+", line)]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_registered_and_has_help_with_an_example(name: str) -> None:
     assert isinstance(plug_in("commands", name), PluggedCommand)
     words = name.split(".")
-    shown = " ".join(invoke(app, *words, "--help").stdout.split())
-    assert f"Example: diffdrive-mpc {' '.join(words)} " in shown
+    help_text = " ".join(invoke(app, *words, "--help").stdout.split())
+    assert f"Example: diffdrive-mpc {' '.join(words)} " in help_text
 
 
 def test_overview_lists_all_commands_and_loads_command_modules_only() -> None:
-    shown = invoke(app, "--help").stdout
-    assert all(f"  {name} " in shown for name in COMMANDS if "." not in name)
+    overview = invoke(app, "--help").stdout
+    assert all(f"  {name} " in overview for name in COMMANDS if "." not in name)
     assert all(name.endswith(".command") or name.count(".") == 1 for name in loaded_by("--help"))
 
 
-def test_help_of_a_command_loads_that_command_alone() -> None:
+def test_help_of_a_command_loads_only_this_command() -> None:
     assert [name for name in loaded_by("twin", "--help") if name.endswith(".command")] == [
         "diffdrive_mpc_extras.twin.command"
     ]
@@ -77,7 +77,7 @@ def test_help_of_a_command_loads_that_command_alone() -> None:
     ("arguments", "message"),
     [
         ("export --out {out} --trajectories cirle", "unknown trajectory 'cirle'"),
-        ("export --out {taken}", "--out {taken}"),
+        ("export --out {existing}", "--out {existing}"),
         ("export --out {out} --precision half", "--precision 'half': give double or float"),
         ("export --out {out} --set solver.method=osqp", "an exported controller has neither OSQP nor DAQP"),
         ("excite --out {out} --for model", "needs --inside"),
@@ -85,10 +85,12 @@ def test_help_of_a_command_loads_that_command_alone() -> None:
         ("repeat missing.yaml --out {out}", "missing.yaml"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path) -> None:
-    out, taken = tmp_path / "out", tmp_path / "taken"
-    taken.write_text("a file")
-    assert message.format(taken=taken) in refusal(*shlex.split(arguments.format(out=out, taken=taken)))
+def test_invalid_arguments_are_refused_in_one_line_with_exit_code_2(
+    arguments: str, message: str, tmp_path: Path
+) -> None:
+    out, existing = tmp_path / "out", tmp_path / "existing"
+    existing.write_text("a file")
+    assert message.format(existing=existing) in refusal(*shlex.split(arguments.format(out=out, existing=existing)))
     assert not out.exists()
 
 

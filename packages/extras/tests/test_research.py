@@ -5,7 +5,15 @@ import sys
 import numpy as np
 import pytest
 
-from diffdrive_mpc import ConfigError, Controller, MissingPackageError, load_config, load_trajectory, make_plant
+from diffdrive_mpc import (
+    ArgumentError,
+    ConfigError,
+    Controller,
+    MissingPackageError,
+    load_config,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.sim import simulate
@@ -83,8 +91,9 @@ def test_invalid_arguments_and_commands_raise_errors():
     with pytest.raises(RuntimeError, match="call reset"):
         env.step([0.0, 0.0])
     env.reset()
-    with pytest.raises(ValueError, match="give two finite numbers"):
-        env.step([np.nan, 0.0])
+    for action in ([np.nan, 0.0], [0.1], "x"):
+        with pytest.raises(ValueError, match="give two finite numbers"):
+            env.step(action)
 
 
 def test_missing_gymnasium_raises_missing_package_error_with_the_install_command(monkeypatch):
@@ -118,3 +127,6 @@ def test_invalid_arguments_of_many_drives_raise_config_error_before_the_first_dr
         with pytest.raises(ConfigError, match="unknown|did you mean"):
             drive_many(**{"seeds": [0], "on_done": lambda: finished_drives.append(1), **change})
     assert not finished_drives
+    for seeds in ([], [0.5]):
+        with pytest.raises(ArgumentError, match="seeds: expected at least one whole number"):
+            drive_many("ssm", "circle", seeds, plant="model:ssm")

@@ -81,14 +81,14 @@ def test_left_and_right_turns_are_symmetric():
 
 def test_wheel_loads_balance_the_centre_of_mass_and_the_acceleration():
     offset_bot = BOT.model_copy(update={"centre_of_mass": (0.02, 0.05, 0.1)})
-    rest = offset_bot.loads(np.zeros((1, 2)))[0]
+    static_loads = offset_bot.loads(np.zeros((1, 2)))[0]
     x, y = offset_bot.wheel_positions.T
-    assert rest.sum() == pytest.approx(offset_bot.weight)
-    assert rest @ x / rest.sum() == pytest.approx(0.02)
-    assert rest @ y / rest.sum() == pytest.approx(0.05)
+    assert static_loads.sum() == pytest.approx(offset_bot.weight)
+    assert static_loads @ x / static_loads.sum() == pytest.approx(0.02)
+    assert static_loads @ y / static_loads.sum() == pytest.approx(0.05)
     # A left turn increases the loads of the right wheels.
-    turn = offset_bot.loads(np.array([[0.0, 1.0]]))[0]
-    assert turn[[1, 3]].sum() - rest[[1, 3]].sum() == pytest.approx(offset_bot.mass * 1.0 * 0.1 / offset_bot.track)
+    change = offset_bot.loads(np.array([[0.0, 1.0]]))[0] - static_loads
+    assert change[[1, 3]].sum() == pytest.approx(offset_bot.mass * 1.0 * 0.1 / offset_bot.track)
 
 
 @pytest.mark.parametrize("modulus", [1e-4, 4e-4, 1.6e-3])

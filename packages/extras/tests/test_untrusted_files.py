@@ -1,4 +1,4 @@
-"""Untrusted files of campaigns, proofs, plans and drives: files that they name are neither opened nor run."""
+"""Untrusted campaigns, proofs, plans and logs: files that they name are neither opened nor run."""
 
 import json
 import pickle
@@ -22,9 +22,9 @@ from untrusted_files import SHORT, call, write_untrusted_files
 
 
 @pytest.fixture
-def stranger(tmp_path):
-    """Folder of untrusted files."""
-    folder = write_untrusted_files(tmp_path / "stranger")
+def untrusted(tmp_path):
+    """Return a folder with untrusted files."""
+    folder = write_untrusted_files(tmp_path / "untrusted")
     (folder / "costs.yaml").write_text("vehicle: fsu_bot\n")
     return folder
 
@@ -52,12 +52,12 @@ FACTORS = {
 
 
 @pytest.mark.parametrize("name", FACTORS)
-def test_files_that_a_run_file_names_are_neither_opened_nor_run(name, stranger, tmp_path):
-    factors = json.loads(json.dumps(FACTORS[name]).replace("@", str(stranger)))
+def test_untrusted_files_of_a_run_file_are_neither_opened_nor_run(name, untrusted, tmp_path):
+    factors = json.loads(json.dumps(FACTORS[name]).replace("@", str(untrusted)))
     code, printed, files = call("repeat", run_file(tmp_path, factors))
-    assert code == 2 and f"--trust-terms {stranger}" in printed, printed
-    assert not [path for path in files if stranger in path.parents]
-    assert not (stranger / "marker").exists()
+    assert code == 2 and f"--trust-terms {untrusted}" in printed, printed
+    assert not [path for path in files if untrusted in path.parents]
+    assert not (untrusted / "marker").exists()
 
 
 @pytest.mark.parametrize(
@@ -68,17 +68,17 @@ def test_files_that_a_run_file_names_are_neither_opened_nor_run(name, stranger, 
         {"config.solver.method": "@/code.so"},
     ],
 )
-def test_names_of_code_in_a_run_file_import_nothing(factors, stranger, tmp_path):
-    call("repeat", run_file(tmp_path, json.loads(json.dumps(factors).replace("@", str(stranger)))))
-    assert not (stranger / "marker").exists()
+def test_code_names_in_a_run_file_are_not_imported(factors, untrusted, tmp_path):
+    call("repeat", run_file(tmp_path, json.loads(json.dumps(factors).replace("@", str(untrusted)))))
+    assert not (untrusted / "marker").exists()
     assert "stranger_code" not in sys.modules
 
 
-def test_run_file_may_name_files_of_a_trusted_folder(stranger, tmp_path):
-    factors = {"trajectory": str(stranger / "short.yaml"), "config": str(stranger / "config.yaml")}
-    code, printed, _ = call("repeat", run_file(tmp_path, factors), "--trust-terms", stranger)
+def test_run_file_may_name_files_of_a_trusted_folder(untrusted, tmp_path):
+    factors = {"trajectory": str(untrusted / "short.yaml"), "config": str(untrusted / "config.yaml")}
+    code, printed, _ = call("repeat", run_file(tmp_path, factors), "--trust-terms", untrusted)
     assert code == 0, printed
-    assert (stranger / "marker").exists()
+    assert (untrusted / "marker").exists()
 
 
 @pytest.mark.parametrize(
@@ -90,16 +90,16 @@ def test_run_file_may_name_files_of_a_trusted_folder(stranger, tmp_path):
         "plan --from 0,0,0 --to 1,0,0 --costs FILE --out OUT",
     ],
 )
-def test_yaml_tags_make_no_objects(command, tmp_path):
+def test_yaml_tags_do_not_create_objects(command, tmp_path):
     (tmp_path / "file.yaml").write_text(f"name: !!python/object/apply:os.mkdir ['{tmp_path}/marker']\n")
-    places = {"FILE": tmp_path / "file.yaml", "OUT": tmp_path / "out"}
-    code, printed, _ = call(*(places.get(word, word) for word in command.split()))
+    paths = {"FILE": tmp_path / "file.yaml", "OUT": tmp_path / "out"}
+    code, printed, _ = call(*(paths.get(word, word) for word in command.split()))
     assert code == 2 and printed.startswith("error: "), printed
     assert not (tmp_path / "marker").exists()
 
 
 class MakesFolder:
-    """Unpickled, it makes a folder."""
+    """Object that creates a folder when it is unpickled."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -108,14 +108,14 @@ class MakesFolder:
         return Path.mkdir, (self.folder / "marker",)
 
 
-def test_store_ignores_files_that_are_no_rows(tmp_path):
+def test_store_ignores_files_that_are_not_rows(tmp_path):
     key = "0" * 64
-    place = tmp_path / "runs" / "00" / f"{key}.json"
-    place.parent.mkdir(parents=True)
+    path = tmp_path / "runs" / "00" / f"{key}.json"
+    path.parent.mkdir(parents=True)
     hostile = json.dumps({"row": {"py/reduce": ["os.mkdir", f"{tmp_path}/marker"]}}).encode()
     for content in (hostile, pickle.dumps({"row": MakesFolder(tmp_path)}), b"[" * 100_000, b"[1]"):
-        place.write_bytes(content)
-        place.with_suffix(".pkl").write_bytes(content)
+        path.write_bytes(content)
+        path.with_suffix(".pkl").write_bytes(content)
         assert Store(tmp_path).load(key) is None
     assert not (tmp_path / "marker").exists()
 
@@ -128,11 +128,11 @@ def run(tmp_path_factory):
 
 
 def configuration(folder, changes):
-    """Return values of a logged configuration; '@' is the stranger's folder."""
+    """Return values of a logged configuration; '@' stands for the untrusted folder."""
     return load_config("ssm").model_dump(mode="json") | json.loads(json.dumps(changes).replace("@", str(folder)))
 
 
-def mcap(run, path, config, model=""):
+def write_mcap(run, path, config, model=""):
     metadata = {
         "case": {"plant": "mujoco"},
         "configuration": {"yaml": yaml.safe_dump(config)},
@@ -142,25 +142,25 @@ def mcap(run, path, config, model=""):
     return path
 
 
-NAMED = {
+NAMED_FILES = {
     "a term": ({"terms": [{"file": "@/term.py", "function": "slow"}]}, ""),
     "a model": ({"model": "@/model.yaml"}, ""),
 }
 
 
-@pytest.mark.parametrize("name", NAMED)
-def test_files_that_a_log_names_are_neither_opened_nor_run(name, run, stranger, tmp_path):
-    changes, model = NAMED[name]
-    config = configuration(stranger, changes)
-    log = mcap(run, tmp_path / "odd.mcap", config, model)
+@pytest.mark.parametrize("name", NAMED_FILES)
+def test_untrusted_files_of_a_log_are_neither_opened_nor_run(name, run, untrusted, tmp_path):
+    changes, model = NAMED_FILES[name]
+    config = configuration(untrusted, changes)
+    log = write_mcap(run, tmp_path / "log.mcap", config, model)
     code, printed, files = call("log", "replay", log)
-    assert code == 2 and f"--trust-terms {stranger}" in printed
-    # With a configuration of the user's own the log's is not needed.
-    code, printed, more = call("log", "replay", log, "--model", "ssm")
+    assert code == 2 and f"--trust-terms {untrusted}" in printed
+    # A configuration of the user replaces that of the log.
+    code, printed, files_with_model = call("log", "replay", log, "--model", "ssm")
     assert code == 0, printed
-    assert not [path for path in files + more if stranger in path.parents]
-    assert not (stranger / "marker").exists()
-    # Ticks of the node, in a bag or its MCAP, are read in one place.
+    assert not [path for path in files + files_with_model if untrusted in path.parents]
+    assert not (untrusted / "marker").exists()
+    # The same function reads ticks of the node from bags and MCAP logs.
     tick = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "TRACKING", "", "none", 0.0)
     drive = DriveRecord(1, True, True, 0.0, None, config, model)
     with pytest.raises(UntrustedFileError, match="odd.bag names"):
@@ -168,15 +168,15 @@ def test_files_that_a_log_names_are_neither_opened_nor_run(name, run, stranger, 
         recorded_drive(Path("odd.bag"), [tick.line()], [drive.line()], configs)
 
 
-def test_log_may_name_files_of_a_trusted_folder(run, stranger, tmp_path):
-    log = mcap(run, tmp_path / "mine.mcap", configuration(stranger, NAMED["a term"][0]))
-    code, printed, _ = call("log", "replay", log, "--trust-terms", stranger)
+def test_log_may_name_files_of_a_trusted_folder(run, untrusted, tmp_path):
+    log = write_mcap(run, tmp_path / "log.mcap", configuration(untrusted, NAMED_FILES["a term"][0]))
+    code, printed, _ = call("log", "replay", log, "--trust-terms", untrusted)
     assert code == 0, printed
-    assert (stranger / "marker").exists()
-    # A link out of it leads to another folder.
-    (stranger / "inside").mkdir()
-    (stranger / "inside" / "term.py").symlink_to(stranger / "term.py")
-    linked = configuration(stranger, {"terms": [{"file": "@/inside/term.py", "function": "slow"}]})
-    log = mcap(run, tmp_path / "linked.mcap", linked)
-    code, printed, _ = call("log", "replay", log, "--trust-terms", stranger / "inside")
+    assert (untrusted / "marker").exists()
+    # A symbolic link to another folder is not trusted.
+    (untrusted / "inside").mkdir()
+    (untrusted / "inside" / "term.py").symlink_to(untrusted / "term.py")
+    linked_config = configuration(untrusted, {"terms": [{"file": "@/inside/term.py", "function": "slow"}]})
+    log = write_mcap(run, tmp_path / "linked.mcap", linked_config)
+    code, printed, _ = call("log", "replay", log, "--trust-terms", untrusted / "inside")
     assert code == 2 and "neither opened nor run" in printed

@@ -27,7 +27,7 @@ def replay(
     ] = None,
     trust_terms: TrustedFolders = None,
 ) -> None:
-    """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
+    """Repeat every tick of a recorded drive, and print the maximum difference of the commands [m/s, rad/s].
 
     The controller gets the recorded measurements; after each tick its command is replaced by the recorded command.
     """

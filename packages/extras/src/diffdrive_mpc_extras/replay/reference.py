@@ -66,10 +66,10 @@ def logged_reference(
     time = columns["t_s"] - columns["t_s"][0]
     if not (np.isfinite(pose).all() and np.isfinite(twist).all() and (np.diff(time) > 0).all()):
         return None
-    return _shipped(pose, twist, time, config) or _hermite(name, time, pose, twist)
+    return _find_shipped(pose, twist, time, config) or _interpolate(name, time, pose, twist)
 
 
-def _shipped(
+def _find_shipped(
     pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None
 ) -> Trajectory | None:
     """Find the shipped trajectory with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]."""
@@ -87,7 +87,7 @@ def _shipped(
     return None
 
 
-def _hermite(name: str, time: FloatArray, pose: FloatArray, twist: FloatArray) -> SplineTrajectory:
+def _interpolate(name: str, time: FloatArray, pose: FloatArray, twist: FloatArray) -> SplineTrajectory:
     """Interpolate poses (m, 3) with twists (m, 2) at `time` (m,) [s] by cubic splines, up to the final rest."""
     moving = np.flatnonzero((twist != 0.0).any(axis=1) | (np.diff(pose, axis=0, append=pose[-1:]) != 0.0).any(axis=1))
     end = max(2, min(len(time), int(moving[-1]) + 2 if len(moving) else 2))

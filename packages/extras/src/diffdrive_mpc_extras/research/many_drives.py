@@ -75,7 +75,10 @@ def drive_many(
         else {_name(index, config): config for index, config in enumerate(_as_list(configs))}
     )
     loaded = {name: load_config(config) for name, config in by_name.items()}
-    seeds = [int(seed) for seed in seeds]
+    drawn = list(seeds)
+    if not drawn or any(seed != int(seed) for seed in drawn):
+        raise wrong_type("seeds", "at least one whole number", drawn, "give range(5), or a list")
+    seeds = [int(seed) for seed in drawn]
     paths = _as_list(trajectories)
     check_count(len(loaded) * len(paths) * len(seeds))
     tasks = []

@@ -79,11 +79,13 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         Returns observation, reward, True if the episode terminated, True if it was truncated, and info. Raises
         ValueError unless the command has two finite values, and RuntimeError before `reset` or after the end.
         """
-        command = np.asarray(action, dtype=float)
+        try:
+            command = np.asarray(action, dtype=float)
+        except (TypeError, ValueError):
+            command = np.empty(0)
         if command.shape != (2,) or not np.isfinite(command).all():
-            raise ValueError(
-                f"action {np.asarray(action).tolist()}: give two finite numbers, v [m/s] and omega [rad/s]"
-            )
+            shown = np.asarray(action).tolist()
+            raise ValueError(f"action {shown}: give two finite numbers, v [m/s] and omega [rad/s]")
         if self._tick >= self._ticks:
             raise RuntimeError("the episode is over: call reset before step")
         self._command = np.clip(command, self.action_space.low, self.action_space.high)

@@ -228,21 +228,21 @@ def _wheel_quantities(
         reason = f"effective track from poses, divided by {separation:.4g} m; valid with the radii of this file"
         result["separation_multiplier"] = _checked_width(_estimated_quantity(track, "", reason))
         return result
-    missing = radii if isinstance(radii, str) else "neither log nor mapping states a track"
-    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _missing_quantity("", missing))
+    reason = radii if isinstance(radii, str) else "neither log nor mapping states a track"
+    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _missing_quantity("", reason))
     if "encoders.yaw_ratio" not in estimate.names:
-        missing = "the log has neither a gyro nor a pose: it does not determine the yaw rate of the body"
-        return result | {"separation_multiplier": _missing_quantity("", missing)}
+        reason = "the log has neither a gyro nor a pose: it does not determine the yaw rate of the body"
+        return result | {"separation_multiplier": _missing_quantity("", reason)}
     ratio = estimate.part(["encoders.yaw_ratio"])
     if geometry is None or separation is None:
         factor = _estimated_quantity(ratio, "", "")
         if factor.value is None:
             return result | {"separation_multiplier": factor}
-        missing = (
+        reason = (
             "the log has no wheel speeds: multiply the separation multiplier of the odometry in this log "
             f"by {factor.value:.4g} [{factor.interval[0]:.4g}, {factor.interval[1]:.4g}]"
         )
-        return result | {"separation_multiplier": _missing_quantity("", missing)}
+        return result | {"separation_multiplier": _missing_quantity("", reason)}
     track = ratio.derived(["track"], lambda row: row * geometry.track / separation)
     reason = f"ratio of the yaw rates of wheels and gyro, for a separation of {separation:.4g} m"
     return result | {"separation_multiplier": _checked_width(_estimated_quantity(track, "", reason))}
@@ -299,12 +299,12 @@ def _limit_quantities(
         part, condition = ["command"], "; for the multipliers of the log"
         if is_corrected:
             part, condition = ["body"], f", times its gain; only with the {name} of ros2_control.yaml"
-        top, rate = (_limit_in_body(estimate, kind, channel) for kind in ("limit", "slew"))
+        level, rate = (_limit_in_body(estimate, kind, channel) for kind in ("limit", "slew"))
         # `_estimated_quantity` handles intervals that are not finite.
-        reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= maximum
+        is_reached = level is not None and not level.values[1] + 1.96 * level.deviation("command") >= maximum
         result[f"max.{channel}"] = (
-            _checked_width(_estimated_quantity(top.part(part), unit, f"command at which the robot clips{condition}"))
-            if top is not None and reached
+            _checked_width(_estimated_quantity(level.part(part), unit, f"command at which the robot clips{condition}"))
+            if level is not None and is_reached
             else _missing_quantity(unit, f"not reached in this log, which drives up to {gain * maximum:.3g} {unit}")
         )
         result[f"rate.{channel}"] = (
@@ -314,9 +314,9 @@ def _limit_quantities(
             if rate is not None
             else _missing_quantity(f"{unit}^2", "no command of this log exceeds the maximum slope of the robot")
         )
-        followed = gain * min(maximum, float(top.values[1]) if top is not None and reached else maximum)
+        max_speed = gain * min(maximum, float(level.values[1]) if level is not None and is_reached else maximum)
         result[f"driven.{channel}"] = _stated_quantity(
-            followed, unit, "maximum command that the robot follows, times the gain"
+            max_speed, unit, "maximum command that the robot follows, times the gain"
         )
     return result
 

@@ -35,12 +35,12 @@ def _parameter_line(name: str, content: object, quantities: Quantities) -> str:
             return f"# {name}: not known: {content['missing']}"
         return f"{name}: {_yaml_text(content['is'])}   # {content['why']}"
     entries = content if isinstance(content, Sequence) and not isinstance(content, str) else [content]
-    named = {entry: quantities[entry.removeprefix("-")] for entry in entries if isinstance(entry, str)}
-    missing = [f"{entry.removeprefix('-')}: {part.reason}" for entry, part in named.items() if part.value is None]
+    by_entry = {entry: quantities[entry.removeprefix("-")] for entry in entries if isinstance(entry, str)}
+    missing = [f"{entry.removeprefix('-')}: {part.reason}" for entry, part in by_entry.items() if part.value is None]
     if missing:
         return f"# {name}: not known: {plain_line('; '.join(missing))}"
-    values = [_signed_value(entry, named[entry]) if isinstance(entry, str) else entry for entry in entries]
-    reasons = "; ".join(dict.fromkeys(interval_text(part) + part.reason for part in named.values()))
+    values = [_signed_value(entry, by_entry[entry]) if isinstance(entry, str) else entry for entry in entries]
+    reasons = "; ".join(dict.fromkeys(interval_text(part) + part.reason for part in by_entry.values()))
     return f"{name}: {_yaml_text(values[0] if content is entries[0] else values)}   # {plain_line(reasons)}"
 
 

@@ -40,7 +40,7 @@ class TunePoint:
     error
         Mean position RMSE over the runs of the tuning seeds, failures included [m].
     failures
-        Number of failed runs.
+        Number of failed_runs runs.
     """
 
     number: int
@@ -94,15 +94,15 @@ class ConfigurationSearch:
             trial = study.ask(self._distributions)
             values = {key: self._round(key, value) for key, value in trial.params.items()}
             rows = self.drive(values, plan.tuning_seeds.seeds, jobs, bar)
-            point = TunePoint(number, values, float(self.errors(rows).mean()), int(failed(rows).sum()))
+            point = TunePoint(number, values, float(self.errors(rows).mean()), int(failed_runs(rows).sum()))
             study.tell(trial, point.error)
             points.append(point)
         return points
 
     def errors(self, rows: DataFrame) -> FloatArray:
-        """Compute the position RMSE of each run [m]; a failed run counts with at least `failure_error`."""
+        """Compute the position RMSE of each run [m]; a failed_runs run counts with at least `failure_error`."""
         measured = rows["position_rmse_m"].to_numpy(dtype=float)
-        return np.asarray(np.where(failed(rows), np.fmax(measured, self._plan.failure_error), measured))
+        return np.asarray(np.where(failed_runs(rows), np.fmax(measured, self._plan.failure_error), measured))
 
     def _round(self, key: str, value: float) -> float | int:
         is_exact = isinstance(value, int) or value == self.start[key]
@@ -121,7 +121,7 @@ def best_of(points: Iterable[TunePoint]) -> TunePoint:
     return min(points, key=lambda point: (point.error, point.number))
 
 
-def failed(rows: DataFrame) -> FloatArray:
+def failed_runs(rows: DataFrame) -> FloatArray:
     """Return booleans (runs,): True if a run ended early or did not complete its path."""
     return np.asarray(~rows["completed"].to_numpy(dtype=bool) | (rows["ended"].to_numpy(dtype=str) != ""))
 

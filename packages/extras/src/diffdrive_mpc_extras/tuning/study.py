@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.rooms import plain_key
 from diffdrive_mpc_extras.bootstrap import BootstrapEstimate
-from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed
+from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed_runs
 from diffdrive_mpc_extras.tuning.tune_file import TunePlan, load_plan
 
 CONFIG = "config.yaml"
@@ -57,13 +57,13 @@ class Comparison:
     @property
     def failures(self) -> tuple[int, int]:
         """Numbers of failed runs of the start configuration and of the best point."""
-        return int(failed(self.start).sum()), int(failed(self.best).sum())
+        return int(failed_runs(self.start).sum()), int(failed_runs(self.best).sum())
 
     @property
     def is_better(self) -> bool:
         """True if the 95 % interval of the change is below zero and no more runs fail."""
-        before, after = self.failures
-        return self.change().high < 0.0 and after <= before
+        start_failures, best_failures = self.failures
+        return self.change().high < 0.0 and best_failures <= start_failures
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class TuningOutcome:
             return "no better than the start configuration: no point has a smaller error on the tuning seeds"
         comparison, change = self.comparison, self.comparison.change()
         verdict = "better" if comparison.is_better else "no better"
-        before, after = comparison.failures
+        start_failures, best_failures = comparison.failures
         return (
             f"{verdict} than the start configuration: position RMSE {1e3 * comparison.best_errors.mean():.3g} mm "
             f"instead of {1e3 * comparison.start_errors.mean():.3g} mm on {len(comparison.best)} runs of the report "
             f"seeds ({_percent(change.value)}, 95 % interval {_percent(change.low)} to {_percent(change.high)}), "
-            f"{after} failed runs instead of {before}"
+            f"{best_failures} failed runs instead of {start_failures}"
         )
 
 
@@ -265,7 +265,7 @@ def _comparison_table(comparison: Comparison) -> Table:
     rows = []
     for name, runs in (groups | {"all": np.ones(len(names), dtype=bool)}).items():
         start, best, change = comparison.start_errors[runs], comparison.best_errors[runs], comparison.change(runs)
-        failures = [str(int(failed(table[runs]).sum())) for table in (comparison.start, comparison.best)]
+        failures = [str(int(failed_runs(table[runs]).sum())) for table in (comparison.start, comparison.best)]
         cells = (number(1e3 * start.mean(), 3), number(1e3 * best.mean(), 3), _percent(change.value))
         rows.append((name, *cells, f"{_percent(change.low)} to {_percent(change.high)}", *failures))
     means = [

@@ -154,8 +154,8 @@ def _yaw_ratio(runs: Sequence[SampledExperiment]) -> float:
     """Estimate the ratio of the yaw rates of encoders and gyro; 1 without a gyro."""
     if runs[0].outputs.shape[1] < _GYRO_OUTPUTS:
         return 1.0
-    complete = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
-    wheels, gyro = (complete[:, 1:] - complete[:, 1:].mean(axis=0)).T
+    readings = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
+    wheels, gyro = (readings[:, 1:] - readings[:, 1:].mean(axis=0)).T
     product = float(wheels @ gyro)
     return float(wheels @ wheels) / product if product > 0 else 1.0
 

@@ -57,8 +57,8 @@ class Space:
         """Convert values to deviations (q,) inside the bounds; zero for missing parameters."""
         z = [prior.z(values[name]) if name in values else 0.0 for name, prior in self.priors.items()]
         low, high = self.bounds
-        inside = 1e-3 * (high - low)
-        return np.clip(z, low + inside, high - inside)
+        margin = 1e-3 * (high - low)
+        return np.clip(z, low + margin, high - margin)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

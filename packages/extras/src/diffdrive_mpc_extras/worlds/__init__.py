@@ -1,1 +1,1 @@
-"""Worlds: obstacles and persons around the robot, contacts, and the robot's view of them."""
+"""Worlds: obstacles and persons around the robot, their contacts with it, and obstacle sensors."""

@@ -1,0 +1,107 @@
+"""Random robots whose command is clipped at a known level, or that have another defect."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+TOLERANCE = 0.05
+_SHARES = (0.6, 0.9)
+_DEFECTS = ("nothing", "slew", "compressed gain", "dead band", "sagging gain", "gain of the other channel")
+
+
+@dataclass(frozen=True)
+class LimitCase:
+    """A log and the limit of its commands.
+
+    Attributes
+    ----------
+    name
+        Name of the robot and its defect.
+    records
+        The log.
+    channel
+        Channel whose command is clipped, or None.
+    level
+        Level of the limit [m/s, rad/s].
+    """
+
+    name: str
+    records: tuple[Record, ...]
+    channel: str | None
+    level: float
+
+
+def drawn_case(seed: int) -> LimitCase:
+    """Simulate a random robot with two lags and a dead time, whose commands one limit clips, or no limit.
+
+    Its speeds deviate from that model by correlated noise; without a limit the robot has another defect.
+    """
+    rng = np.random.default_rng(seed)
+    dt, count = 0.05, int(rng.integers(1500, 5000))
+    command = np.column_stack([_drive(rng, dt, count) for _ in CHANNELS]) * rng.uniform([0.4, 0.6], [4.0, 3.0])
+    row = int(rng.integers(2))
+    limited = rng.random() < 0.5
+    defect = "nothing" if limited else str(rng.choice(_DEFECTS))
+    applied = command.copy()
+    level = np.inf
+    if limited:
+        level = rng.uniform(*_SHARES) * np.quantile(np.abs(command[:, row]), 0.995)
+        applied[:, row] = np.clip(applied[:, row], -level, level)
+    size = np.abs(command).max(axis=0)
+    if defect == "compressed gain":
+        applied = size * np.tanh(0.5 * applied / size) / 0.5
+    elif defect == "dead band":
+        applied = np.sign(applied) * np.maximum(np.abs(applied) - 0.08 * size, 0.0)
+    elif defect == "sagging gain":
+        applied *= np.linspace(1.0, 0.85, count)[:, None]
+    elif defect == "gain of the other channel":
+        applied *= 1.0 - 0.2 * np.abs(command[:, ::-1]) / size[::-1]
+    elif defect == "slew":
+        applied = _limit_slew(applied, rng.uniform(0.5, 2.0) * size * dt)
+    speeds = np.column_stack([_channel_response(rng, column, dt) for column in applied.T])
+    keep = np.exp(-dt / rng.uniform(0.1, 1.0))
+    white = rng.normal(size=(count, 2)) * np.sqrt(1 - keep**2)
+    speeds += rng.uniform(0.01, 0.15) * speeds.std(axis=0) * signal.lfilter([1.0], [1.0, -keep], white, axis=0)
+    speeds += 0.01 * speeds.std(axis=0) * rng.normal(size=(count, 2))
+    record = Record(f"robot {seed}", 0.0, dt, command, twist=speeds, yaw_rate=speeds[:, 1].copy())
+    return LimitCase(f"robot {seed}, {defect}", (record,), CHANNELS[row] if limited else None, level)
+
+
+def _drive(rng, dt, count):
+    """Draw commands (K,) between -1 and 1 of one of three kinds: steps, steps with ramps, sums of sines."""
+    kind, time = rng.integers(3), dt * np.arange(count)
+    if kind == 2:
+        rates, phases = rng.uniform(0.1, 1.5, 4), rng.uniform(0, 2 * np.pi, 4)
+        return np.sin(np.outer(time, rates) + phases).mean(axis=1)
+    hold = round(rng.uniform(0.7, 4.0) / dt)
+    levels = rng.uniform(-1, 1, count // hold + 2) * rng.random(count // hold + 2) ** rng.uniform(0.0, 1.0)
+    steps = np.repeat(levels, hold)[:count]
+    width = 1 if kind == 0 else max(1, hold // 2)
+    return signal.lfilter(np.full(width, 1 / width), [1.0], steps)
+
+
+def _channel_response(rng, applied, dt):
+    """Simulate the speeds (K,) of a random channel."""
+    late, keep = int(rng.integers(0, 5)), np.exp(-dt / rng.uniform(0.03, 0.4))
+    delayed = np.concatenate([np.zeros(late + 1), applied])[: len(applied)]
+    for part in (keep, keep ** rng.uniform(1.0, 5.0)):
+        delayed = signal.lfilter([1 - part], [1.0, -part], delayed)
+    return rng.uniform(0.6, 1.1) * delayed
+
+
+def _limit_slew(values, max_step):
+    result = values.copy()
+    for k in range(1, len(result)):
+        result[k] = result[k - 1] + np.clip(values[k] - result[k - 1], -max_step, max_step)
+    return result
+
+
+def judge_limits(case: LimitCase, limits) -> tuple[bool, bool, int]:
+    """Return whether the limit is found, whether it is within the tolerance, and the number of false limits."""
+    is_found = case.channel in limits
+    close = is_found and abs(limits[case.channel] / case.level - 1) <= TOLERANCE
+    return is_found, close, len(set(limits) - {case.channel})
