@@ -165,10 +165,10 @@ class TrialVerdict:
             next_step = "report.md lists the remedies."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
-    def headed_answers(self) -> list[str]:
-        """Return the answers, each after its question, and the next command in the folder of the files."""
+    def headed_conclusions(self) -> list[str]:
+        """Return the conclusions, each after its heading, and the next command in the folder of the files."""
         command = " ".join(line.strip(" \\") for line in next_command()) if self.promise else ""
-        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.answers(), strict=True)]
+        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.conclusions(), strict=True)]
         return [*texts[:-1], f"{texts[-1]} {command}".strip()]
 
     def lines(self, folder: Path = Path()) -> list[str]:

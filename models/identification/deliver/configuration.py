@@ -547,7 +547,7 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRob
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{entry.value}'" if isinstance(entry.value, str) else entry.value
-            groups[group].append(Setting(name, value, f"{entry.reason}, stated by the maker of {robot.name}"))
+            groups[group].append(Setting(name, value, f"{entry.reason}, stated by the manufacturer of {robot.name}"))
     limits, wheels, free_space = (tuple(settings) for settings in groups.values())
     return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 
