@@ -1,4 +1,4 @@
-"""Track a circle with an agent of your own in the loop of Gymnasium.
+"""Track a circle with your own agent in a Gymnasium environment.
 
 Needs diffdrive-mpc-extras with gymnasium: pip install 'diffdrive-mpc-extras[gym]'.
 """
@@ -12,8 +12,8 @@ env = make_env("circle", plant="model:ssm", preview=1)
 
 def act(observation):
     """Return the command of Kanayama's law (ICRA 1990), in place of an agent that learns from the rewards."""
-    ahead, left, turn = observation[:3]  # the reference, seen from the robot [m, m, rad]
-    v, omega = observation[-2:]  # of the reference one tick later [m/s, rad/s]
+    ahead, left, turn = observation[:3]  # reference pose relative to the robot [m, m, rad]
+    v, omega = observation[-2:]  # reference twist one tick later [m/s, rad/s]
     command = [v * np.cos(turn) + 2.0 * ahead, omega + v * (8.0 * left + 3.0 * np.sin(turn))]
     return np.clip(command, env.action_space.low, env.action_space.high)
 

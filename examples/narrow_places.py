@@ -1,7 +1,7 @@
-"""Drive between posts and through a doorway, wait for somebody who crosses the way, and draw what happened.
+"""Drive between posts and through a doorway, wait for a person who crosses the path, and draw the drive.
 
-Everything is seen here as a map and a list of discs; on a robot a costmap does as well. The doorway is 0.10 m wider
-than the robot. What it keeps away from things, and how it says why it stands: packages/extras/docs/worlds.md.
+Polygons and discs represent the obstacles; on a robot, use a costmap. The doorway is 0.10 m wider than the robot.
+packages/extras/docs/worlds.md describes clearances and messages.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 OUTLINE = np.array([[0.25, 0.2], [-0.25, 0.2], [-0.25, -0.2], [0.25, -0.2]])
 BOXES = [(1.4, -0.05, 0.12, 0.12), (2.7, -0.1, 0.12, 0.12), (4.5, 0.25, 0.15, 1.2), (4.5, -1.45, 0.15, 1.2)]
-THINGS = [np.array([[x, y], [x + a, y], [x + a, y + b], [x, y + b]]) for x, y, a, b in BOXES]
+OBSTACLES = [np.array([[x, y], [x + a, y], [x + a, y + b], [x, y + b]]) for x, y, a, b in BOXES]
 
 
 def person(t):
@@ -31,13 +31,13 @@ controller, robot = Controller(load_config("ssm", settings)), make_plant("model:
 robot.reset(reference.sample([0.0]).pose[0])
 controller.start(reference, robot.time)
 
-poses, stood = [], ""
+poses, last_message = [], ""
 while robot.time < 60.0:
-    controller.feature("free_space").set_obstacles(Surroundings(THINGS, [person(robot.time)], time=robot.time))
+    controller.feature("free_space").set_obstacles(Surroundings(OBSTACLES, [person(robot.time)], time=robot.time))
     step = controller.step(robot.time, robot.measure())
-    if step.mode == "STOPPED" and step.message != stood:
+    if step.mode == "STOPPED" and step.message != last_message:
         print(f"{robot.time:5.1f} s: {step.message}")
-        stood = step.message
+        last_message = step.message
     robot.advance(step.command)
     poses.append(robot.true_pose)
     if step.mode == "FINISHED":
@@ -45,8 +45,8 @@ while robot.time < 60.0:
 print(f"at x = {poses[-1][0]:.2f} m after {robot.time:.1f} s")
 
 figure, axes = plt.subplots(figsize=(10, 3.6))
-for thing in THINGS:
-    axes.fill(*thing.T, color="0.4")
+for obstacle in OBSTACLES:
+    axes.fill(*obstacle.T, color="0.4")
 for pose in poses[::45]:
     turn = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]])
     axes.fill(*(OUTLINE @ turn + pose[:2]).T, facecolor="none", edgecolor="tab:blue", linewidth=0.7)

@@ -1,4 +1,4 @@
-"""Drive along a path of your own: a formula in time, or waypoints.
+"""Drive along your own path, from timed positions or from waypoints.
 
 A trajectory states where the robot should be at each instant. `from_arrays` takes timed poses; `from_waypoints` takes
 points without times, rounds the corners and chooses the speed.

@@ -1,6 +1,7 @@
-"""Put a robot of your own into the closed loop: any class with these members will do.
+"""Simulate your own robot in the closed loop, as a class with the members of this example.
 
-This one is a heavy machine that follows commands slowly, and on its soft tyres turns 25 % less than its wheels say.
+The example is a heavy machine that follows commands slowly. Because of its soft tyres, its yaw rate is 25 % lower than
+that of its wheels.
 """
 
 import numpy as np
@@ -9,7 +10,7 @@ from diffdrive_mpc import Controller, Measurement, Stamped, integrate_pose, load
 from diffdrive_mpc.models import VelocityModel
 
 LAG = np.array([0.25, 0.15])  # time constants of forward speed and yaw rate [s]
-YAW_GAIN = 0.75  # true yaw rate over that of the wheels
+YAW_GAIN = 0.75  # true yaw rate over the yaw rate of the wheels
 
 
 class HeavyRobot:
@@ -18,7 +19,7 @@ class HeavyRobot:
     sample_time = 0.04  # time between two ticks [s]
 
     def reset(self, pose):
-        """Reset to rest at `pose`: x [m], y [m], theta [rad]; the noise is the same every time."""
+        """Reset to rest at `pose`: x [m], y [m], theta [rad]; every reset restarts the same noise."""
         self._noise, self._tick = np.random.default_rng(0), 0
         self.true_pose, self._wheels = np.array(pose, dtype=float), np.zeros(2)
 
@@ -28,11 +29,11 @@ class HeavyRobot:
 
     @property
     def true_twist(self):
-        """Forward speed, sideways speed, yaw rate: the statistics are made with it; the controller never sees it."""
+        """Forward speed, lateral speed and yaw rate, for the statistics only; not an input of the controller."""
         return np.array([self._wheels[0], 0.0, YAW_GAIN * self._wheels[1]])
 
     def measure(self):
-        """Return the measurements since the last tick, each with its time; None means no new one."""
+        """Return the measurements since the last tick, each with its time; None if there is no new one."""
         pose = self.true_pose + self._noise.normal(scale=[0.005, 0.005, 0.005])
         return Measurement(
             pose=Stamped(pose, self.time) if self._tick % 2 == 0 else None,
@@ -49,7 +50,7 @@ class HeavyRobot:
         self._tick += 1
 
 
-# The controller's model has the lags, x' = A x + B u, but not the slip: that it finds out while it drives.
+# The model of the controller, x' = A x + B u, contains the lags but not the slip, which is estimated during the drive.
 model = VelocityModel("heavy robot", "ssm", A=np.diag(-1 / LAG), B=np.diag(1 / LAG), C=np.eye(2))
 config = load_config("ssm", {"sample_time": HeavyRobot.sample_time, "horizon": 25})
 controller = Controller(config, model=model)

@@ -1,4 +1,4 @@
-"""Robot data stated by the makers: parameters with their source, not identified."""
+"""Robot data stated by the manufacturers: parameters with their source, not identified."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diffdrive_mpc.models.robot import load_robot
 
 STATED_ROBOTS = EntryFile("robot", Path(__file__).with_name("stated_robots.yaml"))
 TO_IDENTIFY = "gain, lag and dead time of both channels, true over commanded yaw rate, slip, noise of the sensors"
-"""Description of the parameters that no maker states."""
+"""Description of the parameters that no manufacturer states."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _UNITS = {
@@ -37,7 +37,7 @@ _UNITS = {
 
 
 class StatedNumber(StrictModel):
-    """A number that the maker states."""
+    """A number that the manufacturer states."""
 
     stated: Positive
     source: str = Field(min_length=1, description="one of the file's `sources`")
@@ -110,7 +110,7 @@ class MakersRobot(StrictModel):
         return self.wheel_separation.stated * self.wheel_separation_multiplier.stated
 
     def bounds(self, margin: float) -> dict[str, float]:
-        """Return soft limits, which no maker states: `margin` [-] times the maximum command."""
+        """Return soft limits, which no manufacturer states: `margin` [-] times the maximum command."""
         v, omega = self.v.stated, self.omega.stated
         rim = v + 0.5 * self.track * omega
         sizes = {"predicted_v": v, "predicted_omega": omega, "wheel_speed": rim}
@@ -176,7 +176,7 @@ def stated_robots() -> tuple[str, ...]:
 
 
 def load_stated_robot(name: str | Path) -> MakersRobot:
-    """Read the maker's data of a robot.
+    """Read the manufacturer's data of a robot.
 
     Parameters
     ----------

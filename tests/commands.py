@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from typer import Typer
 
 
-def invoke(app: Typer, *words: object, code: int = 0) -> Result:
+def invoke(app: Typer, *arguments: object, code: int = 0) -> Result:
     """Invoke a command of `app` and check that it ends with the exit code `code`."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
+    result = CliRunner().invoke(app, [str(word) for word in arguments])
     assert result.exit_code == code, result.output
     return result
 
 
-def call(*words: object, code: int = 0) -> str:
+def call(*arguments: object, code: int = 0) -> str:
     """Return the output of a command of the product; check its exit code."""
-    return invoke(product, *words, code=code).output
+    return invoke(product, *arguments, code=code).output
 
 
-def refusal(*words: object, code: int = 2) -> str:
+def refusal(*arguments: object, code: int = 2) -> str:
     """Return the error line of a refused command; check that it is its only output."""
-    result = invoke(product, *words, code=code)
+    result = invoke(product, *arguments, code=code)
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ") and result.stdout == ""
     return line

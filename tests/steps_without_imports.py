@@ -55,8 +55,8 @@ def drive(settings, on_start=lambda controller: None):
 def check_steps(program, name):
     """Run a program that prints the result of `drive`; check that its steps ran all branches and imported no module."""
     path = os.pathsep.join(filter(None, sys.path))
-    words, environment = [sys.executable, str(program), name], os.environ | {"PYTHONPATH": path}
-    done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment)
+    arguments, environment = [sys.executable, str(program), name], os.environ | {"PYTHONPATH": path}
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True, env=environment)
     steps = json.loads(done.stdout)
     assert steps["imported"] == []
     for part in ("rejoining", "no pose was accepted", "a test"):

@@ -114,8 +114,8 @@ def test_invalid_input_to_every_interface_gives_one_line(door, row, tmp_path, mo
     for program, app in PROGRAMS.items():
         if place.startswith(program):
             before = sorted(tmp_path.rglob("*"))
-            words = shlex.split(place.removeprefix(program).replace("INPUT", text))
-            result = invoke(app, *words, code=2)
+            arguments = shlex.split(place.removeprefix(program).replace("INPUT", text))
+            result = invoke(app, *arguments, code=2)
             (line,) = result.stderr.splitlines()
             assert line.startswith("error: ") and result.stdout == ""
             assert re.search(pattern_of(message), line), line

@@ -11,10 +11,10 @@ _HEX = r"`?([0-9a-f]{7,40})\+?`?"
 QUOTED = re.compile(rf'\brevisions?"?:?\s+"?{_HEX}\b(?:(?:,| to| and| or)\s+{_HEX}\b)?', re.IGNORECASE)
 
 
-def git(*words: str, text: str = "") -> str:
+def git(*arguments: str, text: str = "") -> str:
     """Return the output of git in the repository; empty on failure."""
     try:
-        done = subprocess.run(["git", *words], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
+        done = subprocess.run(["git", *arguments], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
     except OSError:
         return ""
     return done.stdout if done.returncode == 0 else ""

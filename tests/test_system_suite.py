@@ -11,8 +11,8 @@ pytestmark = pytest.mark.system
 ROOT = Path(__file__).parents[1]
 
 
-def run_pytest(*words, **environment):
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
+def run_pytest(*arguments, **environment):
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 

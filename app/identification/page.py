@@ -61,7 +61,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     )
     toggles = [Toggle("stand-in", plants, plants, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     content = Shown(
-        summary=[*report.findings_summary, *verdict.headed_answers()],
+        summary=[*report.findings_summary, *verdict.headed_conclusions()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_drive_views(trials), *other_charts(report), *_pictures(folder)],

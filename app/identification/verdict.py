@@ -150,8 +150,8 @@ class TrialVerdict:
         """Return grade, reasons and promise for JSON."""
         return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
 
-    def answers(self) -> list[str]:
-        """Return the answers on permission to drive, speed, quality of the model, and next step, as sentences."""
+    def conclusions(self) -> list[str]:
+        """Return one sentence each on permission to drive, trial drives, quality of the model, and next step."""
         fit = self.identification.report.fitted.validation.fit_percent
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         quality = f"FIT on held-out data: {values}."
@@ -165,18 +165,18 @@ class TrialVerdict:
             next_step = "report.md lists the remedies."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
-    def headed_answers(self) -> list[str]:
-        """Return the answers, each after its question, and the next command in the folder of the files."""
+    def headed_conclusions(self) -> list[str]:
+        """Return the conclusions, each after its heading, and the next command in the folder of the files."""
         command = " ".join(line.strip(" \\") for line in next_command()) if self.promise else ""
-        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.answers(), strict=True)]
+        texts = [f"{head} {text}" for head, text in zip(_HEADS, self.conclusions(), strict=True)]
         return [*texts[:-1], f"{texts[-1]} {command}".strip()]
 
     def lines(self, folder: Path = Path()) -> list[str]:
-        """Format limits of the base, answers and next command in lines of 80 columns."""
-        permission, *others = self.answers()
-        answers = (_shortened(permission, 3), *others)
-        lines = [line for head, text in zip(_HEADS, answers, strict=True) for line in _answer(head, text)]
-        limits = [line for text in self.identification.report.limits for line in _answer("Limits", text)]
+        """Format limits of the base, conclusions and next command in lines of 80 columns."""
+        permission, *others = self.conclusions()
+        conclusions = (_shortened(permission, 3), *others)
+        lines = [line for head, text in zip(_HEADS, conclusions, strict=True) for line in _wrap(head, text)]
+        limits = [line for text in self.identification.report.limits for line in _wrap("Limits", text)]
         return [*limits, *lines, *(next_command(folder) if self.promise else ())]
 
 
@@ -186,13 +186,13 @@ def _errors(drives: Sequence[TrialDrive]) -> list[tuple[float, float]]:
     return [(metrics.lateral_max_m, metrics.position_max_m) for metrics in arrived]
 
 
-def _answer(head: str, text: str) -> list[str]:
+def _wrap(head: str, text: str) -> list[str]:
     indent = " " * (max(map(len, _HEADS)) + 1)
     return textwrap.wrap(text, _WIDTH, initial_indent=head.ljust(len(indent)), subsequent_indent=indent)
 
 
 def _shortened(text: str, lines: int) -> str:
-    """Shorten an answer to `lines` lines."""
+    """Shorten a conclusion to `lines` lines."""
     max_length = lines * (_WIDTH - max(map(len, _HEADS)) - 8)
     return text if len(text) <= max_length else f"{text[:max_length].rsplit(' ', 1)[0]} ... (report.md)"
 

@@ -190,7 +190,7 @@ def identify(
     effects
         True to identify base effects in addition to an sm: slew, steps, tyres, veer. Takes minutes.
     robot
-        Name of a robot, or path of a file, with values stated by the maker: topics of bags without a `mapping`, limits,
+        Name of a robot, or path of a file, with values from the manufacturer: topics of bags without `mapping`, limits,
         track and footprint. These values are used if the logs do not determine them.
     validate
         Validation logs; by default the last part of each of `logs`.
@@ -226,7 +226,7 @@ def identify(
     if name is not None and not name.strip():
         raise OptionError("name", ": the name is empty; pass a name, or omit the option")
     share = identification_settings().fit_share if fit_share is None else fit_share
-    maker = None if robot is None else load_stated_robot(robot)
+    stated_robot = None if robot is None else load_stated_robot(robot)
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, _frames_by_name(folder):
         paths = _paths(logs, Path(folder), "data_frame")
         if not paths:
@@ -235,7 +235,9 @@ def identify(
             on_progress("reading")
         # Recordings of the node have fixed topic names.
         is_robot_bag = is_bag(paths[0]) and not is_drive_log(paths[0])
-        effective_mapping = maker.mapping() if maker is not None and mapping is None and is_robot_bag else mapping
+        effective_mapping = (
+            stated_robot.mapping() if stated_robot is not None and mapping is None and is_robot_bag else mapping
+        )
         validation_paths = _paths(validate, Path(folder), "validation")
         selection = LogSelection(tuple(paths), tuple(validation_paths), effective_mapping, share)
         try:
@@ -275,7 +277,7 @@ def identify(
         order=checked_order,
         effects=effects,
         predictor=predictor,
-        robot=maker,
+        robot=stated_robot,
         on_progress=on_progress,
     )
 

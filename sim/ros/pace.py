@@ -73,22 +73,22 @@ class CommandRhythm:
     """Detector of a controller with a longer period than the robot, so that ticks without a command alternate."""
 
     def __init__(self) -> None:
-        self._answered: list[int] = []
+        self._ticks: list[int] = []
         self._reported = False
 
-    def differs(self, tick: int, *, answered: bool) -> bool:
+    def differs(self, tick: int, *, has_command: bool) -> bool:
         """Record whether a tick had a command; return True once if the controller has a longer period."""
-        if answered:
-            self._answered = [*self._answered[-2:], tick]
-        if self._reported or not answered or len(self._answered) < 3:
+        if has_command:
+            self._ticks = [*self._ticks[-2:], tick]
+        if self._reported or not has_command or len(self._ticks) < 3:
             return False
-        first, second, third = self._answered
+        first, second, third = self._ticks
         self._reported = second > first + 1 and third > second + 1
         return self._reported
 
     def words(self, sample_time: float) -> str:
         """Return the message with both periods [s] and the remedy."""
-        period = 0.5 * (self._answered[-1] - self._answered[0]) * sample_time
+        period = 0.5 * (self._ticks[-1] - self._ticks[0]) * sample_time
         return (
             f"lock step: commands arrive about every {1e3 * period:.3g} ms, but the robot's sample time is "
             f"{1e3 * sample_time:.4g} ms, so the robot waits at each tick without a command; start the robot with the "
@@ -97,9 +97,9 @@ class CommandRhythm:
 
 
 def drive_in_lock_step(
-    base: SimulatedBase, clock: SteppedClock, settings: LockStep, spin: Spin, going: Callable[[], bool]
+    base: SimulatedBase, clock: SteppedClock, settings: LockStep, spin: Spin, is_running: Callable[[], bool]
 ) -> None:
-    """Drive until `going` returns False.
+    """Drive until `is_running` returns False.
 
     The clock does not advance until a publisher of commands is connected. Each tick then waits for its command until
     the answer timeout, or for the repeat time of the clock if no publisher is connected any more. After the controller
@@ -113,19 +113,19 @@ def drive_in_lock_step(
     clock_publisher = base.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
     # The clock starts one sample before the first tick, so that a timer that fires now fires again at the first tick.
     before = messages.clock(clock.set_tick(-1))
-    _wait_for_connections(base, lambda: clock_publisher.publish(before), settings, spin, going)
+    _wait_for_connections(base, lambda: clock_publisher.publish(before), settings, spin, is_running)
     rhythm = CommandRhythm()
-    while going():
+    while is_running():
         now = clock.set_tick(base.tick)
         base.publish_sensors(now, clock.origin)
-        _wait_for_answer(base, now, clock_publisher.publish, settings, spin, going)
-        if rhythm.differs(base.tick, answered=base.inbox.answers(now)):
+        _wait_for_command(base, now, clock_publisher.publish, settings, spin, is_running)
+        if rhythm.differs(base.tick, has_command=base.inbox.has_command_for(now)):
             base.node.get_logger().warning(rhythm.words(base.plant.sample_time))
         base.advance(now)
 
 
 def _wait_for_connections(
-    base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, going: Callable[[], bool]
+    base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, is_running: Callable[[], bool]
 ) -> None:
     """Wait until commands have a publisher and, for a limited time, until odometry has a subscriber.
 
@@ -136,7 +136,7 @@ def _wait_for_connections(
     deadline: float | None = None
     connected: tuple[int, ...] = ()
     settled_at = math.inf
-    while going():
+    while is_running():
         now_s = time.monotonic()
         if connected != base.connections:
             connected, settled_at = base.connections, now_s + settings.settling_time
@@ -145,20 +145,20 @@ def _wait_for_connections(
             if now_s >= settled_at and (base.observed or now_s >= deadline):
                 return
         publish()
-        while going() and (remaining := now_s + settings.clock_repeat - time.monotonic()) > 0:
+        while is_running() and (remaining := now_s + settings.clock_repeat - time.monotonic()) > 0:
             spin(remaining)
 
 
-def _wait_for_answer(
+def _wait_for_command(
     base: SimulatedBase,
     now: int,
     publish: Callable[[object], None],
     settings: LockStep,
     spin: Spin,
-    going: Callable[[], bool],
+    is_running: Callable[[], bool],
 ) -> None:
     start = repeat = time.monotonic()
-    while going() and not base.inbox.answers(now):
+    while is_running() and not base.inbox.has_command_for(now):
         now_s = time.monotonic()
         end = start + (settings.answer_timeout if base.commanded else settings.clock_repeat)
         if now_s >= end:
@@ -170,9 +170,9 @@ def _wait_for_answer(
 
 
 def drive_in_real_time(
-    base: SimulatedBase, clock: WallClock, settings: RealTime, spin: Spin, going: Callable[[], bool]
+    base: SimulatedBase, clock: WallClock, settings: RealTime, spin: Spin, is_running: Callable[[], bool]
 ) -> None:
-    """Drive until `going` returns False.
+    """Drive until `is_running` returns False.
 
     Like the firmware of the robot, the plant applies a command at its next sample. Stamps are the times of the samples,
     so on a slow computer messages are late but have correct stamps. A delay above `settings.most_behind` is skipped.
@@ -184,9 +184,9 @@ def drive_in_real_time(
     """
     sample = base.plant.sample_time
     clock.origin = clock()
-    while going():
+    while is_running():
         now = clock.origin + round(1e9 * base.tick * sample)
-        while going() and (remaining := 1e-9 * (now - clock())) > 0:
+        while is_running() and (remaining := 1e-9 * (now - clock())) > 0:
             spin(remaining)
         delay = 1e-9 * (clock() - now)
         if delay > settings.most_behind:

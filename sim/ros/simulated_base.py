@@ -156,7 +156,7 @@ class CommandInbox:
         """Return True if the last command has timed out."""
         return self._received is not None and now - self._received > self._timeout
 
-    def answers(self, tick: int) -> bool:
+    def has_command_for(self, tick: int) -> bool:
         """Return True if the newest command, by its stamp or arrival time, belongs to the tick at the time `tick`."""
         if self._received is None:
             return False

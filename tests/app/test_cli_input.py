@@ -102,8 +102,8 @@ def test_interrupted_command_prints_one_line(kind: type[BaseException], monkeypa
 @pytest.mark.parametrize("jobs", [pytest.param("1", marks=pytest.mark.system), "2"])
 def test_sigterm_leaves_no_draft_and_no_process(jobs: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
-    words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
-    with subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+    arguments = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
+    with subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         session = process.pid
         while not list(tmp_path.rglob("*")):
             assert process.poll() is None

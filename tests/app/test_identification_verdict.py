@@ -133,12 +133,12 @@ def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatc
         write_csv(tmp_path / "a.csv", drive(seconds=20.0)),
         write_mapping(tmp_path / "m.yaml", MAPPING + TRACK),
     )
-    words = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, words)
+    arguments = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2 and "fails on 'circle'" in result.stderr and result.stderr.count("error: ") == 1
     assert not (tmp_path / "out" / "config.yaml").exists() and not (tmp_path / "out" / "model.yaml").exists()
     assert "May I drive? No: " in (tmp_path / "out" / "report.md").read_text()
-    result = CliRunner().invoke(app, [*words, "--force"])
+    result = CliRunner().invoke(app, [*arguments, "--force"])
     assert result.exit_code == 0 and "written because of --force" in result.stdout
     assert (tmp_path / "out" / "config.yaml").exists()
 

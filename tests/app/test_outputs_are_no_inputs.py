@@ -64,8 +64,8 @@ def test_file_named_by_another_input_file_is_not_replaced(tmp_path: Path) -> Non
 def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) -> None:
     """An output option does not count as read, nor does a file that another command has read."""
     inputs = ("simulate", "--log", "--trajectory", "b.yaml")
-    words = ["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]
-    assert named_inputs(words) == [word for word in inputs for _ in range(2)]
+    arguments = ["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]
+    assert named_inputs(arguments) == [word for word in inputs for _ in range(2)]
     assert "a.csv" in named_inputs(["twin", "--log", "a.csv"])
     assert {"x.yaml", "y.csv"} <= set(named_inputs(["bench", "--models=x.yaml,y.csv"]))
     assert "z.yaml" in named_inputs(["simulate", "--plant", "mujoco:z.yaml"])
@@ -81,8 +81,8 @@ def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) 
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
 
-def run_simulate(*words, code=0):
-    return invoke(app, *WORDS, *words, code=code)
+def run_simulate(*arguments, code=0):
+    return invoke(app, *WORDS, *arguments, code=code)
 
 
 @pytest.fixture(scope="module")

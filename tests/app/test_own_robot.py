@@ -34,8 +34,8 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(*words, code=0):
-    result = invoke(app, *words, code=code)
+def run(*arguments, code=0):
+    result = invoke(app, *arguments, code=code)
     return " ".join((result.stdout if code == 0 else result.stderr).split())
 
 
@@ -52,8 +52,8 @@ def test_trajectory_uses_the_limits_of_the_configuration(files, path, controller
 
 
 def test_commands_drive_a_fast_path_with_its_configuration(files):
-    words = ["--config", "fast.yaml", "--trajectory", "straight.yaml"]
-    assert "completed: SM along" in run("simulate", *words, "--plant", "model:sm")
+    arguments = ["--config", "fast.yaml", "--trajectory", "straight.yaml"]
+    assert "completed: SM along" in run("simulate", *arguments, "--plant", "model:sm")
     bench = ["bench", "--config", "fast.yaml", "--models", "sm", "--plant", "model:sm", "--seeds", "1"]
     run(*bench, "--trajectories", "straight.yaml", "--horizons", "none", "--jobs", "1", "--out", "out")
     message = run("simulate", "--trajectory", "straight.yaml", code=2)

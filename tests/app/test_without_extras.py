@@ -22,8 +22,8 @@ main()
 """
 
 
-def run(folder, *words):
-    program = WITHOUT.replace("WORDS", repr([str(word) for word in words]))
+def run(folder, *arguments):
+    program = WITHOUT.replace("WORDS", repr([str(word) for word in arguments]))
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder, check=False)
 
 
@@ -34,7 +34,7 @@ def test_remaining_models_are_listed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "subject", "package"),
+    ("arguments", "subject", "package"),
     [
         (("plan", "--from", "0,0,0"), "command 'plan'", "extras"),
         (("models", "compare", "drive.csv"), "command 'models compare'", "extras"),
@@ -44,8 +44,8 @@ def test_remaining_models_are_listed(tmp_path):
         (("simulate", "--model", "lstm"), "model 'lstm'", "extras"),
     ],
 )
-def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, words, subject, package):
-    done = run(tmp_path, *words)
+def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, arguments, subject, package):
+    done = run(tmp_path, *arguments)
     line = f"error: {subject} is in the package diffdrive-mpc-{package}: pip install 'diffdrive-mpc[{package}]'\n"
     assert (done.returncode, done.stderr) == (1, line)
 

@@ -354,7 +354,7 @@ def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> Non
     rates = (limits.v_braking, limits.omega_braking) if brakes else (limits.v_slew, limits.omega_slew)
     grows, falls = np.transpose([sides_of(rate) for rate in rates]) * dt
     size, sign, rounding = np.abs(last), np.where(last < 0.0, -1.0, 1.0), 1e-9 + 1e-9 * np.abs(last)
-    # Past zero it grows in what is left of the tick.
+    # After the sign change, the command grows for the rest of the tick.
     smallest = np.where(size > falls, size - falls, -grows * (1.0 - size / falls))
     ahead, behind = np.where(sign > 0.0, upper, lower), np.where(sign > 0.0, lower, upper)
     if (sign * command > np.maximum(ahead, smallest) + rounding).any() or (sign * command < -behind - rounding).any():

@@ -1,4 +1,4 @@
-"""Hostile texts: files that are small, or quick to write, are read or refused within bounds of time and memory."""
+"""Malicious files are read or refused within limits of processor time and memory."""
 
 import os
 import resource
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.logs.tick_record import DriveRecord
 from fuzz.yaml_files import LOADERS
 
 SECONDS, MEMORY = 5, 1_000_000
-"""Bounds: processor time [s], peak memory [kB]."""
+"""Limits of processor time [s] and peak memory [kB]."""
 HEAD = "t,v,w,v2,w2\n"
 MAPPING = "columns: {time: t, command: {v: v, omega: w}, encoders: {v: v2, omega: w2}}\n"
 READERS = {
@@ -42,8 +42,8 @@ TEXTS = {
 
 
 @pytest.mark.parametrize(("kind", "attack"), TEXTS)
-def test_hostile_text_is_read_or_refused_within_bounds(kind, attack, tmp_path):
-    """Read in a separate process; the kernel ends it after the permitted processor time."""
+def test_malicious_file_is_handled_within_the_limits(kind, attack, tmp_path):
+    """Read the file in a separate process, whose processor time is limited by the kernel."""
     path = tmp_path / ("file.csv" if kind in ("log", "path") else "file.yaml")
     path.write_text(TEXTS[kind, attack](), encoding="utf-8")
     (tmp_path / "mapping.yaml").write_text(MAPPING, encoding="utf-8")

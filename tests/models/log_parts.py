@@ -1,4 +1,4 @@
-"""A small drive with known results, and writers of log files as recorded on a robot."""
+"""Short drive with known results, and writers of log files with the formats of real robots."""
 
 import csv
 from dataclasses import replace
@@ -40,7 +40,7 @@ def drive(seconds=20.0, dt=DT, seed=0):
 
 
 def write_csv(path, columns):
-    """Write a table with numbers that read back bit for bit, and words unchanged."""
+    """Write a table without loss of precision."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -55,7 +55,7 @@ def write_mapping(path, text=MAPPING):
 
 
 def message(kind, reading, seconds):
-    """Build a message of this type; its header, if it has one, has the stamp `seconds` [s]."""
+    """Build a message of the type `kind`, with the stamp `seconds` [s] if it has a header."""
     types, short = STORE.types, kind.split("/")[-1]
 
     def vector(x=0.0, y=0.0, z=0.0):
@@ -111,7 +111,10 @@ def message(kind, reading, seconds):
 
 
 def write_bag(folder, topics, storage="sqlite3"):
-    """Write a bag; topics: name, with #word for a second type -> (type, times of receipt, stamps [s], readings)."""
+    """Write a bag from topics: (type, times of receipt [s], stamps [s], readings) by name.
+
+    A name with `#` and a text adds a second type to the topic.
+    """
     plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         queue = []
@@ -125,7 +128,7 @@ def write_bag(folder, topics, storage="sqlite3"):
 
 
 def bag_topics(columns, command="geometry_msgs/msg/Twist", pose="geometry_msgs/msg/PoseStamped"):
-    """Return the topics of a robot that moves by `columns`: commands on the grid, odometry and gyro later."""
+    """Return the topics of a robot with the motion in `columns`; odometry, gyro and poses arrive with a delay."""
     t = columns["t"] + 1.0
 
     def rows(*names):
@@ -156,7 +159,7 @@ def read_columns(path):
 def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     """Simulate topics of a robot (lags 0.1 s) with commands at `rate` [Hz] only while a key is pressed.
 
-    The last command stays active between, as in a base without a time-out.
+    Between key presses the last command remains active, as on a base without a timeout.
     """
     rng = np.random.default_rng(seed)
     fine = 0.01
@@ -165,18 +168,18 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     levels = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
     levels[1::3] = 0.0
     lengths = rng.uniform(0.3, 0.9, len(presses))
-    sent = [instants + np.arange(0.0, length, 1 / rate) for instants, length in zip(presses, lengths, strict=True)]
+    sent = [times + np.arange(0.0, length, 1 / rate) for times, length in zip(presses, lengths, strict=True)]
     commands = np.repeat(levels, [len(part) for part in sent], axis=0)
     sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
-    force = np.searchsorted(sent, time, side="right")
-    in_force = np.where(force[:, None] > 0, commands[force - 1], 0.0)
-    twist = np.zeros_like(in_force)
+    sent_count = np.searchsorted(sent, time, side="right")
+    active_commands = np.where(sent_count[:, None] > 0, commands[sent_count - 1], 0.0)
+    twist = np.zeros_like(active_commands)
     for k in range(1, len(time)):
-        twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (in_force[k - 1] - twist[k - 1])
-    instants = np.arange(0.0, seconds - 0.1, sensor_dt)
-    odometry = np.column_stack([np.interp(instants, time, column) for column in twist.T])
+        twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (active_commands[k - 1] - twist[k - 1])
+    times = np.arange(0.0, seconds - 0.1, sensor_dt)
+    odometry = np.column_stack([np.interp(times, time, column) for column in twist.T])
     odometry += rng.normal(0, 0.003, odometry.shape)
     return {
         "/cmd_vel": ("geometry_msgs/msg/Twist", sent, sent, commands),
-        "/odom": ("nav_msgs/msg/Odometry", instants + 0.002, instants, odometry),
+        "/odom": ("nav_msgs/msg/Odometry", times + 0.002, times, odometry),
     }

@@ -238,7 +238,7 @@ def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         (",".join(f"c{i}" for i in range(20_000)) + "\n", "20,000 columns, the limit is 10,000"),
         ("t,v\n0,1\n1," + "1" * 20_000_000, "a line has more than 1,048,576 bytes"),
@@ -246,11 +246,11 @@ def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monke
         ("a,b," * 2000 + "a\n1\n", "column 'a' occurs twice"),
     ],
 )
-def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, words):
+def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, message):
     """Parsing a million columns would take minutes, and a file without line ends would exhaust the memory."""
     file = tmp_path / "wide.csv"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(ConfigError, match=message):
         read_table(file, {"t", "v"})
 
 

@@ -72,9 +72,9 @@ def test_two_robots_in_one_bag_are_named(tmp_path, husky_bag):
 
 def test_limits_of_the_log_are_kept_within_those_of_the_maker(identification):
     limits = {setting.name: setting for setting in identification.configuration.limits}
-    # The log has up to 1.5 rad/s, the maker permits 1.
+    # The log has up to 1.5 rad/s, the manufacturer permits 1.
     assert limits["omega"].value == 1.0
-    assert "stated by the maker" in limits["omega"].reason
+    assert "stated by the manufacturer" in limits["omega"].reason
     assert limits["v"].value < 1.0
     assert "stated" not in limits["v"].reason
     assert limits["omega_slew"].value == 1.0
@@ -84,7 +84,7 @@ def test_model_is_identified_from_the_log_alone(identification, husky_bag):
     plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
     assert identification.content.channels == plain.content.channels
     assert identification.content.provenance.origin == "identified"
-    # The track is the maker's; without a robot nobody states it.
+    # The track is that of the manufacturer; without a robot it is unknown.
     assert not any("determines the track" in warning for warning in identification.report.warnings)
     assert any("determines the track" in warning for warning in plain.report.warnings)
 
@@ -101,5 +101,5 @@ def test_written_configuration_states_the_reason_of_each_value(identification, t
     config = load_config(tmp_path / "config.yaml")
     assert config.wheels.track == pytest.approx(1.04063, rel=1e-4)
     assert ("free_space" in config.features) == ("free_space" in plug_in_names("features"))
-    assert "stated by the maker of Clearpath Husky A200" in (tmp_path / "config.yaml").read_text()
+    assert "stated by the manufacturer of Clearpath Husky A200" in (tmp_path / "config.yaml").read_text()
     assert "/a200_0001/platform/odom" in (tmp_path / "node.yaml").read_text()

@@ -99,8 +99,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("text", "words"), REFUSED.values(), ids=REFUSED)
-def test_unreadable_table_is_refused_with_the_true_reason_in_one_line(tmp_path, text, words):
+@pytest.mark.parametrize(("text", "message"), REFUSED.values(), ids=REFUSED)
+def test_unreadable_table_is_refused_with_the_true_reason_in_one_line(tmp_path, text, message):
     path = tmp_path / "log.csv"
     path.write_text(text, newline="")
-    assert words in line_of(path, write_mapping(tmp_path / "map.yaml"))
+    assert message in line_of(path, write_mapping(tmp_path / "map.yaml"))

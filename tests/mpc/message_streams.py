@@ -1,4 +1,4 @@
-"""Streams of numbered messages: two drivers of a topic at once, or one driver that is started again and again."""
+"""Streams of numbered messages: two simultaneous publishers on a topic, or one that is restarted repeatedly."""
 
 from typing import NamedTuple
 
@@ -69,7 +69,7 @@ def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
     for _ in range(count + 1):
         end = start + max(min_life, life * draw.uniform(0.5, 1.5))
         driver.loss = draw.choice([0.0, 0.01, 0.1])
-        # The reader misses what is sent before it is discovered.
+        # The reader misses messages that are sent before discovery.
         messages += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
         start = end + draw.uniform(0.1, 2.0)
     return messages

@@ -78,25 +78,25 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
     The first row belongs to the last tick.
     """
     dt, model = controller.config.sample_time, controller.model
-    wanted = np.empty((controller.config.horizon + 1, 2))
+    target = np.empty((controller.config.horizon + 1, 2))
     for channel, lag in enumerate(model.lag):
         instants = np.arange(-1, controller.config.horizon) + lag / dt
         grid = np.arange(int(instants[-1]) + 2)
-        wanted[:, channel] = np.interp(instants, grid, reference.sample(t + dt * grid).twist[:, channel])
+        target[:, channel] = np.interp(instants, grid, reference.sample(t + dt * grid).twist[:, channel])
     if not isinstance(model, NonlinearModel):
-        return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
+        return np.asarray(target @ np.linalg.inv(model.dc_gain).T)
     # Many samples usually have the same twist.
-    result = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
-    return np.array([result[tuple(row)] for row in wanted])
+    result = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in target}}
+    return np.array([result[tuple(row)] for row in target])
 
 
-def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:
-    """Return the constant command (2,) that settles the model's output at `wanted`."""
+def _settled_command(model: NonlinearModel, target: FloatArray) -> FloatArray:
+    """Return the constant command (2,) that settles the model's output at `target`."""
 
     def residual(command: FloatArray) -> FloatArray:
-        return np.asarray(model.simulate(np.tile(command, (200, 1)))[-1] - wanted)
+        return np.asarray(model.simulate(np.tile(command, (200, 1)))[-1] - target)
 
-    return np.asarray(scipy.optimize.fsolve(residual, wanted, xtol=1e-12))
+    return np.asarray(scipy.optimize.fsolve(residual, target, xtol=1e-12))
 
 
 def solve_with_ipopt(

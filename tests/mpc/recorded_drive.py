@@ -20,7 +20,7 @@ _MISSED = 1.5
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     """Return the part of a recorded drive in which `reference` was tracked.
 
-    The reference begins at the first command that is not zero. Step times, modes and measurements are not in the bag:
+    The reference starts at the first command that is not zero. Step times, modes and measurements are not in the bag:
     the times are NaN, the others empty.
 
     Parameters
@@ -45,13 +45,13 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     moving = np.flatnonzero(commands.value.any(axis=1))
     assert moving.size, f"{bag}: every command is zero"
     start = int(command_times(commands)[moving[0]])
-    # Time base of the plant: the tick that the first command acted on, and the following ones.
+    # The time base is that of the plant, from the tick with the first command.
     first = int(np.searchsorted(poses.stamped, start, side="right")) - 1
     time = 1e-9 * (poses.stamped[first:] - poses.stamped[first])
-    needed = int(np.ceil((reference.duration - TIME_TOLERANCE) / sample_time)) + 1
-    assert time[needed - 1] >= reference.duration - TIME_TOLERANCE, f"{bag} ends early"
-    rows = slice(first, first + needed)
-    time = time[:needed]
+    count = int(np.ceil((reference.duration - TIME_TOLERANCE) / sample_time)) + 1
+    assert time[count - 1] >= reference.duration - TIME_TOLERANCE, f"{bag} ends early"
+    rows = slice(first, first + count)
+    time = time[:count]
     expected = reference.sample(time)
     true_pose = poses.value[rows].copy()
     true_pose[:, 2] = np.unwrap(true_pose[:, 2])
@@ -65,15 +65,15 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
         reference_twist=expected.twist,
         reference_arc_length=expected.arc_length,
         command=_commands_at(commands, poses.stamped[rows]),
-        step_time=np.full(needed, np.nan),
-        modes=("",) * needed,
-        messages=("",) * needed,
+        step_time=np.full(count, np.nan),
+        modes=("",) * count,
+        messages=("",) * count,
         measurements=(),
     )
 
 
 def command_times(commands: TopicRows) -> FloatArray:
-    """Return the instants (n,) of the commands [ns]: their stamps, or the times of receipt if they have none."""
+    """Return the times (n,) of the commands [ns]: their stamps, or the times of receipt if they have none."""
     return np.asarray(commands.stamped if commands.has_stamps else commands.received)
 
 

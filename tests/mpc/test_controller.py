@@ -146,7 +146,7 @@ def test_runs_and_runs_after_reset_are_bit_identical():
 
 
 def test_configured_dead_time_is_compensated():
-    """A robot with 150 ms more dead time is tracked as closely once the configuration says so."""
+    """A robot with 150 ms more dead time is tracked as accurately if the configuration contains it."""
     reference, late = load_trajectory("s"), MODEL.with_extra_dead_time([0.15, 0.15])
     errors = {}
     for extra in (0.0, 0.15):

@@ -94,7 +94,7 @@ def load_result():
 
 
 def compile_into_cache():
-    """Compile the core into the cache without loading it, as if another process had done so."""
+    """Compile the core into the cache without loading it, like another process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library.cffi.FFI, "dlopen", lambda self, name: None)
         library.load_core()

@@ -11,8 +11,8 @@ from diffdrive_mpc import Measurement, Stamped, load_trajectory
 STEPS = 8
 
 
-def limit_to_radius(wanted, last, step, max_command, radius):
-    """Return the command (2,) nearest to `wanted` within range and slew, with the turn reduced as far as slew permits.
+def limit_to_radius(target, last, step, max_command, radius):
+    """Return the command (2,) nearest to `target` within range and slew, with the turn reduced as far as slew permits.
 
     `step` (2, 2) holds the largest growth and fall per channel, and `most` (2, 2) the largest command on either side.
     """
@@ -23,7 +23,7 @@ def limit_to_radius(wanted, last, step, max_command, radius):
         ends.append(sorted([math.copysign(1, before) * smallest, math.copysign(1, before) * (size + grows)]))
     low, high = np.transpose(ends)
     upper, lower = np.clip(max_command[:, 0], low, None), np.clip(-max_command[:, 1], None, high)
-    v, omega = np.clip(wanted, np.maximum(low, lower), np.minimum(high, upper))
+    v, omega = np.clip(target, np.maximum(low, lower), np.minimum(high, upper))
     if radius * abs(omega) <= abs(v):
         return np.array([v, omega]), 0.0
     widest = abs(v) / radius
@@ -85,8 +85,8 @@ def test_turn_limits_have_the_sign_of_the_reference_direction():
         # Columns: pose (3), speed and yaw rate of the model, command (2); the first two turn limits are those of the
         # body.
         for kinds, after, end, place in ((slice(5, 7), 1, STEPS, 3), (slice(7, 9), lag, samples - 1, 5)):
-            wanted = [-direction(speeds, i + after, end) for i in range(STEPS)]
-            assert np.sign(gradients[kinds, :, place]).tolist() == [wanted, wanted], (speeds, kinds)
+            target = [-direction(speeds, i + after, end) for i in range(STEPS)]
+            assert np.sign(gradients[kinds, :, place]).tolist() == [target, target], (speeds, kinds)
 
 
 @pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])

@@ -217,7 +217,7 @@ def test_oracle_agrees_on_drives_that_depend_on_every_field(name, seed):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "message",
     [
         "blocked for",
         "m from the reference",
@@ -227,5 +227,5 @@ def test_oracle_agrees_on_drives_that_depend_on_every_field(name, seed):
         "jumps from",
     ],
 )
-def test_drives_contain_every_event(words):
-    assert any(words in drive(name, seed)[0].words for name in MODELS for seed in SEEDS)
+def test_drives_contain_every_event(message):
+    assert any(message in drive(name, seed)[0].words for name in MODELS for seed in SEEDS)

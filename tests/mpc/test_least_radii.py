@@ -60,7 +60,7 @@ def paths(draw):
     seed=st.integers(0, 2**31),
 )
 def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, seed):
-    """Poses of a robot with arbitrary motion drift, jump and go missing, and a stop is requested meanwhile."""
+    """Poses drift, jump and are lost, the robot moves arbitrarily, and a stop is requested during the drive."""
     limits = dict(zip(("v_slew", "omega_slew", "v_braking", "omega_braking"), (*slew, *braking), strict=True))
     overrides = {KEY: radius, "horizon": 12} | {f"limits.{name}": value for name, value in limits.items()}
     controller, random = Controller(load_config("ssm", overrides)), np.random.default_rng(seed)
@@ -120,7 +120,7 @@ def test_robot_cuts_a_tight_curve_and_returns_to_its_path():
     corner = (run.time > 2.5) & (run.time < 5.5)
     assert off[corner].max() > 0.03
     assert messages[corner].any() and not messages[run.time < 2.0].any()
-    # The clock of the reference waited meanwhile: the robot is back on the path before it is back on time.
+    # The clock of the reference has waited, so the robot returns to the path before it has caught up.
     aside = np.abs(run.true_pose[:, 0] - reference.sample([reference.duration]).pose[0, 0])
     assert aside[run.time > 8.0].max() < 0.01
     assert off[-1] < 0.01

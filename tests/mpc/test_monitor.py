@@ -43,7 +43,7 @@ class SpinningRobot(HeldRobot):
 
 
 class QuietHeldRobot(HeldRobot):
-    """Robot that is held for 2.6 s; its encoders read exactly zero meanwhile, as real encoders do."""
+    """Robot that is held for 2.6 s; its encoders then read exactly zero, like real encoders."""
 
     @property
     def held(self):

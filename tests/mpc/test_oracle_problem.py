@@ -78,7 +78,7 @@ def ipopt(subject, tick, ahead=None):
 
 
 def test_fixed_turning_points_of_the_guess_cost_little():
-    """The iteration ends at the best plan for its own turning points: nearly as good as if it moved them."""
+    """The iteration converges to the optimum for fixed turning points, which is close to the true optimum."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
     plan, _ = converge(subject, tick)

@@ -182,15 +182,15 @@ def test_path_has_no_turns_on_the_spot_if_they_are_forbidden():
 
 
 @pytest.mark.parametrize(
-    ("poses", "words"),
+    ("poses", "message"),
     [
         (np.zeros((0, 3)), "0 poses"),
         ([(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0)], "pose 1 is not finite"),
         ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one position"),
     ],
 )
-def test_unusable_poses_raise_error_in_one_line(poses, words):
-    with pytest.raises(ConfigError, match=words) as refused:
+def test_unusable_poses_raise_error_in_one_line(poses, message):
+    with pytest.raises(ConfigError, match=message) as refused:
         lay(np.array(poses).reshape(-1, 3))
     assert "\n" not in str(refused.value)
 

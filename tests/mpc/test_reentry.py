@@ -193,7 +193,7 @@ SLEW = np.array([2.0, 6.0]) * DT
 def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, held=None, move=None, base=None, slip=None, **overrides):
     """Run the loop with a robot that starts `start` (across [m], turn [rad]) from the reference.
 
-    `held` = (start, end): the robot does not move meanwhile.
+    `held` = (start, end): the robot does not move in this interval.
     `move(k, pose)` may return another pose. `base(command)` returns the twist that the wheels reach.
     Return results, true poses and times.
     """

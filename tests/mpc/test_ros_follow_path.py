@@ -52,10 +52,10 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         assert len(messages) > 20 and np.all(np.diff(distance) < 0.01)
         assert 1.5 < distance[0] < 2.1 and distance[-1] < 0.05
         assert 0.4 < max(feedback["speed"] for feedback in messages) < 0.7
-        # Afterwards it stands and waits.
+        # Then the robot stops and waits.
         follow.tick(10)
         assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"
-        # The same goal again is reached where it is, also where something in the server's thread fails meanwhile.
+        # A repeated goal is reached immediately, even if a timer in the thread of the server fails.
         fault = follow.made.node.parts["follow_path"].server._server_node.create_timer(0.05, lambda: 1 / 0)
         since = len(follow.base.commands)
         follow.client.send("again", path[-2:])

@@ -74,7 +74,7 @@ def transform(parent, child, stamp, pose):
 
 @pytest.fixture
 def localised(ros_types):
-    """Make a robot that is localised by transforms, with parameters of the node; it hears them."""
+    """Factory of robots that are localised by transforms; the node has received the transforms."""
     from tf2_msgs.msg import TFMessage
 
     made = []

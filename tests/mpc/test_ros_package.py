@@ -31,7 +31,7 @@ NODES = [
     for path in sorted((ROOT / room).glob("*.py"))
 ]
 WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
-"""Used where they are installed, as with Nav2; the node does without them, and says so."""
+"""Optional packages, installed with Nav2; without them the node runs and logs a message."""
 
 
 def packages(paths):
@@ -105,7 +105,7 @@ def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
     assert "use_pose_topic" in MonitorSettings.model_fields
 
 
-# Access control: what the policy allows is what the nodes have, no less and no more.
+# Access control: the policy permits exactly the topics and services of the nodes.
 
 
 SECURITY = ROS / "security"

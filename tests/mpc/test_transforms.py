@@ -111,14 +111,14 @@ def test_static_transform_is_valid_at_any_time():
 
 
 @pytest.mark.parametrize(
-    ("time", "words"),
+    ("time", "message"),
     [
         (NOW + 2 * 10**9, "0.10 s after the last transform"),
         (NOW - 10**9, "1.00 s before the first transform"),
     ],
 )
-def test_lookup_outside_the_received_times_raises_error(time, words):
-    with pytest.raises(TransformError, match=words):
+def test_lookup_outside_the_received_times_raises_error(time, message):
+    with pytest.raises(TransformError, match=message):
         moving_buffer().lookup("odom", "base_link", NOW, time)
 
 
@@ -154,7 +154,7 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
 
 
 @pytest.mark.parametrize(
-    ("transform", "stamp", "frames", "words"),
+    ("transform", "stamp", "frames", "message"),
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
         (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "not a unit quaternion"),
@@ -162,9 +162,9 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
         (IDENTITY, NOW, ("odom", "odom"), "does not name two different frames"),
     ],
 )
-def test_unusable_transform_is_refused_without_effect(transform, stamp, frames, words):
+def test_unusable_transform_is_refused_without_effect(transform, stamp, frames, message):
     buffer = moving_buffer(count=1)
-    with pytest.raises(TransformError, match=words):
+    with pytest.raises(TransformError, match=message):
         buffer.insert(*frames, stamp, transform, NOW)
     assert buffer.lookup("odom", "base_link", NOW) == (IDENTITY, NOW, "base_link")
     assert len(buffer) == 1

@@ -1,4 +1,4 @@
-"""The fence: the path to rest, braking from the next tick on, must stay inside a rectangle less its margin."""
+"""Fence: the stopping path, with braking from the next tick on, must stay inside the rectangle minus its margin."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class FenceWatch:
         if self.fence.frame == "start" and reference is not None:
             start = reference.sample([0.0]).pose[0]
         turn = complex(math.cos(start[2]), math.sin(start[2]))
-        self.middle = complex(start[0], start[1]) + turn * complex(self.fence.x, self.fence.y)
+        self.centre = complex(start[0], start[1]) + turn * complex(self.fence.x, self.fence.y)
         self.axis = turn * complex(math.cos(self.fence.heading), math.sin(self.fence.heading))
         self.allowed, self.left = math.inf, False
 
-    def beyond(self, pose: FloatArray) -> float:
+    def distance_outside(self, pose: FloatArray) -> float:
         """Compute the distance of a pose (3,) outside [m]; negative inside."""
-        place = (complex(pose[0], pose[1]) - self.middle) / self.axis
+        position = (complex(pose[0], pose[1]) - self.centre) / self.axis
         half = 0.5 * np.array([self.fence.length, self.fence.width]) - self.fence.margin
-        return float((np.abs([place.real, place.imag]) - half).max())
+        return float((np.abs([position.real, position.imag]) - half).max())
 
     def path_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
-        """Predict poses (3,) now and at each sample until rest: the command `last` (2,) once more, then braking."""
+        """Predict poses (3,) now and at each sample until rest: repeat the command `last` (2,) once, then brake."""
         commands, model = copy.deepcopy(estimator.commands), estimator.model
         belief = estimator.nodes[-1].posterior._replace(mean=estimator.estimate.mean)
         command = np.array(last)
@@ -51,10 +51,10 @@ class FenceWatch:
             command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)
 
     def holds(self, estimator: StateEstimator, last: FloatArray) -> bool:
-        """Return True if the robot stayed inside and can stop inside; from outside it may not move further out."""
+        """Return True if the robot can stop inside; a robot that starts outside must not move further out."""
         if not self.fence.enabled or self.left:
             return not self.left
-        path = [self.beyond(pose) for pose in self.path_to_rest(estimator, last)]
+        path = [self.distance_outside(pose) for pose in self.path_to_rest(estimator, last)]
         self.allowed = min(self.allowed, max(0.0, path[0]))
         self.left = max(path) > (self.allowed + _PLAY if self.allowed > 0.0 else 0.0)
         return not self.left

@@ -132,10 +132,10 @@ def _libraries(folder: Path) -> Iterator[Path]:
 
 
 def _run(command: Sequence[str | Path], environment: dict[str, str] | None = None) -> None:
-    words = [str(word) for word in command]
+    arguments = [str(word) for word in command]
     try:
         done = subprocess.run(
-            words,
+            arguments,
             env={**os.environ, **(environment or {})},
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -145,12 +145,12 @@ def _run(command: Sequence[str | Path], environment: dict[str, str] | None = Non
             check=False,
         )
     except FileNotFoundError as error:
-        raise RuntimeError(f"{words[0]} was not found: ROS types need GCC (apt-get install g++)") from error
+        raise RuntimeError(f"{arguments[0]} was not found: ROS types need GCC (apt-get install g++)") from error
     except subprocess.TimeoutExpired as error:
-        raise RuntimeError(f"{words[0]} did not finish within {_STEP_TIMEOUT:g} s") from error
+        raise RuntimeError(f"{arguments[0]} did not finish within {_STEP_TIMEOUT:g} s") from error
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["none"]
-        raise RuntimeError(f"{' '.join(words[:4])} ... failed: {lines[-1].strip()}")
+        raise RuntimeError(f"{' '.join(arguments[:4])} ... failed: {lines[-1].strip()}")
 
 
 def _origin() -> str:

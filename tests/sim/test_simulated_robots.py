@@ -158,13 +158,13 @@ def test_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_the_
 
 def test_response_is_identified_by_its_stamp_or_else_by_its_receipt():
     inbox = CommandInbox(SECOND, SECOND // 100)
-    assert not inbox.answers(SECOND)
+    assert not inbox.has_command_for(SECOND)
     inbox.put(0.1, 0.0, SECOND - SECOND // 50, SECOND)
-    assert not inbox.answers(SECOND)
+    assert not inbox.has_command_for(SECOND)
     inbox.put(0.1, 0.0, SECOND + SECOND // 100, SECOND)
-    assert inbox.answers(SECOND) and not inbox.answers(SECOND + SECOND // 40)
+    assert inbox.has_command_for(SECOND) and not inbox.has_command_for(SECOND + SECOND // 40)
     inbox.put(0.1, 0.0, 0, 2 * SECOND)
-    assert inbox.answers(2 * SECOND)
+    assert inbox.has_command_for(2 * SECOND)
 
 
 def ramp(k):

@@ -1,4 +1,4 @@
-"""The clairvoyant bound: nearly zero error on its own model, and no controller is better on mujoco."""
+"""Clairvoyant bound: nearly zero error on its model, and lower error than all controllers on mujoco."""
 
 import numpy as np
 import pytest

@@ -71,8 +71,8 @@ parts:
 def test_command_runs_a_small_study_and_writes_its_report(tmp_path: Path):
     (tmp_path / "tiny.yaml").write_text(TINY, encoding="utf-8")
     out = tmp_path / "out"
-    words = ["--study", tmp_path / "tiny.yaml", "--only", "ablation,cross,bound", "--jobs", "1"]
-    output = invoke(app, "tracking", "--out", out, *words).stdout
+    arguments = ["--study", tmp_path / "tiny.yaml", "--only", "ablation,cross,bound", "--jobs", "1"]
+    output = invoke(app, "tracking", "--out", out, *arguments).stdout
     files = {"figures", "report.html", "tracking.json", "tracking.md", CONTENTS}
     assert {path.name for path in out.iterdir()} == files
     runs = json.loads((out / "tracking.json").read_text())["runs"]

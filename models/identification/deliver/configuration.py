@@ -528,9 +528,9 @@ def _format_value(value: float | str) -> str:
 
 
 def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
-    """Reduce limits to those stated by the maker, and add stated values that the log does not determine.
+    """Reduce limits to those stated by the manufacturer, and add stated values that the log does not determine.
 
-    The base clips commands at the maker's limits, so the controller's model is wrong beyond them.
+    The base clips commands at the manufacturer's limits, so the controller's model is wrong beyond them.
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
@@ -545,7 +545,7 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRob
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{entry.value}'" if isinstance(entry.value, str) else entry.value
-            groups[group].append(Setting(name, value, f"{entry.reason}, stated by the maker of {robot.name}"))
+            groups[group].append(Setting(name, value, f"{entry.reason}, stated by the manufacturer of {robot.name}"))
     limits, wheels, free_space = (tuple(settings) for settings in groups.values())
     return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 
@@ -556,8 +556,8 @@ def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)
     if stated is not None and float(stated.value) < value:
         maximum = float(stated.value)
-        reason = f"{unit}, stated by the maker of {robot}; limit from the log: {_format_value(setting.value)}"
+        reason = f"{unit}, stated by the manufacturer of {robot}; limit from the log: {_format_value(setting.value)}"
         return Setting(setting.name, _map_sides(setting.value, lambda side: min(side, maximum)), reason)
     if share < 1.0 and stated is None:
-        return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit stated by the maker")
+        return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit stated by the manufacturer")
     return setting

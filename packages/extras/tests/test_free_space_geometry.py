@@ -186,10 +186,10 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("words", list(BAD))
-def test_invalid_surroundings_raise_a_one_line_error(words):
-    with one_line_error(SurroundingsError, words):
-        build_pieces(BAD[words], CONFIG, load_trajectory("circle"))
+@pytest.mark.parametrize("message", list(BAD))
+def test_invalid_surroundings_raise_a_one_line_error(message):
+    with one_line_error(SurroundingsError, message):
+        build_pieces(BAD[message], CONFIG, load_trajectory("circle"))
 
 
 @pytest.mark.parametrize(

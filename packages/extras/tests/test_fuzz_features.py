@@ -18,7 +18,7 @@ from fuzz.runner import find_fault
 
 
 def draw_surroundings(random: Random) -> Any:
-    """Draw polygons, discs, a grid, a corridor; None: nothing is seen any more."""
+    """Draw polygons, discs, a grid or a corridor, or None to remove the surroundings."""
     if random.random() < 0.1:
         return None
     result: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}

@@ -1,4 +1,4 @@
-"""Rates, tails and boundaries of a proof, held against what defines them."""
+"""Rates, tails and boundaries of a proof, compared with their definitions."""
 
 import math
 from pathlib import Path
@@ -175,7 +175,7 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
 def test_lower_bound_of_a_share_agrees_with_the_exact_test(count, total):
     bound = Rate.of_runs(count, total).at_least(0.95)
     assert 0.0 <= bound < count / total or count == bound == 0
-    # With the bound as the true share so many or more happen with the probability that is left.
+    # For the bound as the true share, this count or more has the remaining probability.
     assert count == 0 or binom.sf(count - 1, total, bound) == pytest.approx(0.05)
 
 
@@ -190,11 +190,11 @@ def test_exact_interval_excludes_a_fortieth_on_each_side(count: int, total: int)
 def test_tail_is_the_mean_of_the_worst_twentieth() -> None:
     values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
     assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
-    # A twentieth of 30 runs is one and a half of them.
+    # A twentieth of 30 runs is 1.5 runs.
     assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
     assert cvar(np.arange(1.0, 11.0)) == 10.0
     assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
-    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
+    # For a normal distribution, the tail is density over probability: 2.0627 standard deviations.
     assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
 
 

@@ -332,7 +332,7 @@ def floor_lap(controller, floor, reference, seed=0):
 def test_square_has_ten_millimetres_of_error_after_three_laps():
     """Use the surface with the largest distance between turning point and centre; the second drive is identical."""
     square, laps = load_trajectory("square"), []
-    # Again as far as the first lap that drives what was plan_motion.
+    # Repeat the drive up to the first lap that uses the planned motion.
     for controller, count in ((Controller(CONFIG), 4), (Controller(CONFIG), 2)):
         laps.append([floor_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
     errors = [error for error, _, _ in laps[0]]

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc prove --tolerance`: what its statistics promise, and paths timed by what it measures."""
+"""`diffdrive-mpc prove --tolerance`: error rates of its statistics, and paths timed by a passport."""
 
 import json
 from collections.abc import Mapping
@@ -70,8 +70,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("passport")
     plain = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
     (folder / "mine.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
-    words = ["--campaign", folder / "mine.yaml", "--tolerance", "0.03,0.01", "--out", folder / "out", "--jobs", "1"]
-    call("prove", "ssm", *words)
+    arguments = ["--campaign", folder / "mine.yaml", "--tolerance", "0.03,0.01", "--out", folder / "out", "--jobs", "1"]
+    call("prove", "ssm", *arguments)
     return folder / "out"
 
 
@@ -153,11 +153,11 @@ def test_paths_timed_by_the_shipped_plan_stay_within_the_tolerance(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("arguments", "line"),
     [
         (["--tolerance", "1cm"], "--tolerance '1cm': give lengths in m with commas between them"),
         (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each must be above zero"),
     ],
 )
-def test_invalid_argument_raises_error_in_one_line(words: list[str], line: str, tmp_path: Path) -> None:
-    assert line in " ".join(call("prove", "ssm", *words, "--out", tmp_path / "out", code=2).split())
+def test_invalid_argument_raises_error_in_one_line(arguments: list[str], line: str, tmp_path: Path) -> None:
+    assert line in " ".join(call("prove", "ssm", *arguments, "--out", tmp_path / "out", code=2).split())

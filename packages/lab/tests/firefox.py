@@ -1,4 +1,4 @@
-"""A page in Firefox, by the protocol that both sides speak without a driver (WebDriver BiDi)."""
+"""Control of a page in Firefox with WebDriver BiDi, without a driver process."""
 
 import itertools
 import json
@@ -16,7 +16,7 @@ _PATIENCE = 60.0
 
 
 class Tab:
-    """One page."""
+    """Page in a browser."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._numbers = socket, itertools.count(1)
@@ -24,11 +24,11 @@ class Tab:
         self._context = self._call("browsingContext.getTree")["contexts"][0]["context"]
 
     def open(self, address: str) -> None:
-        """Load a page, and wait until it is there."""
+        """Load a page and wait until it is complete."""
         self._call("browsingContext.navigate", context=self._context, url=address, wait="complete")
 
     def evaluate(self, function: str, *arguments: object) -> Any:
-        """Return the result of a function of JavaScript, also of a promise, by JSON both ways."""
+        """Call a JavaScript function, wait for its promise, and return the result; values are converted by JSON."""
         text = ", ".join(map(json.dumps, arguments))
         expression = f"(async () => JSON.stringify(await ({function})({text})))()"
         response = self._call(

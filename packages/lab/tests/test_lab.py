@@ -189,8 +189,8 @@ def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp
                     coming.value.save_as(folder / coming.value.suggested_filename)
             command = page.locator("#command").inner_text()
             assert f"# {command}" in (folder / "lab.yaml").read_text()
-            words = [str(folder / word) if (folder / word).exists() else word for word in shlex.split(command)[1:]]
-            printed = invoke(app, *words).stdout
+            arguments = [str(folder / word) if (folder / word).exists() else word for word in shlex.split(command)[1:]]
+            printed = invoke(app, *arguments).stdout
             assert f"position RMSE {1000 * rms:.1f} mm" in printed
 
 

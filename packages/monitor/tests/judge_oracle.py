@@ -1,6 +1,6 @@
-"""Slow reference implementation of the monitor's rules, which evaluates the whole history at each call.
+"""Slow reference implementation of the rules of the monitor.
 
-Ring buffers, filters and running bounds of the C code are sums over the history here.
+Each call evaluates the whole history, instead of the ring buffers, filters and running bounds of the C code.
 """
 
 from __future__ import annotations
@@ -106,18 +106,18 @@ class OracleJudge:
             self.judge(name, not low - margin <= result <= high + margin, r.lasting)
 
     def _rest(self):
-        """Sum the motion of the wheels since the robot should be at rest."""
+        """Check the motion of the wheels after the time at which the robot must be at rest."""
         r, response = self.rules.commands, self.rules.answer
-        crept = np.zeros(2)
+        drift = np.zeros(2)
         if self.rest_since is not None:
             moved = [t for t, twist in self.sent if self.moves(twist)]
             moved_at = min(moved[-1] if moved else -np.inf, self.rest_since + r.stop_within)
             rest_at = moved_at + response.dead_time + 3 * max(response.lag_v, response.lag_omega)
             for before, row in zip(self.odometry, self.odometry[1:], strict=False):
                 if row[7] > max(rest_at, self.rest_since):
-                    crept += min(row[0] - before[0], 1.0) * np.array(row[1:3])
-        self.judge("creeps", abs(crept[0]) > r.rest_distance)
-        self.judge("turns_at_rest", abs(crept[1]) > r.rest_turn)
+                    drift += min(row[0] - before[0], 1.0) * np.array(row[1:3])
+        self.judge("creeps", abs(drift[0]) > r.rest_distance)
+        self.judge("turns_at_rest", abs(drift[1]) > r.rest_turn)
 
     def _compare_gyro(self):
         r = self.rules.agreement
@@ -166,7 +166,7 @@ class OracleJudge:
         place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
             return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
-        known = self.integrated([event[1][0] for event in self.events])
+        motion = self.integrated([event[1][0] for event in self.events])
         newest = None
         for k, (name, row) in enumerate(self.events):
             if name == "odometry":
@@ -181,7 +181,7 @@ class OracleJudge:
             current = np.array(row[1:4])
             latest = self.integrated([newest[0]])[0] if newest is not None else None
             if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
-                past = known[k]
+                past = motion[k]
                 displacement = (latest[0] - past[0] + 1j * (latest[1] - past[1])) * np.exp(1j * (row[3] - past[2]))
                 current = current + [displacement.real, displacement.imag, latest[2] - past[2]]
             before = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
@@ -292,16 +292,16 @@ class OracleJudge:
         length = (along**2).sum(axis=1)
         fraction = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
         distance = np.linalg.norm(pose[:2] - a[:, :2] - fraction[:, None] * along, axis=1)
-        off = np.abs(wrapped(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
+        angle = np.abs(wrapped(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
         near = distance <= close
-        return distance.min(), max(off[near].min(), 0.0) if near.any() else 0.0
+        return distance.min(), max(angle[near].min(), 0.0) if near.any() else 0.0
 
     def _path(self, output, moved):
         r, back, now = self.rules.path, self.rules.returning, self.now
         self.judge("no_reference", moved and self.path is None, r.grace)
         place, unexplained = self._place()
         bound = self.path is not None and place is not None and (moved or (self.report is not None and self.report[1]))
-        strays = off = far = heading = False
+        is_off_section = is_far = heading = False
         if bound:
             distance, turned = self.away(place, now - r.late, now + r.early, r.distance)
             unexplained = np.hypot(*unexplained[:2])
@@ -325,10 +325,12 @@ class OracleJudge:
             middle = place[2] + 0.5 * rate * time
             predicted = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
             late, early = (back.late, back.early) if self.returning else (r.late, r.early)
-            off, _ = self.away(predicted, now - late, now + time + early, np.inf)
-            far = off > (back.distance if self.returning else r.far + unexplained)
-            strays, heading = (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
+            stop_distance, _ = self.away(predicted, now - late, now + time + early, np.inf)
+            is_far = stop_distance > (back.distance if self.returning else r.far + unexplained)
+            is_off_section, heading = (
+                (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
+            )
         self.path_at = now
-        self.judge("strays", strays, r.lasting)
-        self.judge("off_path", far, r.far_lasting)
+        self.judge("strays", is_off_section, r.lasting)
+        self.judge("off_path", is_far, r.far_lasting)
         self.judge("off_heading", heading, r.far_lasting)

@@ -103,8 +103,8 @@ def test_unknown_parameter_similar_to_a_known_one_prevents_the_start():
     word, message = "use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"
     context = Context()
     # `gadget` could be a parameter of another node.
-    words = [word, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
-    rclpy.init(context=context, args=["--ros-args", *(part for each in words for part in ("-p", each))])
+    arguments = [word, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
+    rclpy.init(context=context, args=["--ros-args", *(part for each in arguments for part in ("-p", each))])
     try:
         with pytest.raises(ConfigError) as refusal:
             MonitorNode(MonitorSettings(), context=context)
