@@ -2,22 +2,16 @@
 
 import json
 import math
-import os
-import signal
-import sys
 import time
 from itertools import count
-from multiprocessing import get_context
 from random import Random
 
 import pytest
 
-import fuzz.__main__
 from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.schemas import PACKAGE
 from file_kinds import KINDS
 from fuzz import configs, yaml_files
-from fuzz.__main__ import main
 from fuzz.case import FaultError, draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core, drive
@@ -98,32 +92,6 @@ def test_search_ends_in_time_and_a_hang_is_a_fault():
     search(Planted(), "1", 200, seconds=0.0, on_case=checked.append)
     assert checked == []
     assert "hangs: it takes longer than 0.2 s" in judged(Planted(), None)
-
-
-class Deadly(Planted):
-    """Death of the process for the empty list."""
-
-    def check(self, case):
-        if not case:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.parametrize(
-    ("fuzzer", "case", "end"), [(Planted(), [7], "seven: at 0"), (Deadly(), [], "process killed by SIGKILL")]
-)
-def test_command_saves_findings_that_can_be_replayed(fuzzer, case, end, tmp_path, monkeypatch, capfd):
-    monkeypatch.setitem(FUZZERS, "planted", fuzzer)
-    monkeypatch.setattr(fuzz.__main__, "get_context", lambda _: get_context("fork"))
-    monkeypatch.setattr(sys, "argv", ["fuzz", "planted", "--count", "200", "--keep", str(tmp_path)])
-    with pytest.raises(SystemExit, match="1"):
-        main()
-    assert end in capfd.readouterr().out
-    (((_, mark), saved),) = saved_findings(tmp_path).items()
-    assert saved == case
-    monkeypatch.setattr(sys, "argv", ["fuzz", "--keep", str(tmp_path), "--replay", "planted", mark])
-    if case:
-        with pytest.raises(FaultError, match=end):
-            main()
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():
