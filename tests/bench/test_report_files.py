@@ -4,9 +4,6 @@ import json
 import math
 import multiprocessing
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,7 +28,6 @@ from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.bench.timing import TimingPass
-from processes import is_running
 
 FIELDS = {
     name: kind
@@ -294,26 +290,3 @@ def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_p
     _write(tmp_path, "bench", "third", shared=shared)
     assert "third" in _files_in(tmp_path)
     assert not list(tmp_path.glob(".unfinished-*"))
-
-
-def test_workers_end_when_their_parent_is_killed() -> None:
-    """The parent cannot notify them; an idle worker used to wait for two minutes."""
-    program = (
-        "import os, time\n"
-        "from functools import partial\n"
-        "from diffdrive_mpc.bench.runner import persistent_processes, run_tasks\n"
-        "with persistent_processes():\n"
-        "    print(*set(run_tasks([os.getpid] * 8, 2, lambda: None)), flush=True)\n"
-        "    time.sleep(60)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
-        workers = [int(number) for number in process.stdout.readline().split()]
-        assert workers
-        assert all(map(is_running, workers))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    for _ in range(200):
-        if not any(map(is_running, workers)):
-            return
-        time.sleep(0.1)
-    raise AssertionError("workers still run")
