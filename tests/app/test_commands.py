@@ -3,12 +3,7 @@
 import pytest
 
 from commands import invoke
-from diffdrive_mpc.app import doctor
 from diffdrive_mpc.app.cli import app, command_line
-
-
-def checks() -> dict[str, doctor.Check]:
-    return {check.name: check for check in doctor.examine()}
 
 
 def test_installation_passes_and_every_check_is_one_line() -> None:
@@ -19,23 +14,6 @@ def test_installation_passes_and_every_check_is_one_line() -> None:
     assert all(name in line for name, line in zip(names, lines[1:], strict=True))
     assert all(line.startswith("OK ") for line in lines[1:6])
     assert "TRACKING" in lines[3] and "operations" in lines[3]
-
-
-@pytest.mark.parametrize(
-    ("requirement", "fault"),
-    [
-        ("numpy>=1.26", ""),
-        ("numpy>=99", " is not >=99"),
-        ("no-such-package", "no-such-package is not installed"),
-        ('no-such-package; extra == "tune"', ""),
-    ],
-)
-def test_dependency_outside_its_range_is_reported_missing(requirement: str, fault: str, monkeypatch) -> None:
-    monkeypatch.setattr(doctor, "requires", lambda name: [requirement])
-    check = checks()["dependencies"]
-    assert (check.is_ok, fault in check.finding) == (not fault, True)
-    assert check.line.startswith("OK" if check.is_ok else "MISSING")
-    assert ("pip install --upgrade" in check.line) == bool(fault)
 
 
 def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:

@@ -10,7 +10,6 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.schemas import SCHEMAS, json_schema
 from diffdrive_mpc.models.checked_yaml import read_yaml
-from diffdrive_mpc.models.load import model_path
 from file_kinds import KINDS
 
 FILES = [(name, path) for name in SCHEMAS for path in KINDS[name].files]
@@ -32,9 +31,6 @@ def test_shipped_schema_equals_schema_of_reader(kind: str) -> None:
 @pytest.mark.parametrize(("kind", "path"), FILES, ids=IDS)
 def test_shipped_file_fits_its_schema(kind: str, path: Path) -> None:
     assert [error.message for error in validator(kind).iter_errors(read_yaml(path))] == []
-
-
-EXAMPLES += [("model", model_path(name)) for name in ("mbm", "lstm", "p2_physical")]
 
 
 def test_yaml_numbers_are_read_as_editors_read_them(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle, check_return, check_square
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loop_parts import FeedForward
 from scipy.linalg import solve_discrete_are
 
 from diffdrive_mpc import (
@@ -24,7 +23,7 @@ from diffdrive_mpc import (
 )
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
-from diffdrive_mpc.bench.peers import LAWS, make_peer, takes_settings
+from diffdrive_mpc.bench.peers import LAWS, make_peer
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
@@ -215,11 +214,3 @@ def test_missing_peer_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None
         make_controller(Case(controller="rpp", model="none"))
     with pytest.raises(ConfigError, match="unknown controller 'rppp'"):
         make_controller(Case(controller="rppp", model="none"))
-
-
-def test_registered_peer_is_created_without_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diffdrive_mpc.bench.peers.plug_in", lambda group, name: FeedForward)
-    assert isinstance(make_peer("mine", {"horizon": 3}), FeedForward)
-    assert not takes_settings("mine") and takes_settings("pursuit+slip")
-    with pytest.raises(ConfigError, match="the peer 'mine' does not have a tracking law"):
-        load_gains("mine")

@@ -12,7 +12,7 @@ from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.schemas import PACKAGE
 from file_kinds import KINDS
 from fuzz import configs, yaml_files
-from fuzz.case import FaultError, draw, saved_findings
+from fuzz.case import draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core, drive
 from fuzz.fuzzers import FUZZERS
@@ -63,35 +63,6 @@ def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
     clock = count(step=0.5)
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
     assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in judged(fuzzer, case)
-
-
-class Planted:
-    """Wrong for lists with a 7, and slow for None."""
-
-    name, longest, count = "planted", 0.2, 10
-
-    def draw(self, random):
-        return [random.randrange(9) for _ in range(random.randrange(20))]
-
-    def check(self, case):
-        if case is None:
-            time.sleep(5.0)
-        if 7 in case:
-            raise FaultError(f"seven: at {case.index(7)}")
-
-
-def test_fault_is_found_and_reduced():
-    failed = []
-    with pytest.raises(FaultError, match="seven: at 0"):
-        search(Planted(), "1", 200, on_fault=lambda case, _: failed.append(case))
-    assert failed[-1] == [7]
-
-
-def test_search_ends_in_time_and_a_hang_is_a_fault():
-    checked = []
-    search(Planted(), "1", 200, seconds=0.0, on_case=checked.append)
-    assert checked == []
-    assert "hangs: it takes longer than 0.2 s" in judged(Planted(), None)
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():

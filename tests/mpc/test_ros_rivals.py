@@ -3,7 +3,7 @@
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
@@ -61,21 +61,6 @@ def test_second_node_on_the_same_topic_is_not_activated(name):
             assert second.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
         finally:
             second.close()
-
-
-@pytest.mark.parametrize(("stamped", "command_type", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])
-def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, command_type, remedy):
-    with stack(stamped=stamped) as s:
-        context = Context()
-        rclpy.init(context=context, args=[])
-        deaf = rclpy.create_node("deaf_base", context=context)
-        deaf.create_subscription(command_type, "cmd_vel", lambda _: None, 1)
-        s.base.until(lambda: "/deaf_base" in s.loop.warning, "the warning")
-        assert s.loop.warning.startswith(f"/deaf_base subscribes to /cmd_vel with type {command_type.__name__} and")
-        assert s.loop.warning.endswith(f"set the parameter stamped:={remedy}")
-        deaf.destroy_node()
-        rclpy.shutdown(context=context)
-        s.base.until(lambda: not s.loop.warning, "the end of it")
 
 
 def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():

@@ -207,19 +207,6 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
 # --- Timing in files.
 
 
-def test_duration_of_the_file_and_of_the_drive_are_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "bends.yaml"
-    path.write_text("segments: [{v: 0.4, omega: 0.6, duration: 2.0}, {v: 0.4, omega: -0.6, duration: 4.0}]\n")
-    stop, smooth = load_trajectory(path), load_trajectory(path, timing="smooth")
-    line = "trajectory 'bends': 6.0 s in the file, driven in {:.1f} s (timing: {})"
-    assert stop.remark == line.format(stop.duration, "stop")
-    distance = smooth.drawn_distance(instants(smooth)).max()
-    assert smooth.remark == line.format(smooth.duration, "smooth") + (
-        f"; its path is up to {distance:.3f} m from the drawn path; errors refer to its path"
-    )
-    assert load_trajectory("spline-1").remark == ""
-
-
 def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "bends.yaml"
     text = (

@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import NotCompiledError, make_plant
-from diffdrive_mpc.models.compiled import cache, compiler
+from diffdrive_mpc import make_plant
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.core import library
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, motor_work
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
@@ -116,21 +114,6 @@ def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
     for k in range(99):
         start = 1.0 + 0.01 * k
         np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
-
-
-def test_missing_compiler_error_names_the_wheel(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    monkeypatch.setattr(compiler, "_COMPILERS", ("no-such-compiler",))
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
-    for cached in (library.load_twin, compiler.find_compiler):
-        cached.cache_clear()
-    try:
-        with pytest.raises(
-            NotCompiledError, match=r"simulated robot is not compiled: no C compiler.*install gcc, or .*wheel"
-        ):
-            make_plant("mujoco")
-    finally:
-        for cached in (library.load_twin, compiler.find_compiler):
-            cached.cache_clear()
 
 
 def built_plant(build: SimulatedRobot, friction: float) -> MujocoPlant:
