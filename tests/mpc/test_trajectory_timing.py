@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +22,6 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
@@ -205,17 +202,6 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
 
 
 # --- Timing in files.
-
-
-def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "bends.yaml"
-    text = (
-        "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
-    )
-    path.write_text(text)
-    filed = load_trajectory(path)
-    assert filed.drawn_distance(instants(filed)).max() == pytest.approx(0.003, rel=0.01)
-    assert isinstance(load_trajectory(path, timing="stop"), ArcTrajectory)
 
 
 @pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
