@@ -14,6 +14,8 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.sim.plants.surface import load_surface
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
 
