@@ -1,6 +1,5 @@
 """Imports: a command or robot loads only the modules that it needs, and a step loads none."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -49,17 +48,6 @@ def test_only_needed_modules_are_loaded(case):
     loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
     assert "diffdrive_mpc" in loaded
     assert not unwanted & set(loaded)
-
-
-def test_simulation_loads_a_limited_number_of_our_modules():
-    """Only modules with code count: an empty `__init__` does not."""
-    code = COMMAND.format(["simulate", "--trajectory", "circle"])
-    files = (
-        "[m.__file__ for n, m in sys.modules.items() if n.startswith('diffdrive_mpc') and getattr(m, '__file__', 0)]"
-    )
-    loaded = json.loads(run("-c", f"{code}\nimport json; print(json.dumps({files}))").splitlines()[-1])
-    ours = [name for name in loaded if len(Path(name).read_text(encoding="utf-8").splitlines()) > 3]
-    assert 100 < len(ours) <= 140
 
 
 NODE = """

@@ -4,7 +4,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -42,16 +41,6 @@ def test_pins_of_the_image_are_those_of_the_project():
     assert all(re.match(r"[a-z0-9][\w.\[\]-]*==\S+( ;.*)?$", pin, re.IGNORECASE) for pin in pins)
     (numpy,) = (pin for pin in pins if pin.startswith("numpy==1.26"))
     assert "3.12" in numpy
-
-
-def test_wheels_are_tested_with_every_promised_python():
-    command = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux", str(ROOT)]
-    builds = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    promised = [f"cp{python.replace('.', '')}" for python in PYTHONS]
-    assert builds == [f"{python}-manylinux_{machine}" for machine in ("x86_64", "aarch64") for python in promised]
-    classifiers = PROJECT["project"]["classifiers"]
-    assert [f"Programming Language :: Python :: {python}" in classifiers for python in PYTHONS] == [True] * 4
-    assert PROJECT["project"]["requires-python"] == f">={PYTHONS[0]}"
 
 
 def test_dependencies_are_pinned_for_every_promised_python():

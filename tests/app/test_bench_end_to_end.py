@@ -4,9 +4,6 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
-from log_parts import TEXTS, read_columns
-
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
@@ -32,22 +29,6 @@ def test_quick_bench_writes_its_report(tmp_path: Path) -> None:
     # The figures show the predictive controller, whichever controller is best.
     figures = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
     assert figures == {"overview", "step-time", "ssm-cane"}
-
-
-def test_simulate_draws_and_logs_reproducible_runs(tmp_path: Path) -> None:
-    logs = []
-    for name in ("first", "second"):
-        arguments = ["--trajectory", "cane", "--seed", "3", "--log", str(tmp_path / f"{name}.csv")]
-        invoke(app, "simulate", *arguments, "--out", tmp_path / name)
-        files = [CONTENTS, "report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
-        assert sorted(path.name for path in (tmp_path / name).iterdir()) == files
-        logs.append(read_columns(tmp_path / f"{name}.csv"))
-    clock = [logs[0].pop(name) for name in ("step_time_s", "solve_time_s")]  # measured times are not reproducible
-    assert ((clock[0] >= clock[1]) & (clock[1] > 0.0)).all()
-    assert [logs[0].pop(name) for name in TEXTS] == [logs[1][name] for name in TEXTS]
-    for column, values in logs[0].items():
-        assert np.array_equal(values, logs[1][column], equal_nan=True), column
-    assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
 
 
 TIPPING = "description: tips\npushes: [{force: 200.0, direction: 1.5708, height: 0.4, start: 1.0, duration: 1.0}]\n"

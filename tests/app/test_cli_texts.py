@@ -1,8 +1,5 @@
 """Output of the command line: configurations and models, seeds, completion, and widths of tables."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -66,32 +63,3 @@ def test_model_is_shown_with_its_parameters_and_origin() -> None:
 )
 def test_seeds_are_parsed_from_a_count_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
     assert parse_seeds(text) == seeds
-
-
-COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
-
-
-def completions(words: str, shell: str = "bash") -> list[str]:
-    """Return the words that a shell offers after `words`."""
-    variables = {
-        "_DIFFDRIVE_MPC_COMPLETE": f"complete_{shell}",
-        "COMP_WORDS": words,
-        "COMP_CWORD": str(len(words.split(" ")) - 1),
-        "_TYPER_COMPLETE_ARGS": words,
-        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
-    }
-    result = subprocess.run([COMMAND], env=os.environ | variables, capture_output=True, text=True, check=False)
-    assert result.stderr == ""
-    return result.stdout.splitlines()
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("simul", {"simulate"}),
-        ("models s", {"show"}),
-        ("simulate --traj", {"--trajectory"}),
-    ],
-)
-def test_commands_and_options_are_completed(words: str, expected: set[str]) -> None:
-    assert set(completions(f"diffdrive-mpc {words}")) == expected

@@ -1,17 +1,9 @@
 """`doctor` prints one line per check, with a remedy on failure, and fails only without a controller."""
 
-from importlib.metadata import EntryPoint
-
 import pytest
 
 from commands import invoke
-from diffdrive_mpc.app import doctor
 from diffdrive_mpc.app.cli import app, command_line
-from diffdrive_mpc.models import plug_ins
-
-
-def checks() -> dict[str, doctor.Check]:
-    return {check.name: check for check in doctor.examine()}
 
 
 def test_installation_passes_and_every_check_is_one_line() -> None:
@@ -22,23 +14,6 @@ def test_installation_passes_and_every_check_is_one_line() -> None:
     assert all(name in line for name, line in zip(names, lines[1:], strict=True))
     assert all(line.startswith("OK ") for line in lines[1:6])
     assert "TRACKING" in lines[3] and "operations" in lines[3]
-
-
-@pytest.mark.parametrize(
-    ("requirement", "fault"),
-    [
-        ("numpy>=1.26", ""),
-        ("numpy>=99", " is not >=99"),
-        ("no-such-package", "no-such-package is not installed"),
-        ('no-such-package; extra == "tune"', ""),
-    ],
-)
-def test_dependency_outside_its_range_is_reported_missing(requirement: str, fault: str, monkeypatch) -> None:
-    monkeypatch.setattr(doctor, "requires", lambda name: [requirement])
-    check = checks()["dependencies"]
-    assert (check.is_ok, fault in check.finding) == (not fault, True)
-    assert check.line.startswith("OK" if check.is_ok else "MISSING")
-    assert ("pip install --upgrade" in check.line) == bool(fault)
 
 
 def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
@@ -53,54 +28,6 @@ def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
 # Commands of packages, with test packages.
 
 
-COMMAND = """
-from diffdrive_mpc.app.command_line.options import PluggedCommand
-
-def greet(*, name: str = "all") -> None:
-    \"\"\"Print a greeting; nothing else.\"\"\"
-    print(f"hello {name}")
-
-GREET = PluggedCommand("Drive", greet, "Example: diffdrive-mpc greet --name you")
-"""
-
-
-@pytest.fixture
-def register_commands(tmp_path, monkeypatch):
-    """Function that registers entry points `name = place` as the only commands of packages."""
-    (tmp_path / "greeting.py").write_text(COMMAND)
-    (tmp_path / "broken.py").write_text("raise ImportError('broken needs diffdrive-mpc 9.9')\n")
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def register(**places):
-        entries = [EntryPoint(name, place, "diffdrive_mpc.commands") for name, place in places.items()]
-        monkeypatch.setattr(plug_ins, "entry_points", lambda group: entries if group.endswith("commands") else [])
-        plug_ins._entries.cache_clear()
-        plug_ins.plug_in.cache_clear()
-
-    yield register
-    plug_ins._entries.cache_clear()
-    plug_ins.plug_in.cache_clear()
-
-
-def test_registered_command_is_listed_and_runs(register_commands):
-    register_commands(greet="greeting:GREET")
-    assert "greet     Print a greeting; nothing else." in invoke(command_line(), "--help").stdout
-    assert invoke(command_line(["greet"]), "greet", "--name", "you").stdout == "hello you\n"
-
-
 @pytest.mark.parametrize("words", [(), ("config",), ("models",), ("log",)])
 def test_list_of_commands_shows_their_whole_help(words):
     assert "..." not in invoke(command_line(words), *words, "--help").stdout.replace("[ARGS]...", "")
-
-
-def test_broken_package_leaves_other_commands_usable(register_commands):
-    register_commands(greet="broken:GREET")
-    assert "Not available" in invoke(command_line(), "--help").stdout
-    assert "broken needs diffdrive-mpc 9.9" in invoke(command_line(["greet"]), "greet", code=1).stderr
-    assert invoke(command_line(["models"]), "models", "list").exit_code == 0
-
-
-def test_plug_in_of_another_command_is_not_imported(register_commands):
-    register_commands(greet="broken:GREET")
-    names = [command.name for command in command_line(["bench"]).registered_commands]
-    assert names == ["bench"]

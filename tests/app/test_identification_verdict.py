@@ -104,8 +104,9 @@ def one_path(monkeypatch):
     monkeypatch.setattr(trial_drives, "PATHS", PATHS[:1])
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("one_path")
-@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.system), 0.2])
+@pytest.mark.parametrize("share", [0.3, 0.2])
 def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
     monkeypatch.setattr(verdicts, "stand_ins", lambda _: clips(identification, share))
     verdict = judge_by_drives(identification)

@@ -6,19 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_parts import MAPPING, drive, write_csv, write_mapping
 from opened_report import check_report
 
 from commands import invoke
-from diffdrive_mpc import identify, load_config
+from diffdrive_mpc import load_config
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.sim.plants.surface import load_surface
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
-NO_POSE = MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", "")
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
 
 
@@ -41,14 +39,6 @@ def identified_robot(logs):
     """Folder and output of an identification from two of the drives, validated on the third."""
     words = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
     return logs / "mine", run(*words, "--out", logs / "mine")
-
-
-def identify_columns(tmp_path, columns, mapping=MAPPING, **options):
-    """Identify without trial drives; return the folder and the report as data."""
-    log = write_csv(tmp_path / "drive.csv", columns)
-    result = identify(log, mapping=write_mapping(tmp_path / "map.yaml", mapping), **options)
-    result.write(tmp_path / "out")
-    return tmp_path / "out", json.loads((tmp_path / "out" / "report.json").read_text())
 
 
 def test_report_has_the_agreed_keys(identified_robot):
@@ -102,22 +92,3 @@ def test_configuration_drives_the_plant(identified_robot, logs):
     shipped, identified_run = json.loads((bench / "bench.json").read_text())["runs"]
     assert identified_run["completed"]
     assert identified_run["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
-
-
-def test_clipping_base_is_stated_in_model_and_configuration(tmp_path):
-    columns = drive(seconds=30.0)
-    command = columns["omega_ref"].copy()
-    columns["omega_ref"] = np.where(np.abs(command) > 0.9, 1.8 * command, command)  # followed up to 0.9 rad/s
-    rate = np.zeros(len(command))
-    for k in range(1, len(command)):
-        rate[k] = rate[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(command[k - 1], -0.9, 0.9) - rate[k - 1])
-    columns["gyro"] = rate + np.random.default_rng(0).normal(0, 0.005, len(command))
-    out, _ = identify_columns(tmp_path, columns, NO_POSE)
-    limits = read_model_file(out / "model.yaml").base_effects.twist_range
-    assert limits.v is None
-    assert limits.omega == pytest.approx(0.9, rel=0.02)
-    config = load_config(out / "config.yaml")
-    assert config.estimator.side_slip_uncertainty == identification_settings().slip.side_slip[1]
-    assert "s^2: a wide prior, because the log has too few" in (out / "report.md").read_text()
-    assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
-    assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)

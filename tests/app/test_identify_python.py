@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
-from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import divide, read_data
@@ -63,23 +62,6 @@ def test_data_frames_give_the_model_of_their_files(folder, identification):
     model = identify(logs[0], folder / "map.yaml", "sm", validate=logs[1:]).model
     assert model.name == "SM from data_frame_0"
     assert model.A.tolist() == identification.model.A.tolist()
-
-
-def test_single_path_is_read_as_a_log_and_progress_is_reported(folder):
-    stages, findings = [], []
-    result = identify(
-        str(folder / "one.csv"),
-        str(folder / "map.yaml"),
-        fit_share=0.5,
-        name="mine",
-        on_progress=stages.append,
-        on_findings=findings.extend,
-    )
-    assert isinstance(result, Identification)
-    assert result.model.name == "mine"
-    assert stages[0] == "reading"
-    assert stages[1].startswith("identification")
-    assert "the last 50 %" in result.content.provenance.notes
 
 
 # Division of records, and geometry of wheels.

@@ -101,6 +101,7 @@ def test_log_states_the_drive_and_its_command(logs):
     assert yaml.safe_load(metadata_of_drive["model"]["yaml"])["name"]
 
 
+@pytest.mark.system
 def test_identify_gives_the_same_result_from_csv_and_mcap(logs):
     first, second = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
     sampled, expected = first.model.discretise(0.0202), second.model.discretise(0.0202)

@@ -9,9 +9,8 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension
-from diffdrive_mpc.bench.comparison.plan import default_settings, read_options
+from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.controllers import load_reference
-from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.mpc.config.typed_settings import parse_setting, single_settings
 
 
@@ -26,13 +25,6 @@ def test_every_dimension_has_its_options_and_its_default(dimension: Dimension) -
 
 def help_of(command: str) -> str:
     return CliRunner().invoke(app, [command, "--help"]).stdout
-
-
-@pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
-def test_option_selects_its_values(dimension: Dimension) -> None:
-    text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(dimension.name, "a,b")
-    chosen = read_options({dimension.plural: text}).values(dimension.plural)
-    assert [str(value) for value in chosen] == text.split(",")
 
 
 def test_timing_selects_another_reference_of_a_trajectory() -> None:
@@ -63,16 +55,6 @@ def test_values_have_their_yaml_types(text: str, values: list[object]) -> None:
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=5))
 def test_every_finite_number_is_read_exactly(numbers: list[float]) -> None:
     assert parse_setting("key=" + ",".join(repr(number) for number in numbers))[1] == numbers
-
-
-def test_several_settings_give_every_combination_in_order() -> None:
-    assert sweep_settings(["a=1,2", "b=x,y"]) == [
-        (("a", 1), ("b", "x")),
-        (("a", 1), ("b", "y")),
-        (("a", 2), ("b", "x")),
-        (("a", 2), ("b", "y")),
-    ]
-    assert sweep_settings([]) == [()]
 
 
 def test_single_run_takes_one_value_for_each_key() -> None:

@@ -48,13 +48,6 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_command(tmp_path_factory.mktemp("single"), "simulate", *QUICK)
 
 
-@pytest.fixture(scope="module")
-def bench_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    paths = [word.replace("--trajectory", "--trajectories") for word in QUICK]
-    words = ["--quick", "--models", "ssm,sm", "--seeds", "2", *paths]
-    return run_command(tmp_path_factory.mktemp("compared"), "bench", *words)
-
-
 def run_command(folder: Path, *words: str) -> Path:
     invoke(app, *words, "--out", folder)
     return folder / "report.html"
@@ -66,27 +59,6 @@ def test_pointing_at_one_view_marks_the_same_tick_in_the_other(run_page: Path) -
         box = page.locator("#times").bounding_box()
         page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.1 * box["height"])
         page.wait_for_selector("#plane .hoverlayer .hovertext", state="attached")
-        check_page(page)
-
-
-@pytest.mark.system("browser")
-def test_toggles_hide_a_controller_and_its_seeds_in_all_views(bench_page: Path) -> None:
-    count = "(id) => document.querySelector(id).data.filter((trace) => trace.visible).length"
-    names = (
-        "[...document.querySelectorAll('.charts .plot')]"
-        ".map((plot) => plot.data.filter((trace) => trace.visible).map((trace) => trace.name))"
-    )
-    with open_offline(bench_page) as page:
-        assert all("SM" in shown for shown in page.evaluate(names))
-        before = [page.evaluate(count, plot) for plot in ("#plane", "#times")]
-        page.locator("input[data-value='SM']").uncheck()
-        after = [page.evaluate(count, plot) for plot in ("#plane", "#times")]
-        assert all(fewer < more for fewer, more in zip(after, before, strict=True))
-        assert not any("SM" in shown for shown in page.evaluate(names))
-        page.locator("input[data-value='SM']").check()
-        page.locator("input[data-toggle='seed'][data-value='1']").focus()
-        page.keyboard.press("Space")
-        assert page.evaluate(count, "#plane") > before[0]
         check_page(page)
 
 

@@ -1,6 +1,5 @@
 """Control laws of the peers against known results, and their common parts: estimate, prediction, limits."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,12 +7,10 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle, check_return, check_square
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loop_parts import FeedForward
 from scipy.linalg import solve_discrete_are
 
 from diffdrive_mpc import (
     ConfigError,
-    Controller,
     Measurement,
     MissingPackageError,
     integrate_pose,
@@ -24,8 +21,8 @@ from diffdrive_mpc import (
 )
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
-from diffdrive_mpc.bench.peers import LAWS, accepts_settings, make_peer
-from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
+from diffdrive_mpc.bench.peers import LAWS, make_peer
+from diffdrive_mpc.bench.peers.estimator import DelayPredictor, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
@@ -47,28 +44,6 @@ def law_input(pose, reference, feed_forward, time=2.0, twist=None):
         np.array(reference),
         np.array(feed_forward),
     )
-
-
-def test_estimate_of_a_peer_equals_that_of_a_driving_controller() -> None:
-    """Equal measurements and commands give the same estimate, bit for bit, with and without control."""
-    controller, estimator, compared = Controller(CONFIG), HeldEstimator(CONFIG), 0
-    plant, reference = make_plant("model:sm", surface="slippery", seed=3), load_trajectory("s")
-    plant.reset(reference.sample([0.0]).pose[0])
-    controller.start(reference, 0.0)
-    estimator.start(reference, 0.0)
-    for _ in range(250):
-        # Without a reported command, the estimator uses the command of the peer.
-        measured = replace(plant.measure(), sent=None)
-        step = controller.step(plant.time, measured)
-        estimate = estimator.step(plant.time, measured)
-        assert (step.estimate is None) == (estimate is None)
-        if step.estimate is not None and estimate is not None:
-            np.testing.assert_array_equal(estimate.mean, step.estimate.mean)
-            np.testing.assert_array_equal(estimate.twist, step.estimate.twist)
-            compared += 1
-        estimator.sent(step.command)
-        plant.advance(step.command)
-    assert compared > 200
 
 
 @pytest.mark.parametrize("ticks", [0, 2, 5])
@@ -215,11 +190,3 @@ def test_missing_peer_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None
         make_controller(Case(controller="rpp", model="none"))
     with pytest.raises(ConfigError, match="unknown controller 'rppp'"):
         make_controller(Case(controller="rppp", model="none"))
-
-
-def test_registered_peer_is_created_without_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diffdrive_mpc.bench.peers.plug_in", lambda group, name: FeedForward)
-    assert isinstance(make_peer("mine", {"horizon": 3}), FeedForward)
-    assert not accepts_settings("mine") and accepts_settings("pursuit+slip")
-    with pytest.raises(ConfigError, match="the peer 'mine' does not have a tracking law"):
-        load_gains("mine")

@@ -4,9 +4,6 @@ import json
 import math
 import multiprocessing
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,15 +21,13 @@ from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe_incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.comparison.tables import report_tables, summary_table, time_table
+from diffdrive_mpc.bench.comparison.tables import report_tables, summary_table
 from diffdrive_mpc.bench.experiment import mean
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.study import write_report
-from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
-from processes import is_running
 
 FIELDS = {
     name: kind
@@ -147,27 +142,6 @@ def test_min_error_is_that_of_a_controller_that_completed_every_run(results, our
     card = page.key_figures[1]
     assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
     assert (card.label, card.value, card.note) == ("minimum position error, RMSE", value, note)
-
-
-def times_in(table: Table, line: int = 0) -> list[str]:
-    names = [i for i, name in enumerate(table.columns) if name.startswith(("solve p", "step p"))]
-    return [table.rows[line][i] for i in names]
-
-
-def test_times_exclude_disturbed_ticks_and_mark_their_rows(outcome: RunOutcome) -> None:
-    times = np.where(outcome.run.counted, 2e-3, 9.0)
-    whole = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 2))
-    times = np.where(np.arange(len(times)) < len(times) // 2, np.nan, times)  # disturbed in every measurement
-    half = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
-    table = summary_table(rows_of(half))
-    assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
-    assert times_in(summary_table(rows_of(half, whole.untimed))) == times_in(table)
-    assert "*: other programs ran; 50.0 % of the ticks" in table.note
-    assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
-    assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
-    assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
-    assert "*" not in summary_table(rows_of(whole)).note
-    assert time_table(rows_of(whole)).rows[0][3:11] == ("1.000",) * 4 + ("2.000",) * 4, "the largest included"
 
 
 def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> None:
@@ -318,26 +292,3 @@ def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_p
     _write(tmp_path, "bench", "third", shared=shared)
     assert "third" in _files_in(tmp_path)
     assert not list(tmp_path.glob(".unfinished-*"))
-
-
-def test_workers_end_when_their_parent_is_killed() -> None:
-    """The parent cannot notify them; an idle worker used to wait for two minutes."""
-    program = (
-        "import os, time\n"
-        "from functools import partial\n"
-        "from diffdrive_mpc.bench.runner import persistent_processes, run_tasks\n"
-        "with persistent_processes():\n"
-        "    print(*set(run_tasks([os.getpid] * 8, 2, lambda: None)), flush=True)\n"
-        "    time.sleep(60)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
-        workers = [int(number) for number in process.stdout.readline().split()]
-        assert workers
-        assert all(map(is_running, workers))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    for _ in range(200):
-        if not any(map(is_running, workers)):
-            return
-        time.sleep(0.1)
-    raise AssertionError("workers still run")

@@ -1,7 +1,6 @@
 """The timing pass replays a run exactly or raises an error; every outcome gets its own times."""
 
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from diffdrive_mpc.bench import turns
 from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.timing import replay, time_outcomes
-from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim import Run, simulate
 
@@ -77,51 +75,12 @@ def test_mpc_is_replayed_bit_for_bit() -> None:
 
 
 QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
-PREEMPTED = QUIET._replace(switches=1)
 
 
 @pytest.fixture(autouse=True)
 def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frozen clock, so that no retry times out on a busy machine."""
     monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
-
-
-class Scripted:
-    """Replay whose blocks are disturbed as specified; the time of a tick is the number of its pass."""
-
-    def __init__(self, name: str, ticks: int, log: list[str], disturbed: dict[int, list[Effort]] | None = None) -> None:
-        self.name, self.ticks, self._log = name, ticks, log
-        self._efforts: dict[int, Iterator[Effort]] = {
-            first: iter(efforts) for first, efforts in (disturbed or {}).items()
-        }
-        self.passes = 0
-
-    def restart(self) -> None:
-        self.passes += 1
-        self._next = 0
-
-    def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        assert first == self._next, "ticks must be replayed in order"
-        self._next = last
-        self._log.append(f"{self.name}{first}")
-        effort = next(self._efforts.get(first, iter(())), QUIET)
-        return np.full((last - first, 2), float(self.passes)), effort
-
-
-def test_blocks_alternate_and_so_does_their_order() -> None:
-    log: list[str] = []
-    take_turns([[Scripted("a", 6, log), Scripted("b", 4, log)], [Scripted("c", 2, log)]], block=2)
-    assert log == ["a0", "b0", "b2", "a2", "a4", "c0"]
-
-
-def test_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
-    a, b = Scripted("a", 6, log := [], {2: [PREEMPTED, PREEMPTED]}), Scripted("b", 6, log)
-    ((times, untouched),), best = take_turns([[a, b]], block=2)
-    assert times.times[0, 1::2, 0].tolist() == [1, 3, 1]
-    assert times.share == untouched.share == 1.0
-    assert (a.passes, b.passes) == (3, 1)
-    assert log[6:] == ["a0", "a2"] * 2, "up to the disturbed block only"
-    assert best == QUIET.pace
 
 
 @pytest.mark.parametrize(

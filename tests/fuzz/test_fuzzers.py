@@ -2,23 +2,17 @@
 
 import json
 import math
-import os
-import signal
-import sys
 import time
 from itertools import count
-from multiprocessing import get_context
 from random import Random
 
 import pytest
 
-import fuzz.__main__
 from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.schemas import PACKAGE
 from file_kinds import KINDS
 from fuzz import configs, yaml_files
-from fuzz.__main__ import main
-from fuzz.case import FaultError, draw, saved_findings
+from fuzz.case import draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core, drive
 from fuzz.fuzzers import FUZZERS
@@ -69,61 +63,6 @@ def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
     clock = count(step=0.5)
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
     assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in find_fault(fuzzer, case)
-
-
-class Planted:
-    """Fuzzer that fails for lists with a 7 and hangs for None."""
-
-    name, time_limit, count = "planted", 0.2, 10
-
-    def draw(self, random):
-        return [random.randrange(9) for _ in range(random.randrange(20))]
-
-    def check(self, case):
-        if case is None:
-            time.sleep(5.0)
-        if 7 in case:
-            raise FaultError(f"seven: at {case.index(7)}")
-
-
-def test_fault_is_found_and_reduced():
-    failed = []
-    with pytest.raises(FaultError, match="seven: at 0"):
-        search(Planted(), "1", 200, on_fault=lambda case, _: failed.append(case))
-    assert failed[-1] == [7]
-
-
-def test_search_respects_the_time_limit_and_a_hang_is_a_fault():
-    checked = []
-    search(Planted(), "1", 200, seconds=0.0, on_case=checked.append)
-    assert checked == []
-    assert "hangs: the case takes longer than 0.2 s" in find_fault(Planted(), None)
-
-
-class Killed(Planted):
-    """Fuzzer whose process is killed for the empty list."""
-
-    def check(self, case):
-        if not case:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.parametrize(
-    ("fuzzer", "case", "message"), [(Planted(), [7], "seven: at 0"), (Killed(), [], "process killed by SIGKILL")]
-)
-def test_command_saves_findings_that_can_be_replayed(fuzzer, case, message, tmp_path, monkeypatch, capfd):
-    monkeypatch.setitem(FUZZERS, "planted", fuzzer)
-    monkeypatch.setattr(fuzz.__main__, "get_context", lambda _: get_context("fork"))
-    monkeypatch.setattr(sys, "argv", ["fuzz", "planted", "--count", "200", "--keep", str(tmp_path)])
-    with pytest.raises(SystemExit, match="1"):
-        main()
-    assert message in capfd.readouterr().out
-    (((_, digest), saved),) = saved_findings(tmp_path).items()
-    assert saved == case
-    monkeypatch.setattr(sys, "argv", ["fuzz", "--keep", str(tmp_path), "--replay", "planted", digest])
-    if case:
-        with pytest.raises(FaultError, match=message):
-            main()
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():

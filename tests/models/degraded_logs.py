@@ -615,7 +615,7 @@ def read_cases(group):
 
 
 def with_expo(size):
-    """Change the commands of the robot by an exponential stick curve that the log does not contain."""
+    """Apply an exponential stick curve to the commands that the robot receives; the log has those of the stick."""
     stick = robot()
     command = np.column_stack([stick["v_ref"], stick["omega_ref"]])
     top = np.abs(command).max(axis=0)

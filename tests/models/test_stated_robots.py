@@ -80,22 +80,6 @@ def test_limits_of_the_log_are_kept_within_those_of_the_maker(identification):
     assert limits["omega_slew"].value == 1.0
 
 
-def test_model_is_identified_from_the_log_alone(identification, husky_bag):
-    plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
-    assert identification.content.channels == plain.content.channels
-    assert identification.content.provenance.origin == "identified"
-    # The track is that of the manufacturer; without a robot it is unknown.
-    assert not any("determines the track" in warning for warning in identification.report.warnings)
-    assert any("determines the track" in warning for warning in plain.report.warnings)
-
-
-def load_mapping_of_husky(bag):
-    path = bag.parent / "mapping.yaml"
-    topics = {"command": "/a200_0001/cmd_vel", "odometry": "/a200_0001/platform/odom"}
-    path.write_text(yaml.safe_dump({"topics": topics | {"imu": "/a200_0001/platform/sensors/imu_0/data"}}))
-    return path
-
-
 def test_written_configuration_states_the_reason_of_each_value(identification, tmp_path):
     identification.write(tmp_path)
     config = load_config(tmp_path / "config.yaml")

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import bag_topics, drive, write_bag, write_mapping
 
-from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models import WheelKinematics
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
@@ -91,19 +90,3 @@ def test_readings_that_are_no_numbers_are_skipped_with_a_finding(tmp_path):
     assert [finding.kind for finding in log.findings if "/battery" in finding.place] == ["NaN rows"]
     known = np.isfinite(log.records[0].battery).all(axis=1)
     assert known.sum() >= 285
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("  battery: /imu\n", "topic '/imu' is of type sensor_msgs/msg/Imu; expected sensor_msgs/msg/BatteryState"),
-        ("  motors: {left: /left_a}\n", "right"),
-        (
-            "  motors: {left: {topic: /joints, joints: [middle]}, right: /right_a}\n",
-            "check the joints middle",
-        ),
-    ],
-)
-def test_unreadable_topic_raises_one_sentence(tmp_path, words, message):
-    with pytest.raises(ConfigError, match=message):
-        read(tmp_path, words)

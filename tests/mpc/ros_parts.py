@@ -26,11 +26,9 @@ from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.ros import node as node_module
-from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.ros.conversions import nanoseconds, pose_message, time_message
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
-from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import make_plant
 
 CONFIG = load_config("ssm")
@@ -363,14 +361,3 @@ def stack(*arguments, **parameters):
         yield running_stack
     finally:
         running_stack.close()
-
-
-def drive_along(s, message, topic):
-    """Send a reference that leads forward; check that the robot follows it."""
-    publisher = s.publisher(type(message), topic)
-    s.base.silent(5)
-    publisher.publish(message)
-    s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
-    s.base.run(60)
-    assert s.loop.last.mode == Mode.TRACKING
-    assert s.base.plant.true_pose[0] > 0.05

@@ -2,11 +2,9 @@
 
 import json
 import os
-import shutil
 import stat
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -332,48 +330,3 @@ def test_best_level_of_the_processor_is_selected(wheel_core, monkeypatch):
 
 
 # The wheel.
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """A wheel built from the current sources."""
-    folder = tmp_path_factory.mktemp("wheel")
-    tree = folder / "tree"
-    tree.mkdir()
-    for name in ("models", "mpc", "sim", "bench", "app", "src"):
-        skipped = shutil.ignore_patterns("__pycache__", "*.egg-info")
-        shutil.copytree(ROOT / name, tree / name, symlinks=True, ignore=skipped)
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, tree)
-    # The content of the wheel does not depend on the optimisation, which takes most of the time.
-    (folder / "bin").mkdir()
-    (folder / "bin" / "cc").write_text(f'#!/bin/sh\nexec {shutil.which("gcc")} "$@" -O0\n')
-    (folder / "bin" / "cc").chmod(0o755)
-    path = os.pathsep.join([str(folder / "bin"), os.environ["PATH"]])
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "-w", folder]
-    done = subprocess.run(
-        [*command, tree], capture_output=True, text=True, check=False, env={**os.environ, "PATH": path}
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    (path,) = folder.glob("*.whl")
-    return path
-
-
-@pytest.mark.system
-def test_core_of_the_wheel_runs_without_compiler(wheel, tmp_path):
-    installed = tmp_path / "installed"
-    zipfile.ZipFile(wheel).extractall(installed)
-    code = (
-        "import diffdrive_mpc; from diffdrive_mpc.models.compiled import compiler\n"
-        "from diffdrive_mpc.mpc.core import library; from diffdrive_mpc.sim.core.library import load_twin\n"
-        "compiler._COMPILERS = ()\n"
-        "library.load_core(), load_twin(); print(diffdrive_mpc.__file__)"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(installed), cache.CACHE_VARIABLE: str(tmp_path / "cache")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert done.stdout.strip() == str(installed / "diffdrive_mpc" / "__init__.py")
-    assert not (tmp_path / "cache").exists()

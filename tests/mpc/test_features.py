@@ -38,11 +38,6 @@ def test_feature_holds_the_robot_and_changes_the_result():
     assert run.metrics.completed
 
 
-@pytest.mark.parametrize("overrides", [{}, {"lunch.enabled": False}])
-def test_disabled_feature_is_not_attached(overrides):
-    assert not any("step" in message for message in drive(overrides).messages)
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -53,12 +48,6 @@ def test_disabled_feature_is_not_attached(overrides):
 def test_feature_that_is_not_attached_raises_config_error(name, message):
     with pytest.raises(ConfigError, match=message):
         Controller("sm").feature(name)
-
-
-def test_state_of_a_feature_survives_pickling():
-    controller = Controller(load_config("sm", ON))
-    controller.feature("lunch").steps = 7
-    assert pickle.loads(pickle.dumps(controller)).feature("lunch").steps == 7
 
 
 def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
@@ -74,11 +63,6 @@ def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
     assert dumped["lunch"]["end"] == 2.5
     assert load_config(dumped) == ControllerConfig.model_validate(dumped) == config
     assert config.model_dump(exclude_defaults=True) == {"model": "sm", "lunch": {"end": 2.5}}
-
-
-def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_path):
-    (tmp_path / "config.yaml").write_text("model: sm\nexpert: {lunch: {menu: pasta.yaml}}\n")
-    assert load_config(tmp_path / "config.yaml").features["lunch"].menu == str(tmp_path / "pasta.yaml")
 
 
 @pytest.mark.parametrize(

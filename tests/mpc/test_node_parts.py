@@ -130,18 +130,6 @@ def test_missing_package_of_a_part_is_named_in_one_line(parts):
         NodeSettings(parts={"mine": {}})
 
 
-def test_former_parameter_is_accepted_with_a_line_that_names_the_new_one(parts):
-    parts["energy"] = SimpleNamespace(name="energy", load=lambda: Probe)
-    node = StubNode(use_battery=True, battery_timeout=2.0, use_costmap=False)
-    assert name_parts(node, NodeSettings(), ()).parts.keys() == {"energy"}
-    assert node._parameter_overrides["parts.energy.use_battery"].value is True
-    assert sorted(node.warnings) == [
-        "parameter battery_timeout is parts.energy.battery_timeout now; the default is used",
-        "parameter use_battery is parts.energy.use_battery now; the value is used",
-        "parameter use_costmap is parts.free_space.use_costmap now; the default is used",
-    ]
-
-
 def test_hooks_are_called_in_the_order_of_the_lifecycle(parts, tmp_path):
     with stack(drive=True, record=True, record_folder=str(tmp_path), **{"parts.probe.current": 2.5}) as s:
         probe, statuses = s.node.parts["probe"], []

@@ -327,38 +327,6 @@ def test_reference_waits_for_a_blocked_robot_and_command_stays_small():
     assert {r.mode for r in results} == {Mode.TRACKING}
 
 
-def test_robot_pushed_near_the_end_still_arrives():
-    """After a push just before the end, the reference and the finish are later."""
-    reference = load_trajectory("cane")
-    tick = round((reference.duration - 0.8) / DT)
-
-    def push(k, pose):
-        return pose + [-0.2 * np.sin(pose[2]), 0.2 * np.cos(pose[2]), 0.0] if k == tick else None
-
-    results, poses, _ = drive(reference, reference.duration + 8.0, move=push)
-    assert results[-1].mode is Mode.FINISHED
-    assert "not at rest" not in results[-1].message
-    end = reference.sample([reference.duration]).pose[0]
-    assert np.hypot(*(poses[-1] - end)[:2]) < 0.03
-    assert abs(wrap_angle(poses[-1, 2] - end[2])) < 0.06
-    delays = {round(r.reference_delay, 9) for r in results if r.mode is Mode.FINISHED}
-    assert len(delays) == 1
-
-
-def test_robot_carried_ahead_waits_instead_of_reversing():
-    reference = load_trajectory("circle")
-
-    def carry(k, pose):
-        ahead = reference.sample([k * DT + 0.5]).pose[0]
-        return ahead if k == 200 else None
-
-    results, poses, times = drive(reference, 12.0, move=carry, **{"estimator.max_position_jump": 0.6})
-    after = times > 200 * DT
-    assert np.min([r.command[0] for r, a in zip(results, after, strict=True) if a]) > -0.05
-    assert np.abs(lateral(reference, results, poses, times)).max() < BAND
-    assert results[-1].reference_delay == 0.0
-
-
 @pytest.mark.parametrize("slip", [Slip(turn_ahead=0.12), Slip(turn_ahead=-0.12), Slip(slide_x=0.12)])
 def test_displacement_by_a_turn_on_the_spot_does_not_start_reentry(slip):
     """The robot turns about a point 12 cm off, or slides 12 cm per radian: it leaves the band and returns by itself."""

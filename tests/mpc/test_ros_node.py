@@ -7,14 +7,13 @@ import pkgutil
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Transform, Vector3Stamped
+from geometry_msgs.msg import Vector3Stamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_parts import CONFIG, DT, drive_along, stack
+from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import String
-from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.mpc import Controller, load_trajectory
@@ -171,20 +170,6 @@ def test_timed_path_is_driven():
         s.base.run(round(4.6 / DT))
         assert s.loop.last.mode == Mode.FINISHED
         assert abs(s.base.plant.true_pose[0] - 0.4 / 1.5 * 4.0) < 0.03
-
-
-def test_trajectory_message_is_driven():
-    with stack(trajectory="''", drive_on_reference=True) as s:
-        message = MultiDOFJointTrajectory(joint_names=["base_link"])
-        message.header.frame_id = "odom"
-        for pose in straight().poses:
-            transform = Transform(rotation=pose.pose.orientation)
-            transform.translation.x = pose.pose.position.x
-            point = MultiDOFJointTrajectoryPoint(transforms=[transform])
-            stamp = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
-            point.time_from_start.sec, point.time_from_start.nanosec = stamp
-            message.points.append(point)
-        drive_along(s, message, "set_trajectory")
 
 
 def no_times():

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.system
 
 
 class SecondNode:
-    """SecondNode node of this project, in a separate context."""
+    """Second node of this project, in a separate context."""
 
     def __init__(self, name="diffdrive_mpc", commands="cmd_vel"):
         arguments = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]

@@ -1,14 +1,12 @@
 """Two robots of one name over DDS, and drivers that are killed and started again."""
 
-import time
-
 import pytest
 import rclpy
 from geometry_msgs.msg import TwistStamped
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
-from ros_parts import DT, stack
+from ros_parts import stack
 from sensor_driver import KINDS, driver, message_of
 
 from diffdrive_mpc.mpc.ros.conversions import time_message
@@ -67,35 +65,6 @@ def test_node_brakes_for_the_third_message_of_a_twin(topic):
         s.base.run(2)
         assert s.trigger("resume").success
         assert s.base.run(40)[-1, 0] > 0.1
-
-
-@pytest.mark.parametrize("count", [pytest.param(2, marks=pytest.mark.system), pytest.param(50, marks=pytest.mark.long)])
-def test_killed_and_restarted_driver_does_not_stop_the_robot(count):
-    """The robot drives by its wheels while the driver of its gyro is killed and started again."""
-    with stack(drive=True, sim_time=False, discovery_wait=5.0) as s:
-        s.base.gyro = False
-        endpoints = 0
-
-        def drive(seconds):
-            end = time.monotonic() + seconds
-            while time.monotonic() < end:
-                s.base.drive()
-                assert not s.loop.objection
-
-        for _ in range(count):
-            accepted = s.node._inbox.imu.accepted
-            with driver(["imu"]):
-                while s.node._inbox.imu.accepted < accepted + 20:
-                    drive(DT)
-                endpoints = max(endpoints, s.node.count_publishers("imu"))
-            drive(0.1)
-        # One of the base itself, and one or more that linger.
-        assert endpoints > 2
-        # A killed driver is no reason to refuse an activation either.
-        s.node.trigger_deactivate()
-        with driver(["imu"]):
-            s.base.until(lambda: s.node.count_publishers("imu") > 2, "the driver")
-            assert s.node.trigger_activate() is TransitionCallbackReturn.SUCCESS, s.node.failure
 
 
 @pytest.mark.system

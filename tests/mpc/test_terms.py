@@ -1,6 +1,5 @@
 """User terms: effect on a drive, sources, and rejected definitions."""
 
-import multiprocessing
 import pickle
 
 import casadi as ca
@@ -9,7 +8,7 @@ import pytest
 import yaml
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
+from diffdrive_mpc import ConfigError, Controller, Term, load_config, load_model
 from diffdrive_mpc.mpc.problem.terms import MAX_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
@@ -164,31 +163,6 @@ def test_shipped_soft_limits_hold_together_with_terms():
         assert distance > 0.25
     assert farthest[0] > 0.1
     assert farthest[1] < 0.055
-
-
-FIRST = Measurement(pose=Stamped(np.array([1.6, 0.0, 0.0]), 0.0))
-
-
-def one_step(controller):
-    """Return the next step and the controller, from another process."""
-    controller.update(limits={"v": 0.9})
-    return controller.step(0.0, FIRST), controller
-
-
-def test_controller_with_terms_survives_a_process_pool():
-    controller = Controller(CONFIG, terms=[KEEP_OFF, PUSH_OFF])
-    controller.start(LINE, -4.0)
-    controller.set_parameters(keep_off=[2.0, 0.2], push_off=np.tile([2.0, 0.1], (N + 1, 1)))
-    controller.update(weights={"across": 300.0})
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        result, returned = pool.map(one_step, [controller])[0]
-    expected, _ = one_step(controller)
-    assert expected.mode is Mode.TRACKING
-    for first, second in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
-        assert first.tolist() == second.tolist()
-    assert returned.config == controller.config
-    again = pickle.loads(pickle.dumps(controller))
-    assert again.step(0.0, FIRST).planned_commands.tolist() == returned.step(0.0, FIRST).planned_commands.tolist()
 
 
 # Sources of terms.

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -24,10 +20,8 @@ from diffdrive_mpc import (
 )
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.trust import UntrustedFileError, only_trusted
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
@@ -210,30 +204,6 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
 # --- Timing in files.
 
 
-def test_duration_of_the_file_and_of_the_drive_are_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "bends.yaml"
-    path.write_text("segments: [{v: 0.4, omega: 0.6, duration: 2.0}, {v: 0.4, omega: -0.6, duration: 4.0}]\n")
-    stop, smooth = load_trajectory(path), load_trajectory(path, timing="smooth")
-    line = "trajectory 'bends': 6.0 s in the file, driven in {:.1f} s (timing: {})"
-    assert stop.remark == line.format(stop.duration, "stop")
-    distance = smooth.drawn_distance(instants(smooth)).max()
-    assert smooth.remark == line.format(smooth.duration, "smooth") + (
-        f"; its path is up to {distance:.3f} m from the drawn path; errors refer to its path"
-    )
-    assert load_trajectory("spline-1").remark == ""
-
-
-def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "bends.yaml"
-    text = (
-        "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
-    )
-    path.write_text(text)
-    filed = load_trajectory(path)
-    assert filed.drawn_distance(instants(filed)).max() == pytest.approx(0.003, rel=0.01)
-    assert isinstance(load_trajectory(path, timing="stop"), ArcTrajectory)
-
-
 @pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
 def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> None:
     trajectory = load_trajectory(name)
@@ -303,80 +273,3 @@ def test_scaling_of_waypoints_raises_error(tmp_path):
     path.write_text("waypoints: [[0, 0], [1, 0], [2, 1]]\nspeed: 0.3\n")
     with pytest.raises(ConfigError, match="segments"):
         scaled_to_robot(path, load_config("sm"), load_model("sm"))
-
-
-# Speed passports.
-
-PASSPORT: dict[str, Any] = {
-    "description": "made up",
-    "share": 0.95,
-    "confidence": 0.95,
-    "curvatures": [0.0, 0.5, 1.0, 2.0],
-    "rows": [
-        {"surface": "firm", "tolerance": 0.01, "speeds": [0.8, 0.5, 0.6, None]},
-        {"surface": "firm", "tolerance": 0.02, "speeds": [1.2, 0.9, 0.7, 0.4]},
-        {"surface": "wet", "tolerance": 0.02, "speeds": [1.0, 0.6, 0.65, 0.2]},
-    ],
-}
-WAYPOINTS = "max_deviation: 0.5\nwaypoints: [[0, 0], [1.5, 0.2], [3, 1], [3.2, 2.5], [2, 3.5], [0, 3.7]]\n"
-SEGMENTS = "segments:\n- {v: 1.2, omega: 0, duration: 3}\n- {v: 1.0, omega: 0.8, duration: 2}\n"
-
-
-def write(folder: Path, drawn: str, use: dict[str, object], timing: str = "smooth") -> Path:
-    (folder / "passport.yaml").write_text(yaml.safe_dump(PASSPORT), encoding="utf-8")
-    path = folder / "path.yaml"
-    key = yaml.safe_dump({"speed_passport": {"file": "passport.yaml", **use}})
-    path.write_text(f"timing: {timing}\n{drawn}{key}", encoding="utf-8")
-    return path
-
-
-def max_speed(curvature: float, row: int) -> float:
-    """Return the maximum speed [m/s] for a curvature [1/m], from the table."""
-    speeds, curvatures = PASSPORT["rows"][row]["speeds"], PASSPORT["curvatures"]
-    index = next(k for k, end in enumerate(curvatures) if curvature <= end + 1e-6)
-    return float(min(speeds[: index + 1]))
-
-
-@pytest.mark.parametrize("drawn", [WAYPOINTS, SEGMENTS])
-@pytest.mark.parametrize(("use", "rows"), [({"surface": "firm"}, [1]), ({}, [1, 2])])
-def test_speed_stays_below_the_passport_everywhere(
-    drawn: str, use: dict[str, object], rows: list[int], tmp_path: Path
-) -> None:
-    path = write(tmp_path, drawn, {"tolerance": 0.03, **use})
-    timed = load_trajectory(path)
-    v, omega = timed.sample(np.linspace(0.0, timed.duration, 3000)).twist.T
-    moving = v > 0.05
-    shares = [
-        speed / min(max_speed(bend, row) for row in rows)
-        for speed, bend in zip(v[moving], np.abs(omega[moving] / v[moving]), strict=True)
-    ]
-    # The cubics between the nodes slightly exceed the passport.
-    assert 0.95 < max(shares) < 1.02
-
-
-@pytest.mark.parametrize(
-    ("use", "timing", "line"),
-    [
-        ({"tolerance": 0.02}, "stop", "not available with timing 'stop'"),
-        ({"tolerance": 0.01, "surface": "firm"}, "smooth", "no speed is proven for a curvature of 1.25 1/m"),
-    ],
-)
-def test_unknown_passport_entry_is_reported_in_one_line(
-    use: dict[str, object], timing: str, line: str, tmp_path: Path
-) -> None:
-    drawn = "segments:\n- {v: 1.0, omega: 1.25, duration: 2}\n"
-    with pytest.raises(ConfigError, match=line):
-        load_trajectory(write(tmp_path, drawn, use, timing))
-
-
-@pytest.mark.parametrize("segment", ["{v: -0.4, omega: 0.1, duration: 2}", "{v: 0.0, omega: 0.5, duration: 2}"])
-def test_unmeasured_motion_raises_error(segment: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="does not cover backward driving and turns on the spot"):
-        load_trajectory(write(tmp_path, f"segments:\n- {segment}\n", {"tolerance": 0.02}))
-
-
-def test_untrusted_passport_is_not_opened(tmp_path: Path) -> None:
-    path = write(tmp_path, SEGMENTS, {"tolerance": 0.02, "file": "../passport.yaml"})
-    inside = path.rename(tmp_path / "in.yaml")
-    with only_trusted("a run", [tmp_path]), pytest.raises(UntrustedFileError, match="passport"):
-        load_trajectory(inside)

@@ -5,17 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import NotCompiledError, make_plant
-from diffdrive_mpc.models.compiled import cache, compiler
+from diffdrive_mpc import make_plant
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.core import library
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, motor_work
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from oracle.drivetrain import Drivetrain
 
 ROBOT, TWIN = load_robot(), load_twin_parameters()
 STEP = ROBOT.sample_time / TWIN.substeps
@@ -108,44 +105,6 @@ def test_driver_brakes_without_oscillation_at_a_zero_set_point() -> None:
     np.testing.assert_allclose(torque, -motor.stall_torque * np.array(motor.spread) * 0.1 / motor.no_load_speed)
 
 
-@pytest.mark.parametrize(
-    ("name", "dead_time"), [("default", 0.0), ("default", 0.04), ("default", 0.7), ("fsu_bot", 0.04)]
-)
-def test_drivetrain_equals_the_oracle_bit_for_bit(name: str, dead_time: float) -> None:
-    """Products are rounded one by one, independent of compiler and processor. One robot limits torques."""
-    build = load_simulated_robot(name)
-    twin = build.twin.model_copy(update={"link": build.twin.link.model_copy(update={"dead_time": dead_time})})
-    pulse, step = 2 * np.pi / build.robot.encoder_pulses, build.robot.sample_time / twin.substeps
-    rng = np.random.default_rng(0)
-    phase = rng.random(4)
-    oracle = Drivetrain(build.firmware, twin, build.robot, step, phase.tolist())
-    line, shaper = DelayLine(dead_time), CommandShaper(build.firmware, build.robot, step)
-    observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
-    loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
-    stall, max_torque = twin.motor.stall_torque * np.array(twin.motor.spread), twin.driver.torque_limit
-    angles, limits, limited = np.zeros(4), 0, 0
-    for k in range(3000):
-        start, end = k * step, (k + 1) * step
-        if k % 10 == 0:
-            # Occasional rest, and commands at which the motors reach their limits.
-            command = rng.choice([0.0, 1.0, 8.0]) * rng.uniform(-1, 1, 2)
-            line.send(start, command)
-            oracle.send(start, command.tolist())
-        if k % 500 == 0:
-            loops.supply = oracle.supply = float(rng.uniform(0.5, 1.0))
-        speeds = observer.speed + rng.normal(0, 0.3 if max_torque is None else 2.0, 4)
-        torques = loops.torque(shaper.set_points(line.mean(start, end)), observer.speed, speeds)
-        assert torques.tolist() == oracle.torques(start, end, speeds.tolist())
-        duty = (torques / stall + speeds / twin.motor.no_load_speed) / loops.supply
-        limits += int(np.any(np.abs(duty) > 1 - 1e-9))
-        limited += max_torque is not None and np.any(np.abs(torques) == max_torque)
-        angles = angles + step * 10 * torques
-        oracle.observe(angles.tolist())
-        assert observer.update(angles).tolist() == oracle.speed
-    assert limits > 100
-    assert (limited > 50) == (max_torque is not None)
-
-
 def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
     line = DelayLine(1.0)
     for k in range(100):
@@ -155,21 +114,6 @@ def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
     for k in range(99):
         start = 1.0 + 0.01 * k
         np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
-
-
-def test_missing_compiler_error_names_the_wheel(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    monkeypatch.setattr(compiler, "_COMPILERS", ("no-such-compiler",))
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
-    for cached in (library.load_twin, compiler.find_compiler):
-        cached.cache_clear()
-    try:
-        with pytest.raises(
-            NotCompiledError, match=r"simulated robot is not compiled: no C compiler.*install gcc, or .*wheel"
-        ):
-            make_plant("mujoco")
-    finally:
-        for cached in (library.load_twin, compiler.find_compiler):
-            cached.cache_clear()
 
 
 def built_plant(build: SimulatedRobot, friction: float) -> MujocoPlant:

@@ -8,7 +8,6 @@ import pytest
 from diffdrive_mpc import make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Slope
-from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
@@ -255,21 +254,6 @@ def test_robot_across_a_slope_of_ten_degrees_stays_or_slides_by_friction(frictio
     else:
         expected = GRAVITY * (math.sin(angle) - friction * math.cos(angle))
         assert acceleration == pytest.approx(expected, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("name", "downhill"), [("slope_10_up", (-1, 0)), ("slope_10_down", (1, 0)), ("slope_10_across", (0, 1))]
-)
-def test_steep_slopes_have_ten_degrees_and_their_stated_direction(name: str, downhill: tuple[int, int]) -> None:
-    """The surface carries the normal part of the weight; a robot without motor torque moves downhill."""
-    slope = load_scenario(name).draw(0).slope
-    chassis = Chassis(ROBOT, TWIN, 0.05, STEP, slope=slope)
-    for _ in range(300):
-        chassis.step(np.zeros(4))
-    assert chassis.wheel_loads.sum() == pytest.approx(ROBOT.mass * GRAVITY * math.cos(math.radians(10.0)), rel=0.01)
-    x, y, _ = chassis.pose
-    assert x * downhill[0] + abs(y) * abs(downhill[1]) > 0.05
-    assert abs(x * downhill[1]) + abs(y * downhill[0]) < 0.02
 
 
 def test_patch_on_a_carpet_keeps_the_ratio_of_its_directions() -> None:

@@ -1,10 +1,5 @@
 """Properties of all plants: determinism, clean errors, and exact agreement of the model plant with its model."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -162,50 +157,6 @@ def test_model_plant_uses_the_limits_of_its_robot() -> None:
     for _ in range(100):
         plant.advance([2.5, 0.0])
     assert plant.true_twist[0] == pytest.approx(2.5 * load_model("sm").dc_gain[0, 0], rel=0.01)
-
-
-REPOSITORY = Path(__file__).parents[2]
-SEGMENTS = """\
-segments:  # v [m/s], omega [rad/s], duration [s]
-  - {v: 0.5, omega: 0.5, duration: 0.8}
-  - {v: 0.0, omega: -1.0, duration: 0.4}
-"""
-SCRIPT = """\
-import hashlib, sys
-import numpy as np
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.sim import make_plant, simulate
-
-reference = load_trajectory(sys.argv[1])
-for seed in (3, 4):
-    run = simulate(Controller(load_config(sys.argv[2])), make_plant("mujoco", seed=seed), reference)
-    assert run.metrics.completed and run.true_pose[-1, 0] > 0.1, run.metrics
-    for series in (run.command, run.true_pose, run.measured_pose):
-        print(seed, len(run.time), hashlib.sha256(np.ascontiguousarray(series).tobytes()).hexdigest())
-"""
-
-
-def _digests(trajectory: Path, model: str, hash_seed: str) -> list[str]:
-    """Return seed, ticks and digests of commands, true and measured poses of runs in a separate process."""
-    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(REPOSITORY / "src")}
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(trajectory), model],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
-def test_two_processes_give_equal_commands_and_drives_bit_for_bit(tmp_path: Path) -> None:
-    trajectory = tmp_path / "short.yaml"
-    trajectory.write_text(SEGMENTS)
-    first, again = (_digests(trajectory, "ssm", hash_seed) for hash_seed in ("1", "2"))
-    assert first == again
-    digests = [line.split()[2] for line in first]
-    assert len(set(digests)) == len(digests) == 6  # different seeds give different runs
 
 
 def test_body_of_the_model_plant_follows_the_slip_laws_and_the_motion_beyond_the_model() -> None:

@@ -1,10 +1,8 @@
 """The simulated robot over DDS: its topics and its process."""
 
-import signal
-
 import numpy as np
 import pytest
-from ros_driver import BOUND, Driver, own_domain, read_messages, read_true_poses
+from ros_driver import Driver, own_domain, read_messages, read_true_poses
 
 from commands import invoke
 from diffdrive_mpc import ConfigError, RobotLostError, make_plant
@@ -89,26 +87,6 @@ def test_recording_equals_the_log_of_the_drive(tmp_path, stamped, storage):
     assert np.array_equal(stamps - stamps[0], [round(1e9 * (p.time - sensed[0].time)) for p in sensed])
     assert [p.pose.pose.position.x for p in poses] == [p.value[0] for p in sensed]
     assert poses[0].pose.covariance[0] == sensed[0].covariance[0][0]
-
-
-def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
-    """The result does not depend on the discovery time of a loaded machine."""
-    plant, warnings = make_plant("model:ssm"), []
-    advance = plant.advance
-
-    def advance_until_named(command):
-        warnings.extend(line for line in capfd.readouterr().err.splitlines() if "subscribes to" in line)
-        if warnings:
-            signal.raise_signal(signal.SIGINT)
-        advance(command)
-
-    plant.advance = advance_until_named
-    with Driver(commands(), DT, stamped=False):
-        base = settings(stamped=True, answer_timeout=0.05)
-        run_robot(plant, (0.0, 0.0, 0.0), base, load_sensor_set("default"), duration=BOUND)
-    (line,) = warnings
-    assert "driver publishes Twist on /cmd_vel, but this robot subscribes to TwistStamped" in line
-    assert "--unstamped, or set the node's parameter stamped:=true" in line
 
 
 def test_robot_stops_without_commands(tmp_path):

@@ -121,22 +121,3 @@ def test_run_is_converted_to_a_dataframe(run: Run) -> None:
     np.testing.assert_array_equal(table[["v_ref_m_s", "omega_ref_rad_s"]], run.command)
     assert table["solver_path"].value_counts().to_dict() == {"none": 26, "unlimited": 25}
     assert table["t_s"].dtype == float
-
-
-def test_run_prints_as_a_table() -> None:
-    offset = np.column_stack([np.arange(4.0), np.full(4, 0.05), np.full(4, -0.01)])
-    twist = np.tile([1.0, 0.0, 0.0], (4, 1))
-    run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
-    assert str(run).splitlines() == [
-        "Run along 'line': 4 ticks of 1 s",
-        "                   rmse    mean     std   p50     p95   p99     max",
-        "position [m]     0.0500  0.0500  0.0000     -       -     -  0.0500",
-        "heading [rad]    0.0100  0.0100  0.0000     -       -     -  0.0100",
-        "course [rad]     0.0100       -       -     -       -     -       -",
-        "|lateral| [m]    0.0500  0.0500       -     -  0.0500     -  0.0500",
-        "step time [ms]        -       -       -  1.00    1.00  1.00    1.00",
-        "solve time [ms]       -       -       -     -       -     -       -",
-        "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
-    ]
-    assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])
-    assert repr(run) == "Run along 'line': 4 ticks of 1 s"

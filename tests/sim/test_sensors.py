@@ -133,7 +133,6 @@ def test_measurement_is_delivered_once() -> None:
     assert sensors.collect(0.0, (0.1, 0.2)) == Measurement(sent=(0.1, 0.2))
 
 
-TICK = load_robot().sample_time
 FIELDS = ("pose", "wheel_twist", "wheel_speeds", "yaw_rate")
 START, END = 0.5, 1.0
 
@@ -150,35 +149,6 @@ def _drive(plant: Plant, ticks: int = 75) -> list[tuple[float, Measurement, list
 
 def _value(stamped: Stamped | None) -> list[float] | None:
     return None if stamped is None else np.atleast_1d(np.asarray(stamped.value, dtype=float)).tolist()
-
-
-@pytest.mark.parametrize(
-    ("name", "rate", "age"),
-    [
-        ("poses_2hz", 2, 0.02),
-        ("poses_20hz", 20, 0.02),
-        ("poses_200ms", 1 / TICK, 0.2),
-        ("poses_50hz_200ms", 1 / TICK, 0.2),
-        ("poses_5hz_350ms", 5, 0.35),
-        ("poses_100ms_arrival", 1 / TICK, 0.0),
-    ],
-)
-def test_poor_poses_have_the_rate_and_age_of_their_name(name: str, rate: float, age: float) -> None:
-    """Stamps give the ages; the value of a pose shows its true age from the robot's position at that time."""
-    latency = load_sensor_set(name).pose.latency
-    samples = _drive(make_plant("mujoco", sensors=name), 300)[1:]
-    arrived = [(time, m.pose) for time, m, _ in samples if m.pose is not None]
-    assert len(arrived) == pytest.approx(rate * len(samples) * TICK, rel=0.03, abs=1)
-    ages = np.array([time - pose.time for time, pose in arrived])
-    assert ages.min() >= age - 1e-9
-    assert ages.max() < age + TICK + 1e-9
-    times, truth = np.array([time for time, _, _ in samples]), np.array([pose for _, _, pose in samples])
-    late = [(time, np.asarray(pose.value)) for time, pose in arrived if time > latency + 0.1]
-    # Nearest true position on the path; the mean over many poses averages out the noise.
-    then = [np.argmin(np.hypot(*(truth[:, :2] - pose[:2]).T)) for _, pose in late]
-    assert np.mean([time - times[k] for (time, _), k in zip(late, then, strict=True)]) == pytest.approx(
-        latency + TICK / 2, abs=TICK
-    )
 
 
 @pytest.mark.parametrize(("name", "noise"), [("noise_2cm", 0.02), ("noise_5cm", 0.05)])

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc import load_config, load_model, load_trajectory
+from diffdrive_mpc import load_config, load_trajectory
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant_settings
-from studies.tracking.floor import linear_loop, stationary_covariances
 from studies.tracking.known_plant import identify_plant
 
 pytestmark = pytest.mark.system
@@ -62,24 +60,3 @@ def test_prediction_of_a_model_plant_is_exact():
     assert plant_model.model.dc_gain @ [0.5, 0.4] == pytest.approx(plant.true_twist[[0, 2]], rel=1e-6)
     v, lateral, omega = plant.true_twist
     assert lateral == pytest.approx(-plant_model.side_slip * v * omega, rel=1e-9)
-
-
-def test_position_floor_is_the_scatter_of_simulated_linear_robots():
-    """Gains are computed here by recursion; 400 robots on an arc, the errors of 400 ticks after the first 400."""
-    loop = linear_loop(load_config("sm"), load_model("sm"), (0.5, 0.6), load_sensor_set("default"), (0.02, 0.05))
-    A, B, C, value, predicted = loop.A, loop.B, loop.C, loop.Q, loop.disturbance
-    for _ in range(1000):
-        gain = np.linalg.solve(loop.R + B.T @ value @ B, B.T @ value @ A + loop.N.T)
-        value = loop.Q + A.T @ value @ A - (A.T @ value @ B + loop.N) @ gain
-        correction = np.linalg.solve(C @ predicted @ C.T + loop.noise, C @ predicted).T
-        predicted = A @ (predicted - correction @ C @ predicted) @ A.T + loop.disturbance
-    random, squares = np.random.default_rng(0), []
-    state = estimate = np.zeros((400, len(A)))
-    for _ in range(800):
-        disturbance = random.multivariate_normal(np.zeros(len(A)), loop.disturbance, 400, method="eigh")
-        noise, command = random.normal(size=(400, 6)) * np.sqrt(np.diag(loop.noise)), -estimate @ gain.T
-        state, estimate = state @ A.T + command @ B.T + disturbance, estimate @ A.T + command @ B.T
-        estimate = estimate + (state @ C.T + noise - estimate @ C.T) @ correction.T
-        squares.append([np.mean(rows[:, loop.position] ** 2, axis=0) for rows in (state - estimate, state)])
-    stated = [np.diag(covariance)[loop.position] for covariance in stationary_covariances(loop)]
-    assert np.mean(squares[400:], axis=0) == pytest.approx(np.array(stated), rel=0.05)

@@ -1,52 +1,16 @@
 """The speed study: its measured times, the cost of its closed loops, its report, and runs of it."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from diffdrive_mpc import load_config, load_model
-from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from studies.speed.measure import closed_loop_cost
-from studies.speed.settings import SubjectSettings, load_speed_settings, select_subjects
-from studies.speed.study import SpeedStudy
 
 pytestmark = pytest.mark.system
-
-
-@pytest.fixture(scope="module")
-def small():
-    settings = select_subjects(load_speed_settings(quick=True), ["ours/daqp", "casadi/sqpmethod"])
-    return settings.model_copy(update={"horizons": (10,), "ticks": 30, "gap_every": 5})
-
-
-@pytest.fixture(scope="module")
-def report(small, tmp_path_factory):
-    out = tmp_path_factory.mktemp("speed")
-    broken = SubjectSettings(kind="nlpsol", settings={"plugin": "missing", "options": {}})
-    carry_out(SpeedStudy(small.model_copy(update={"subjects": {**small.subjects, "broken": broken}})), out)
-    return json.loads((out / "speed.json").read_text())
-
-
-@pytest.mark.long
-def test_all_solvers_solve_the_same_problem(report):
-    ours, peer = report["records"]
-    assert (ours["solver"], peer["solver"]) == ("ours/daqp", "casadi/sqpmethod")
-    assert ours["unsolved"] == peer["unsolved"] == 0
-    assert peer["gap_v_max"] < 1e-6
-    assert peer["gap_omega_max"] < 1e-6
-    assert ours["gap_v_p50"] < 1e-3
-    assert ours["gap_omega_p50"] < 1e-3
-    assert ours["closed_loop_cost"] == pytest.approx(peer["closed_loop_cost"], rel=0.01)
-
-
-def test_subject_that_cannot_be_built_is_named_and_the_others_run(report):
-    (missing,) = report["missing"]
-    assert missing["solver"] == "broken"
-    assert "missing" in missing["reason"]
 
 
 MODEL = load_model("ssm")
