@@ -202,7 +202,8 @@ def _with_block_variance(covariance: FloatArray, blocks: Mapping[int, FloatArray
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
     wider, certain = np.ones(len(variance)), estimator_settings().scatter.certain
     for count, block in blocks.items():
-        ratio = np.diag(block) / variance
+        # Rounding may make a variance zero.
+        ratio = np.diag(block) / np.maximum(variance, np.finfo(float).eps * np.diag(block))
         student = student_factor(count - 1)
         # Rounding may make a zero variance negative.
         is_significant = ratio > stats.chi2.ppf(certain, count - 1) / (count - 1)

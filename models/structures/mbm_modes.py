@@ -23,7 +23,7 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
 
 @dataclass(frozen=True)
-class MotorGains:
+class ModesParametrisation:
     """Rim speeds of motors that follow v and omega of a known linear system, with a gain each.
 
     Attributes
@@ -56,7 +56,7 @@ class MotorGains:
         rims = [gain * np.array([1.0, side * track / 2]) for gain, side in zip(gains, self.sides, strict=True)]
         return A, B, np.array(rims) @ C
 
-    def recentred(self, parameters: FloatArray) -> tuple[MotorGains, FloatArray]:
+    def recentred(self, parameters: FloatArray) -> tuple[ModesParametrisation, FloatArray]:
         """Return the parametrisation unchanged, as logarithms suit all values."""
         return self, parameters
 
@@ -70,7 +70,7 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     experiments = [replace(part, outputs=radius * part.outputs) for part in wheel_experiments(records)]
     sides, system = SIDES[: experiments[0].outputs.shape[1]], sm.system
     limited = np.isfinite(system.limit)
-    form = MotorGains(sides, system[:3])
+    form = ModesParametrisation(sides, system[:3])
     layout = Layout(form, 2, len(sides), limited=tuple(map(tuple, limited.tolist())))
     start = np.concatenate([np.zeros(len(form.names)), system.dead_time, system.limit[limited]])
     fit = fit_output_error([(layout, start)], experiments)

@@ -30,6 +30,8 @@ from diffdrive_mpc.models.velocity_model import ModelError
 _WORTH = 0.25
 _FLOOR = 1
 _ROUNDING = 1e-3
+# Maximum loss of a channel against a simpler model [percentage points of FIT].
+_MAX_LOSS = 0.1
 
 
 @dataclass(frozen=True)
@@ -147,9 +149,9 @@ def compare_orders(
 
 
 def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
-    """Return True if FIT (2,) [%] is below the floor on average, or in a channel by more than the minimum gain."""
+    """Return True if FIT (2,) [%] is below the floor on average, or in a channel by more than 0.1."""
     gain = fit_percent - floor
-    return bool(gain.mean() < -_ROUNDING or gain.min() < -_WORTH)
+    return bool(gain.mean() < -_ROUNDING or gain.min() < -_MAX_LOSS)
 
 
 def block_fit(fit: OutputErrorFit, experiments: Sequence[SampledExperiment]) -> FloatArray | None:

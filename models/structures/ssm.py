@@ -78,7 +78,7 @@ def choose_order(
     """Identify every order up to `largest` and select one by `compare_orders`.
 
     SM as a state space takes the place of order 4, and is selected, if it predicts held-out blocks better than the
-    selected order.
+    selected order, or training rows (see `is_behind`), and its delays are certain.
 
     Parameters
     ----------
@@ -102,20 +102,23 @@ def choose_order(
     models = _identify_orders(train, channels, largest, yaw)
     floor = validate(_decoupled(channels), train, yaw).fit_percent
     choice = compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
-    blocks = choice.rows[choice.order - 1].block_fit_percent
+    selected = choice.rows[choice.order - 1]
+    blocks = selected.block_fit_percent
     if blocks is None or largest < _DECOUPLED:
         return choice
     experiments = twist_experiments(train, yaw)
     parts = [[part.channel(row, row) for part in join_experiments(experiments)] for row in range(len(channels))]
     simpler = [block_fit(channel.fit, part) for channel, part in zip(channels, parts, strict=True)]
     score = np.concatenate([fit for fit in simpler if fit is not None]).mean()
-    if score <= blocks.mean():
+    if score <= blocks.mean() and not is_behind(selected.train_fit_percent, floor):
         return choice
     fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
-    if fit.sandwich.condition > estimator_settings().warn.condition:
+    if doubts.uncertain_delays(doubts.response_delays(fit, CHANNELS, [0, 1])):
         return choice
     models[_DECOUPLED - 1] = _build_model(fit, yaw)
-    reason = f"SM as a state space; its mean FIT on blocks held out in turn is {score:.2f} % ({blocks.mean():.2f} %)"
+    reason = (
+        f"SM as a state space, mean FIT {score:.2f} % on held-out blocks; order {choice.order} {blocks.mean():.2f} %"
+    )
     return replace(compare_orders(models, train, validation, yaw, requested=_DECOUPLED), reason=reason)
 
 

@@ -296,7 +296,7 @@ def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_othe
     records, held_out = divide(drawn_case(seed).records, 0.6)
     models = choose_order(records).identified, identify_sm(records)
     gain = np.subtract(*(validate(model.system, records).fit_percent for model in models))
-    assert gain.mean() > -1e-3 and gain.min() > -0.25
+    assert gain.mean() > -1e-3 and gain.min() > -0.1
     assert np.subtract(*(validate(model.system, held_out).fit_percent for model in models)).min() > -0.5
 
 

@@ -153,7 +153,7 @@ def test_no_structure_is_behind_the_better_baseline(log, quarter):
     for clip in (False, True):
         assert (fits > baseline_fit(train, held_out, clip) - 0.5).all(), fits
     gain = np.subtract(*(validate(model.system, train).fit_percent for model in models[::-2]))
-    assert gain.mean() > -1e-3 and gain.min() > -0.25, gain
+    assert gain.mean() > -1e-3 and gain.min() > -0.1, gain
 
 
 ENCODER_TRACK = 0.480865
