@@ -157,6 +157,28 @@ class Tick:
             now, after = after, now
         return now[0], now[1]
 
+    def addresses(self) -> dict[str, Any]:
+        """Return the addresses of `models.interface.CompiledTick`, by the names of its attributes."""
+        ffi, struct, result = self.ffi, self.input.struct, self.result
+
+        def address(pointer: Any) -> int:  # noqa: ANN401 - cffi has no types
+            return int(ffi.cast("uintptr_t", pointer))
+
+        names = ("pose", "wheels", "yaw_rate", "sent", "has_sent", "reference_time")
+        return {
+            "step": address(ffi.addressof(self.lib, "ddmpc_step")),
+            "controller": address(self.c),
+            "input": address(struct),
+            "fields": {name: address(ffi.addressof(struct[0], name)) for name in names},
+            # TRACKING and SOLVED have the code 0.
+            "unusual": [
+                *(address(ffi.addressof(result[0], name)) for name in ("mode", "reasons", "notes")),
+                address(ffi.addressof(result.solver, "status")),
+            ],
+            "method": address(ffi.addressof(result.solver, "path")),
+            "iterations": address(ffi.addressof(result.solver, "iterations")),
+        }
+
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
         """Compare the estimate with a reference pose (3,) with twist (2,); return a `ddmpc_stray`.
 
@@ -197,11 +219,11 @@ class ResultLayout:
             start, count = (addresses[name] - first) // 8, int(np.prod(shape))
             self.places[name] = (slice(start, start + count), shape)
             end = max(end, start + count)
-        self._block = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
+        self.live = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
 
     def copy(self) -> FloatArray:
         """Copy all arrays of the current result, read-only."""
-        block = self._block.copy()
+        block = self.live.copy()
         block.flags.writeable = False
         return block
 

@@ -92,7 +92,7 @@ def drive_many(
 
 def _drive(name: str, config: ControllerConfig, reference: Trajectory, plant: str, seed: int) -> dict[str, object]:
     """Drive once and return the row."""
-    run = simulate(Controller(config), make_plant(plant, seed=seed, **plant_settings(config)), reference)
+    run = simulate(Controller(config), make_plant(plant, seed=seed, **plant_settings(config)), reference, lean=True)
     place = {"config": name, "trajectory": reference.name, "seed": seed}
     return {**place, **statistics_of(run, timed=False), "ended": run.ended}
 
