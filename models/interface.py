@@ -5,7 +5,7 @@ Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn, Protocol, TypeVar, runtime_checkable
 
@@ -214,22 +214,15 @@ class TrackingController(Protocol):
 class CompiledTick:
     """Tick of a controller in C, for a simulation that runs ticks without Python.
 
-    After the step, all numbers at `unusual` are 0 if the tick was ordinary; otherwise Python has to complete the tick.
-
     Attributes
     ----------
-    step, controller, input
-        Addresses of the function `int (*)(void *controller, double time, const void *input)` and of its arguments. The
-        function returns 0 after a complete tick.
     fields
-        Addresses of the fields of the input, by name: messages with the layout of `sensor_reading` (sim/core/sensors.h),
-        numbers and flags.
+        Addresses by the names of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller and
+        input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
+        `reasons`, `notes` and `status` are 0; otherwise Python has to complete the tick. In addition the addresses of
+        two integers of the result: `method`, the code of the solver's method, and `iterations`.
     start
         Time 0 of the reference [s].
-    unusual
-        Addresses of 4 integers.
-    method, iterations
-        Addresses of two integers: the code of the solver's method, and its iterations.
     steps
         Result of an ordinary tick by the code of the method, whose arrays are views of the controller's memory.
     is_next
@@ -237,17 +230,11 @@ class CompiledTick:
     record
         Function to call with the time of the last ordinary tick [s] after ordinary ticks.
     complete
-        Function that completes a tick that is not ordinary, from its time [s] and the return value of `step`.
+        Function that completes a tick that is not ordinary, from its time [s] and the return value of the step.
     """
 
-    step: int
-    controller: int
-    input: int
     fields: Mapping[str, int]
     start: float
-    unusual: Sequence[int]
-    method: int
-    iterations: int
     steps: Mapping[int, ControlStep]
     is_next: Callable[[], bool]
     record: Callable[[float], None]

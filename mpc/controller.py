@@ -728,15 +728,11 @@ class Controller:
 
     def compiled_tick(self) -> CompiledTick:
         """Return the tick in C for a simulation, see `models.interface.CompiledTick`; call it after `start`."""
-        tick, pursuit = self._tick, self._pursuit
-        steps = {}
-        for method in (tick.lib.DDMPC_UNLIMITED, tick.lib.DDMPC_ACTIVE_SET):
-            report = SolverReport(SolverStatus.SOLVED, self._messages.method(method), 0, 0.0, 0.0, soft_limits=False)
-            live = tick.layout.live
-            estimate = Estimate(tick.layout, live, 0.0)
-            steps[method] = StepResult(
-                tick.layout.take(live, "command"), Mode.TRACKING, "", report, 1.0, 0.0, estimate, 0.0, math.nan
-            )
+        layout, lib, pursuit, steps = self._tick.layout, self._tick.lib, self._pursuit, {}
+        command, estimate = layout.take(layout.live, "command"), Estimate(layout, layout.live, 0.0)
+        for method in (lib.DDMPC_UNLIMITED, lib.DDMPC_ACTIVE_SET):
+            report = SolverReport(SolverStatus.SOLVED, self._messages.method(method), 0, 0.0, 0.0)
+            steps[method] = StepResult(command, Mode.TRACKING, "", report, 1.0, 0.0, estimate, 0.0, math.nan)
 
         def is_next() -> bool:
             self._input.request = self._input.most_iterations = self._input.is_late = 0
@@ -751,9 +747,7 @@ class Controller:
         def complete(t: float, pending: int) -> StepResult:
             return self._complete(pending, t - self._t0, time.perf_counter())
 
-        return CompiledTick(
-            **tick.addresses(), start=self._t0, steps=steps, is_next=is_next, record=record, complete=complete
-        )
+        return CompiledTick(self._tick.addresses(), self._t0, steps, is_next, record, complete)
 
     def _apply_pending(self, update: _PendingUpdate) -> None:
         self._config, self._backend, self._pending = update.config, update.backend, None

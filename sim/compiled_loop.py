@@ -31,31 +31,17 @@ class CompiledLoop:
         step = next(iter(tick.steps.values()))
         pairs = record.columns(view(plant.c.pose), view(plant.c.twist), step)
         columns = [(source.ctypes.data, table, source.nbytes) for source, table in pairs]
-        columns += [(tick.method, self._methods, 4), (tick.iterations, self._iterations, 4)]
+        for name, table in (("method", self._methods), ("iterations", self._iterations)):
+            columns.append((tick.fields[name], table, table.itemsize))
         rows = [
-            {
-                "from": ffi.cast("void *", source),
-                "to": ffi.cast("char *", table.ctypes.data),
-                "bytes": size,
-                "stride": table.strides[0],
-            }
+            (ffi.cast("void *", source), ffi.cast("char *", table.ctypes.data), size, table.strides[0])
             for source, table, size in columns
         ]
         self._columns = ffi.new("loop_column[]", rows)
-        addresses = {
-            **tick.fields,
-            "step": tick.step,
-            "controller": tick.controller,
-            "input": tick.input,
-            "command": step.command.ctypes.data,
-        }
         types = dict(ffi.typeof("closed_loop").fields)
-        pointers = {name: ffi.cast(types[name].type, address) for name, address in addresses.items()}
-        unusual = [ffi.cast("int *", address) for address in tick.unusual]
-        self._loop = ffi.new(
-            "closed_loop *",
-            {**pointers, "unusual": unusual, "start": tick.start, "columns": self._columns, "column_count": len(rows)},
-        )
+        fields = {name: ffi.cast(types[name].type, at) for name, at in tick.fields.items() if name in types}
+        fields |= {"start": tick.start, "columns": self._columns, "column_count": len(rows)}
+        self._loop = ffi.new("closed_loop *", fields)
 
     def run(self, k: int) -> tuple[int, ControlStep | None]:
         """Run ticks from tick `k` on; return the number of the next tick, and its step if the step has been made."""

@@ -114,7 +114,7 @@ def _compiled_loop(
     from diffdrive_mpc.sim.compiled_loop import CompiledLoop  # noqa: PLC0415 - only lean runs need it
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
-    if isinstance(controller, CompiledController) and isinstance(plant, ModelPlant) and plant.is_linear:
+    if isinstance(controller, CompiledController) and isinstance(plant, ModelPlant) and plant.c.order:
         return CompiledLoop(controller, plant, record, ticks)
     return None
 

@@ -157,27 +157,18 @@ class Tick:
             now, after = after, now
         return now[0], now[1]
 
-    def addresses(self) -> dict[str, Any]:
-        """Return the addresses of `models.interface.CompiledTick`, by the names of its attributes."""
+    def addresses(self) -> dict[str, int]:
+        """Return addresses of the step, its input and its result, by the names in `models.interface.CompiledTick`."""
         ffi, struct, result = self.ffi, self.input.struct, self.result
-
-        def address(pointer: Any) -> int:  # noqa: ANN401 - cffi has no types
-            return int(ffi.cast("uintptr_t", pointer))
-
+        pointers = {"step": ffi.addressof(self.lib, "ddmpc_step"), "controller": self.c, "input": struct}
         names = ("pose", "wheels", "yaw_rate", "sent", "has_sent", "reference_time")
-        return {
-            "step": address(ffi.addressof(self.lib, "ddmpc_step")),
-            "controller": address(self.c),
-            "input": address(struct),
-            "fields": {name: address(ffi.addressof(struct[0], name)) for name in names},
-            # TRACKING and SOLVED have the code 0.
-            "unusual": [
-                *(address(ffi.addressof(result[0], name)) for name in ("mode", "reasons", "notes")),
-                address(ffi.addressof(result.solver, "status")),
-            ],
-            "method": address(ffi.addressof(result.solver, "path")),
-            "iterations": address(ffi.addressof(result.solver, "iterations")),
-        }
+        pointers |= {name: ffi.addressof(struct[0], name) for name in names}
+        # The mode TRACKING and the status SOLVED have the code 0.
+        pointers |= {name: ffi.addressof(result[0], name) for name in ("mode", "reasons", "notes")}
+        report = {"status": "status", "method": "path", "iterations": "iterations"}
+        pointers |= {name: ffi.addressof(result.solver, field) for name, field in report.items()}
+        pointers["command"] = result.command
+        return {name: int(ffi.cast("uintptr_t", pointer)) for name, pointer in pointers.items()}
 
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
         """Compare the estimate with a reference pose (3,) with twist (2,); return a `ddmpc_stray`.

@@ -27,14 +27,6 @@ void plant_sample(velocity_plant *p, sensor_unit *s, const double *command)
     sensors_see_motion(s, now, speeds, p->yaw_rate);
 }
 
-static int is_ordinary(const closed_loop *loop)
-{
-    int unusual = loop->pending, i;
-    for (i = 0; i < 4; i++)
-        unusual |= *loop->unusual[i];
-    return !unusual;
-}
-
 int closed_loop_run(closed_loop *loop, velocity_plant *p, sensor_unit *s, int row, int ticks)
 {
     int tick, i;
@@ -53,7 +45,7 @@ int closed_loop_run(closed_loop *loop, velocity_plant *p, sensor_unit *s, int ro
             const loop_column *column = loop->columns + i;
             memcpy(column->to + row * column->stride, column->from, (size_t)column->bytes);
         }
-        if (!is_ordinary(loop))
+        if (loop->pending || *loop->mode || *loop->reasons || *loop->notes || *loop->status)
             break;
         plant_sample(p, s, loop->command);
     }

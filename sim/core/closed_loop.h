@@ -21,9 +21,9 @@ typedef struct {
     sensor_reading *pose, *wheels, *yaw_rate;
     double start, *reference_time, *sent;
     int *has_sent;
-    /* Its result. A tick is ordinary if all `unusual` numbers are 0. */
+    /* Its result. A tick is ordinary if the four numbers are 0. */
     const double *command;
-    const int *unusual[4];
+    const int *mode, *reasons, *notes, *status;
     int pending; /* return value of the last step */
     const loop_column *columns;
     int column_count;

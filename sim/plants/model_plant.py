@@ -91,11 +91,6 @@ class ModelPlant:
         return float(self.c.tick * self._robot.sample_time)
 
     @property
-    def is_linear(self) -> bool:
-        """True if the plant advances in C alone."""
-        return self._function is None
-
-    @property
     def true_pose(self) -> FloatArray:
         """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels."""
         return self._pose.copy()
