@@ -738,7 +738,7 @@ class Controller:
             self._input.request = self._input.most_iterations = self._input.is_late = 0
             self._input.deadline, self._input.on_time = 0.0, 1
             is_plain = not self._features and self._pending is None and type(self).step is Controller.step
-            return is_plain and pursuit.on_time and not pursuit.is_late
+            return is_plain and pursuit.on_time
 
         def record(t: float) -> None:
             self._messages.cause = ""

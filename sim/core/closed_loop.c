@@ -41,12 +41,12 @@ int closed_loop_run(closed_loop *loop, velocity_plant *p, sensor_unit *s, int ro
         memcpy(loop->sent, p->sent, sizeof p->sent);
         *loop->reference_time = time - loop->start;
         loop->pending = loop->step(loop->controller, time, loop->input);
+        if (loop->pending || *loop->mode || *loop->reasons || *loop->notes || *loop->status)
+            break;
         for (i = 0; i < loop->column_count; i++) {
             const loop_column *column = loop->columns + i;
             memcpy(column->to + row * column->stride, column->from, (size_t)column->bytes);
         }
-        if (loop->pending || *loop->mode || *loop->reasons || *loop->notes || *loop->status)
-            break;
         plant_sample(p, s, loop->command);
     }
     return tick;

@@ -272,3 +272,9 @@ def test_signs_of_the_shifted_plan_cost_little_compared_with_all_sign_patterns(s
     print(f"{lost.sum() / best.sum():.2e} of the cost lost, at {(lost > 1e-6).sum()} of {len(lost)} ticks")  # noqa: T201
     assert lost.sum() < 1e-3 * best.sum()
     assert 0.0 < (lost > 1e-6).mean() < 0.1
+
+
+def test_state_late_ends_once_the_robot_is_on_time() -> None:
+    run = simulate(Controller("ssm"), make_plant("model:ssm+0.25", seed=3), load_trajectory("circle"))
+    late = [k for k, state in enumerate(run.states) if state == "LATE"]
+    assert late and late[-1] < 100
