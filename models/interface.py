@@ -217,8 +217,8 @@ class CompiledTick:
     Attributes
     ----------
     fields
-        Addresses by the names of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller and
-        input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
+        Addresses by the names of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller
+        and input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
         `reasons`, `notes` and `status` are 0; otherwise Python has to complete the tick. In addition the addresses of
         two integers of the result: `method`, the code of the solver's method, and `iterations`.
     start

@@ -710,9 +710,7 @@ class Controller:
         elif tick_input.on_time:
             c = self._c_result
             if not c.reasons & self._messages.not_a_new_tick:
-                self._record_on_time(
-                    since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
-                )
+                self._record_on_time(since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
         elif is_advanced:
             self._blocked_for = 0.0
         is_refused, solve_time = False, self._c_result.solve_time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import CompiledController, ControlStep
+from diffdrive_mpc.models.interface import AnyArray, CompiledController, ControlStep
 from diffdrive_mpc.sim.core.library import load_twin, view
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.recorder import Recorder
@@ -30,16 +30,18 @@ class CompiledLoop:
         self._methods, self._iterations = np.zeros((2, ticks), dtype=np.intc)
         step = next(iter(tick.steps.values()))
         pairs = record.columns(view(plant.c.pose), view(plant.c.twist), step)
-        columns = [(source.ctypes.data, table, source.nbytes) for source, table in pairs]
-        for name, table in (("method", self._methods), ("iterations", self._iterations)):
-            columns.append((tick.fields[name], table, table.itemsize))
+        columns: list[tuple[int, AnyArray, int]] = [
+            (source.ctypes.data, table, source.nbytes) for source, table in pairs
+        ]
+        for name, counts in (("method", self._methods), ("iterations", self._iterations)):
+            columns.append((tick.fields[name], counts, counts.itemsize))
         rows = [
             (ffi.cast("void *", source), ffi.cast("char *", table.ctypes.data), size, table.strides[0])
             for source, table, size in columns
         ]
         self._columns = ffi.new("loop_column[]", rows)
         types = dict(ffi.typeof("closed_loop").fields)
-        fields = {name: ffi.cast(types[name].type, at) for name, at in tick.fields.items() if name in types}
+        fields = {name: ffi.cast(types[name].type, address) for name, address in tick.fields.items() if name in types}
         fields |= {"start": tick.start, "columns": self._columns, "column_count": len(rows)}
         self._loop = ffi.new("closed_loop *", fields)
 

@@ -107,9 +107,7 @@ def simulate(
     return record.run(plant, reference, ended=ended)
 
 
-def _compiled_loop(
-    controller: TrackingController, plant: Plant, record: Recorder, ticks: int
-) -> CompiledLoop | None:
+def _compiled_loop(controller: TrackingController, plant: Plant, record: Recorder, ticks: int) -> CompiledLoop | None:
     """Return the loop in C; None if controller or plant have no tick in C."""
     from diffdrive_mpc.sim.compiled_loop import CompiledLoop  # noqa: PLC0415 - only lean runs need it
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415

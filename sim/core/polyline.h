@@ -4,8 +4,8 @@
 
 typedef struct {
     int segments;
-    const double *start, *direction, *length;  /* [segments][2], [segments][2], [segments] */
-    const double *arc_start, *arc_end;         /* [segments] arc lengths at both ends of each segment */
+    const double *start, *direction, *length; /* [segments][2], [segments][2], [segments] */
+    const double *arc_start, *arc_end;        /* [segments] arc lengths at both ends of each segment */
 } polyline;
 
 /* Compute the signed distances [count] of `points` [count][2]. `first` and `last` [count] are the range of segments by

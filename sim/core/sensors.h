@@ -27,10 +27,10 @@ typedef struct {
     int wheels[4];                                   /* wheel that each encoder measures */
     sensor_noise pose_noise, wheel_noise, yaw_rate_noise, losses;
     long long next_pose;
-    double due;                   /* time of the pose that sensors_pose_due has found */
-    double *pending;              /* [capacity][5] arrival, stamp and value of poses that are not delivered yet */
-    int first, poses, capacity;   /* a full buffer drops its oldest pose, which newer delivered poses replace */
-    double wheel_speeds[4];       /* newest reading */
+    double due;                 /* time of the pose that sensors_pose_due has found */
+    double *pending;            /* [capacity][5] arrival, stamp and value of poses that are not delivered yet */
+    int first, poses, capacity; /* a full buffer drops its oldest pose, which newer delivered poses replace */
+    double wheel_speeds[4];     /* newest reading */
     sensor_reading pose, twist, yaw_rate;
 } sensor_unit;
 

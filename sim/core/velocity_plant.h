@@ -22,7 +22,7 @@ typedef struct {
     /* Unexplained motion: `rows` [count][3] repeat; there is no such motion if count is 0. */
     const double *rows;
     int count;
-    double variance[18], largest[6]; /* [3][6] */
+    double variance[18], largest[6];  /* [3][6] */
     double limits[2], wheel_yaw_gain; /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
     /* State and results. */
     long long tick;

@@ -54,7 +54,8 @@ class Sensors:
         self.c = c = ffi.new("sensor_unit *")
         """Parameters and state in C, see `sim/core/sensors.h`."""
         c.sample_time, c.period = sample_time, pose.period or sample_time
-        c.latency, c.loss, c.turned, c.stamped_on_arrival = pose.latency, pose.loss, pose.turned, pose.stamped_on_arrival
+        c.latency, c.loss, c.turned = pose.latency, pose.loss, pose.turned
+        c.stamped_on_arrival = pose.stamped_on_arrival
         c.pose_signs = [1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign]
         c.gyro_scale, c.gyro_noise, c.largest = gyro.scale, gyro.noise_sd, gyro.largest
         # The order is front left, front right, rear left, rear right.

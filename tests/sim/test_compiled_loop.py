@@ -41,13 +41,13 @@ def drives(config, trajectory, plant, **arguments):
 
 def differing(run: Run, lean: Run) -> list[str]:
     """Return the names of the fields that differ in any bit."""
-    names = [field.name for field in fields(Run) if field.name not in OMITTED]
-    pairs = {name: (getattr(run, name), getattr(lean, name)) for name in names}
-    return [
-        name
-        for name, (one, two) in pairs.items()
-        if not (np.array_equal(one, two, equal_nan=True) if isinstance(one, np.ndarray) else one == two)
-    ]
+
+    def is_equal(name: str) -> bool:
+        value, expected = getattr(lean, name), getattr(run, name)
+        is_array = isinstance(value, np.ndarray)
+        return np.array_equal(value, expected, equal_nan=True) if is_array else value == expected
+
+    return [field.name for field in fields(Run) if field.name not in OMITTED and not is_equal(field.name)]
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_ordinary_ticks_in_c_equal_those_in_python(config, trajectory, plant, ar
         ("ssm", "circle", "model:ssm+0.25", {}, "wheels turn"),
         (("ssm", {"sample_time": 0.05}), "s", "model:ssm", {"sensors": "half_lost"}, "no pose has arrived yet"),
         (("ssm", {"reentry.band": 0.02}), "s", "model:ssm+0.06", {"surface": "ice"}, "rejoining"),
-        (("ssm", {"reentry.enabled": False, "failure.max_position_error": 0.02}), "s", "model:sm+0.2", {}, "the limit is"),
+        (("ssm", {"reentry.enabled": False, "failure.max_position_error": 0.02}), "s", "model:sm+0.2", {}, "limit is"),
         ("sm", "cane", "model:two_delays", {"sensors": "RARE"}, "poses are about"),
     ],
 )
