@@ -32,9 +32,9 @@ FOLDERS = {
 ROS_FOLDERS = {ROOT / "mpc/ros", ROOT / "sim/ros"} | {FOLDERS[name] / "ros" for name in PACKAGES}
 MUJOCO_FOLDERS = {ROOT / "sim", FOLDERS["diffdrive_mpc_extras"] / "worlds"}
 SIMULATION = {
-    "sensing": set(),
+    "sensing": {"core"},
     "disturbances": set(),
-    "metrics": set(),
+    "metrics": {"core"},
     "core": set(),
     "plants": {"core", "sensing", "disturbances"},
     "ros": {"sensing", "plants"},
