@@ -37,6 +37,7 @@ def simulate(
     *,
     extra_time: float = 0.0,
     keep_plans: bool = False,
+    lean: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Drive `plant` along `reference` from rest, for example `simulate("ssm", "mujoco", "circle")`.
@@ -52,10 +53,10 @@ def simulate(
     reference
         Timed trajectory, or an argument of `load_trajectory`, such as "circle", which is loaded with the limits of
         the controller's configuration.
-    extra_time, keep_plans, on_tick
+    extra_time, keep_plans, lean, on_tick
         Arguments of `sim.loop.simulate`: duration of the run after the end of the trajectory [s], whether the run
-        stores the plans, and a function that is called after each tick with the number of completed ticks and the
-        total number.
+        stores the plans, whether it omits measurements and computation times and runs in C if possible, and a function
+        that is called after each tick with the number of completed ticks and the total number.
 
     Returns
     -------
@@ -91,6 +92,7 @@ def simulate(
         reference,
         extra_time=extra_time,
         keep_plans=keep_plans,
+        lean=lean,
         on_tick=on_tick,
     )
 

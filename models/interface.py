@@ -5,6 +5,7 @@ Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn, Protocol, TypeVar, runtime_checkable
 
@@ -206,6 +207,46 @@ class TrackingController(Protocol):
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:
         """Compute the command for the tick at time `t` [s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class CompiledTick:
+    """Tick of a controller in C, for a simulation that runs ticks without Python.
+
+    Attributes
+    ----------
+    fields
+        Addresses by the names of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller
+        and input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
+        `reasons`, `notes` and `status` are 0; otherwise Python has to complete the tick. In addition the addresses of
+        two integers of the result: `method`, the code of the solver's method, and `iterations`.
+    start
+        Time 0 of the reference [s].
+    steps
+        Result of an ordinary tick by the code of the method, whose arrays are views of the controller's memory.
+    is_next
+        Function that prepares the input and returns True if the next tick may be made in C.
+    record
+        Function to call with the time of the last ordinary tick [s] after ordinary ticks.
+    complete
+        Function that completes a tick that is not ordinary, from its time [s] and the return value of the step.
+    """
+
+    fields: Mapping[str, int]
+    start: float
+    steps: Mapping[int, ControlStep]
+    is_next: Callable[[], bool]
+    record: Callable[[float], None]
+    complete: Callable[[float, int], ControlStep]
+
+
+@runtime_checkable
+class CompiledController(Protocol):
+    """Controller with a tick in C."""
+
+    def compiled_tick(self) -> CompiledTick:
+        """Return the tick for the current drive, which is valid until the next call of `start`."""
         ...
 
 

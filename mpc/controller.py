@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import checked_call, checked_number, wrong_type
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.interface import CompiledTick, FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.plug_ins import missing_part, plug_in_names
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -45,7 +45,7 @@ from diffdrive_mpc.mpc.solver.backend import Backend, Program, load_backend, sol
 from diffdrive_mpc.mpc.solver.costliest_limit import costliest_limit
 from diffdrive_mpc.mpc.solver.quadratic_program import QuadraticProgram, quadratic_program
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.feasibility import Shortfall, find_shortfall
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
@@ -697,34 +697,72 @@ class Controller:
         tick_input.reference_time = pursuit.advance(since_start) if is_advanced else since_start
         tick_input.on_time = on_time
         pending = self._step(self._c, t, tick_input)
-        message = ""
+        # In a replay, 0 iterations stand for a backend that was stopped without a solution: its deadline has passed.
+        result = self._complete(
+            pending, since_start, start, hold, 0.0 if most_iterations == 0 else deadline, is_advanced=is_advanced
+        )
+        for feature in self._features.values():
+            result = feature.after_step(t, measurement, result)
+        # The time of the features is part of the step.
+        return replace(result, step_time=time.perf_counter() - start) if self._features else result
+
+    def _complete(
+        self,
+        pending: int,
+        since_start: float,
+        start: float,
+        hold: Hold | None = None,
+        deadline: float | None = None,
+        *,
+        is_advanced: bool = False,
+    ) -> StepResult:
+        """Complete the tick of the last step in C; `pending` is its return value, `start` the time of the call."""
+        pursuit, tick_input, message = self._pursuit, self._input, ""
         if pending == _NEEDS_TARGET:
             # The robot was on time until now, so its clock has not been advanced yet.
             if not is_advanced:
                 tick_input.reference_time = pursuit.advance(since_start)
             pending, message = self._choose_target(since_start, tick_input.reference_time)
-        elif on_time:
+        elif tick_input.on_time:
             c = self._c_result
             if not c.reasons & self._messages.not_a_new_tick:
-                self._blocked_for = 0.0
-                pursuit.record_on_time(
-                    since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
-                )
+                self._record_on_time(since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
         # The core has braked or finished without a target: without a motion command the robot is not blocked.
         elif is_advanced:
             self._blocked_for = 0.0
         is_refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
             backend_start = time.perf_counter()
-            # In a replay, 0 iterations stand for a backend that was stopped without a solution: its deadline has
-            # passed.
-            is_refused = self._solve_with_backend(0.0 if most_iterations == 0 else deadline)
+            is_refused = self._solve_with_backend(deadline)
             solve_time += time.perf_counter() - backend_start
-        result = self._build(hold, message, (start, solve_time), is_refused=is_refused)
-        for feature in self._features.values():
-            result = feature.after_step(t, measurement, result)
-        # The time of the features is part of the step.
-        return replace(result, step_time=time.perf_counter() - start) if self._features else result
+        return self._build(hold, message, (start, solve_time), is_refused=is_refused)
+
+    def _record_on_time(self, since_start: float, *, tracked: bool) -> None:
+        self._blocked_for = 0.0
+        self._pursuit.record_on_time(since_start, tracked=tracked)
+
+    def compiled_tick(self) -> CompiledTick:
+        """Return the tick in C for a simulation, see `models.interface.CompiledTick`; call it after `start`."""
+        layout, lib, pursuit, steps = self._tick.layout, self._tick.lib, self._pursuit, {}
+        command, estimate = layout.take(layout.live, "command"), Estimate(layout, layout.live, 0.0)
+        for method in (lib.DDMPC_UNLIMITED, lib.DDMPC_ACTIVE_SET):
+            report = SolverReport(SolverStatus.SOLVED, self._messages.method(method), 0, 0.0, 0.0)
+            steps[method] = StepResult(command, Mode.TRACKING, "", report, 1.0, 0.0, estimate, 0.0, math.nan)
+
+        def is_next() -> bool:
+            self._input.request = self._input.most_iterations = self._input.is_late = 0
+            self._input.deadline, self._input.on_time = 0.0, 1
+            is_plain = not self._features and self._pending is None and type(self).step is Controller.step
+            return is_plain and pursuit.on_time
+
+        def record(t: float) -> None:
+            self._messages.cause = ""
+            self._record_on_time(t - self._t0, tracked=True)
+
+        def complete(t: float, pending: int) -> StepResult:
+            return self._complete(pending, t - self._t0, time.perf_counter())
+
+        return CompiledTick(self._tick.addresses(), self._t0, steps, is_next, record, complete)
 
     def _apply_pending(self, update: _PendingUpdate) -> None:
         self._config, self._backend, self._pending = update.config, update.backend, None

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from diffdrive_mpc.models.errors import checked_number
-from diffdrive_mpc.models.interface import FloatArray, Reference, TrackingController
+from diffdrive_mpc.models.interface import (
+    CompiledController,
+    FloatArray,
+    Reference,
+    TrackingController,
+)
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Surrounded
 from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.sim.compiled_loop import CompiledLoop
 
 _SAME_PERIOD = 1e-3
 """Relative difference below which two sample times count as equal [-]."""
@@ -26,6 +35,7 @@ def simulate(
     *,
     extra_time: float = 0.0,
     keep_plans: bool = False,
+    lean: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Drive `plant` along `reference` from rest at its start pose, plus the start offset of the plant's scenario.
@@ -42,6 +52,9 @@ def simulate(
         Additional time after the end of the reference [s].
     keep_plans
         True to store the plan of the controller at each tick.
+    lean
+        True to store neither measurements nor computation times. The ticks of a velocity model as plant then run in C,
+        without Python, unless a feature, `keep_plans` or `on_tick` needs Python. Other results are equal bit for bit.
     on_tick
         Function that is called after each tick with the number of finished ticks and the total number.
 
@@ -64,16 +77,22 @@ def simulate(
     end, goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
     end_time = max(reference.duration + extra_time, surrounded.time_limit if surrounded else 0.0)
     ticks = int(np.ceil((end_time - TIME_TOLERANCE) / plant.sample_time)) + 1
-    record = Recorder(ticks, keep_plans=keep_plans)
-    ended = ""
-    for k in range(ticks):
-        measurement = plant.measure()
+    record = Recorder(ticks, keep_plans=keep_plans, lean=lean)
+    is_plain = lean and not keep_plans and on_tick is None
+    loop = _compiled_loop(controller, plant, record, ticks) if is_plain else None
+    k, ended = 0, ""
+    while k < ticks:
+        k, step = (k, None) if loop is None else loop.run(k)
+        if k == ticks:
+            break
+        measurement = plant.measure() if step is None else None
         record.record_state(plant, measurement)
         is_over = False
         if surrounded is not None:
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
-        step = controller.step(plant.time, measurement)
+        step = controller.step(plant.time, measurement) if measurement is not None else step
+        assert step is not None
         command = _check_command(step.command, plant.time)
         record.record_step(step, command)
         try:
@@ -83,9 +102,20 @@ def simulate(
         record.record_work(plant, lost=bool(ended))
         if on_tick is not None:
             on_tick(k + 1, ticks)
+        k += 1
         if ended or is_over:
             break
     return record.run(plant, reference, ended=ended)
+
+
+def _compiled_loop(controller: TrackingController, plant: Plant, record: Recorder, ticks: int) -> CompiledLoop | None:
+    """Return the loop in C; None if controller or plant have no tick in C."""
+    from diffdrive_mpc.sim.compiled_loop import CompiledLoop  # noqa: PLC0415 - only lean runs need it
+    from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
+
+    if isinstance(controller, CompiledController) and isinstance(plant, ModelPlant) and plant.c.order:
+        return CompiledLoop(controller, plant, record, ticks)
+    return None
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:

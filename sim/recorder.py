@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import (
+    AnyArray,
     ControlStep,
     FloatArray,
     Measurement,
@@ -30,13 +31,15 @@ class Recorder:
         Maximum number of ticks.
     keep_plans
         True to store the plan of the controller at each tick.
+    lean
+        True to store neither measurements nor computation times.
     """
 
-    def __init__(self, ticks: int, *, keep_plans: bool) -> None:
-        self._keep_plans = keep_plans
+    def __init__(self, ticks: int, *, keep_plans: bool, lean: bool = False) -> None:
+        self._keep_plans, self._lean = keep_plans, lean
         self._time = np.empty(ticks)
         self._true_pose, self._true_twist = np.empty((ticks, 3)), np.empty((ticks, 3))
-        self._command, self._step_time = np.empty((ticks, 2)), np.empty(ticks)
+        self._command, self._step_time = np.empty((ticks, 2)), np.full(ticks, np.nan)
         self._solve_time, self._iterations = np.full(ticks, np.nan), np.full(ticks, np.nan)
         self._estimates, self._deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
         self._reports: list[_StepReport] = []
@@ -45,19 +48,21 @@ class Recorder:
         self._work: list[MotorWork] = []
         self._readings: dict[str, list[FloatArray]] = {}
 
-    def record_state(self, plant: Plant, measurement: Measurement) -> None:
+    def record_state(self, plant: Plant, measurement: Measurement | None) -> None:
         """Record the true state and the measurement at the start of a tick."""
         k = len(self._reports)
         self._time[k], self._true_pose[k], self._true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         for name, part in getattr(plant, "parts", {}).items():
             self._readings.setdefault(name, []).append(part.value)
-        self._measurements.append(measurement)
+        if measurement is not None and not self._lean:
+            self._measurements.append(measurement)
 
     def record_step(self, step: ControlStep, command: FloatArray) -> None:
         """Record the step of the controller and its `command` (2,)."""
         k = len(self._reports)
         self._command[k] = command
-        self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
+        if not self._lean:
+            self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
         if step.solver is not None:
             self._iterations[k] = step.solver.iterations
         # A check for the protocol `EstimatingStep` would take longer than the step.
@@ -68,6 +73,30 @@ class Recorder:
         self._reports.append(_StepReport.of_step(step))
         if self._keep_plans:
             self._plans.append(step.plan)
+
+    def columns(self, pose: FloatArray, twist: FloatArray, step: ControlStep) -> list[tuple[FloatArray, FloatArray]]:
+        """Pair the arrays of a tick with the tables whose row k receives their values at tick k.
+
+        `pose` (3,) and `twist` (3,) are the true state of the plant; the arrays of `step` change with each tick.
+        """
+        estimate: MotionEstimate = step.estimate  # type: ignore[attr-defined]
+        return [
+            (pose, self._true_pose),
+            (twist, self._true_twist),
+            (step.command, self._command),
+            (estimate.pose, self._estimates[:, :3]),
+            (estimate.twist, self._estimates[:, 3:]),
+            (estimate.pose_deviation, self._deviations[:, :3]),
+            (estimate.twist_deviation, self._deviations[:, 3:]),
+        ]
+
+    def record_ticks(self, times: FloatArray, steps: Sequence[ControlStep], iterations: AnyArray) -> None:
+        """Record the rest of ticks whose rows of `columns` are filled, of a plant without motors."""
+        rows = slice(len(self._reports), len(self._reports) + len(times))
+        self._time[rows], self._iterations[rows] = times, iterations
+        reports = {id(step): _StepReport.of_step(step) for step in dict.fromkeys(steps)}
+        self._reports += [reports[id(step)] for step in steps]
+        self._work += [NOTHING] * len(times)
 
     def record_work(self, plant: Plant, *, lost: bool) -> None:
         """Record the motor work of the sample; `NOTHING` if the robot was `lost` during the sample."""

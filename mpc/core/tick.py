@@ -159,6 +159,19 @@ class Tick:
             now, after = after, now
         return now[0], now[1]
 
+    def addresses(self) -> dict[str, int]:
+        """Return addresses of the step, its input and its result, by the names in `models.interface.CompiledTick`."""
+        ffi, struct, result = self.ffi, self.input.struct, self.result
+        pointers = {"step": ffi.addressof(self.lib, "ddmpc_step"), "controller": self.c, "input": struct}
+        names = ("pose", "wheels", "yaw_rate", "sent", "has_sent", "reference_time")
+        pointers |= {name: ffi.addressof(struct[0], name) for name in names}
+        # The mode TRACKING and the status SOLVED have the code 0.
+        pointers |= {name: ffi.addressof(result[0], name) for name in ("mode", "reasons", "notes")}
+        report = {"status": "status", "method": "path", "iterations": "iterations"}
+        pointers |= {name: ffi.addressof(result.solver, field) for name, field in report.items()}
+        pointers["command"] = result.command
+        return {name: int(ffi.cast("uintptr_t", pointer)) for name, pointer in pointers.items()}
+
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
         """Compare the estimate with a reference pose (3,) with twist (2,); return a `ddmpc_stray`.
 
@@ -200,11 +213,11 @@ class ResultLayout:
             start, count = (addresses[name] - first) // 8, int(np.prod(shape))
             self.places[name] = (slice(start, start + count), shape)
             end = max(end, start + count)
-        self._block = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
+        self.live = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
 
     def copy(self) -> FloatArray:
         """Copy all arrays of the current result, read-only."""
-        block = self._block.copy()
+        block = self.live.copy()
         block.flags.writeable = False
         return block
 

@@ -139,6 +139,8 @@ class Pursuit:
             self._clock.record_on_time(since_start)
             self._time, self._resumes = since_start, False
             self._blocked.restart()
+            if tracked:
+                self.is_late, self.limit = False, ""
         self._driving = tracked
 
     @property

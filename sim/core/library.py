@@ -19,7 +19,7 @@ CORE = Path(__file__).parent
 
 # Contraction is disabled, and code is not tuned to the processor, so that results are bitwise equal on all machines.
 _FLAGS = ("-ffp-contract=off",)
-_NAMES = ("twin", "velocity_plant")
+_NAMES = ("twin", "velocity_plant", "sensors", "closed_loop", "polyline")
 _STEP = "void mj_step(const void *model, void *data);"
 
 

@@ -129,7 +129,7 @@ void velocity_plant_reset(velocity_plant *p)
     memset(p->commands, 0, 2 * (size_t)(p->memory + 1) * sizeof *p->commands);
     memset(p->reached, 0, sizeof p->reached);
     memset(p->rate, 0, sizeof p->rate);
-    p->tick = 0;
+    p->tick = p->has_sent = 0;
     p->strain = 0.0;
     memcpy(p->wheels, p->next, sizeof p->wheels);
     compute_body(p);

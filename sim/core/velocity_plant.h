@@ -22,9 +22,12 @@ typedef struct {
     /* Unexplained motion: `rows` [count][3] repeat; there is no such motion if count is 0. */
     const double *rows;
     int count;
-    double variance[18], largest[6]; /* [3][6] */
+    double variance[18], largest[6];  /* [3][6] */
+    double limits[2], wheel_yaw_gain; /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
     /* State and results. */
     long long tick;
+    double sent[2]; /* last command */
+    int has_sent;
     double reached[2], strain, rate[2];
     double wheels[2], body[2], pose[3], twist[3]; /* v, omega at the end of the sample; true pose and twist */
     double yaw_rate;                              /* at the end of the sample, including unexplained motion */

@@ -5,16 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-
-# Maximum number of distances that are computed at once, so that the data fit into the processor's cache.
-_BATCH_SIZE = 20_000
-_TIE_TOLERANCE, _CANDIDATE_TOLERANCE = 1e-12, 1e-9  # [m]
-# Maximum number of rounds of vectorised searches; one or two are sufficient for a robot near its path.
-_MAX_ROUNDS = 4
+from diffdrive_mpc.sim.core.library import address, load_twin
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,83 +57,21 @@ class Polyline:
         points, arc_length = np.asarray(points, dtype=float), np.asarray(arc_length, dtype=float)
         lateral = np.full(len(points), np.nan)
         finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-        points, arc_length = points[finite], arc_length[finite]
+        points, arc_length = np.ascontiguousarray(points[finite]), arc_length[finite]
         first = np.searchsorted(self.arc_end, arc_length - window)
         last = np.searchsorted(self.arc_start, arc_length + window, side="right")
         # On the inside of a bend the projection moves faster than the point; the range after a jump is limited.
-        moved = np.diff(points, axis=0)
-        reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
-        start, end = first.copy(), last.copy()
-        nearest, pieces = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
-
-        def search(rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-            """Return the ranges of segments to search, from the nearest segments of the previous points."""
-            before, margin = pieces[rows - 1], reach[rows - 1]
-            starts = np.minimum(first[rows], np.searchsorted(self.arc_end, self.arc_start[before] - margin))
-            ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + margin, side="right"))
-            return starts, ends
-
-        # Search for all points at once, and repeat the search for points whose range changes with the results. After
-        # the maximum number of rounds, for instance for a robot far from its path, search point by point.
-        later = np.arange(1, len(points))
-        rows = np.arange(len(points))
-        for _ in range(_MAX_ROUNDS):
-            if not rows.size:
-                break
-            nearest[rows], pieces[rows] = self._nearest(points[rows], start[rows], end[rows])
-            starts, ends = search(later)
-            rows = later[(starts != start[1:]) | (ends != end[1:])]
-            start[1:], end[1:] = starts, ends
-        for row in range(rows[0] if rows.size else len(points), len(points)):
-            rows = np.array([row])
-            nearest[rows], pieces[rows] = self._nearest(points[rows], *search(rows))
-        lateral[finite] = nearest
+        moved = np.diff(points, axis=0, prepend=points[:1])
+        margin = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
+        ffi, library = load_twin()
+        arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in self.__slots__}
+        line = ffi.new("polyline *", {name: address(array) for name, array in arrays.items()})
+        line.segments = len(self.length)
+        ranges = [ffi.from_buffer("long long[]", ends.astype(np.longlong)) for ends in (first, last)]
+        distance = np.empty(len(points))
+        library.polyline_lateral(line, len(points), address(points), *ranges, address(margin), address(distance))
+        lateral[finite] = distance
         return lateral
-
-    def _nearest(
-        self, points: FloatArray, start: NDArray[np.intp], end: NDArray[np.intp]
-    ) -> tuple[FloatArray, NDArray[np.intp]]:
-        """Compute signed distances (n,) [m] of `points` (n, 2) from segments `start` to `end`, and nearest segments.
-
-        If several segments are equally near, the first is returned.
-        """
-        distance, segment = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
-        batch = max(1, _BATCH_SIZE // max(1, int(np.max(end - start))))
-        for first in range(0, len(points), batch):
-            part = slice(first, first + batch)
-            distance[part], segment[part] = self._nearest_in_batch(points[part], start[part], end[part])
-        return distance, segment
-
-    def _nearest_in_batch(
-        self, points: FloatArray, start: NDArray[np.intp], end: NDArray[np.intp]
-    ) -> tuple[FloatArray, NDArray[np.intp]]:
-        width = int(np.max(end - start))
-        offset = np.minimum(start, len(self.length) - width)
-        index = offset[:, None] + np.arange(width)
-
-        def windows(values: FloatArray) -> FloatArray:
-            """Return windows (n, width) of the values of the segments, starting at `offset`."""
-            return sliding_window_view(values, width)[offset]
-
-        # No segment is nearer than its start by more than its length, which excludes most of them.
-        x, y = points[:, :1] - windows(self.start[:, 0]), points[:, 1:] - windows(self.start[:, 1])
-        away = np.sqrt(x * x + y * y)
-        away[(index < start[:, None]) | (index >= end[:, None])] = np.inf
-        row, k = np.nonzero(away <= away.min(axis=1, keepdims=True) + windows(self.length) + _CANDIDATE_TOLERANCE)
-        x, y, segment = x[row, k], y[row, k], offset[row] + k
-        (ux, uy), length = self.direction[segment].T, self.length[segment]
-        along = np.minimum(np.maximum(x * ux + y * uy, 0.0), length)
-        gap = np.hypot(x - along * ux, y - along * uy)
-        _, first = np.unique(row, return_index=True)
-        minimum = np.minimum.reduceat(gap, first)
-        nearest = np.flatnonzero(gap == minimum[row])
-        _, first = np.unique(row[nearest], return_index=True)
-        # At a vertex, two segments are equally near, and the point may be collinear with one of them, so the sum of
-        # both determines the sign.
-        near = gap <= minimum[row] + _TIE_TOLERANCE
-        left = ux[near] * y[near] - uy[near] * x[near]
-        side = np.bincount(row[near], left, len(points))
-        return np.copysign(minimum, side), segment[nearest[first]]
 
 
 def path_polyline(reference: Reference, spacing: float, extension: float) -> Polyline:

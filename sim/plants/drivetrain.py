@@ -286,4 +286,6 @@ def motor_work(plant: Plant) -> MotorWork:
 
 def stack(rows: Sequence[MotorWork]) -> FloatArray:
     """Stack the fields of n samples as an array (4, n, 4)."""
+    if all(row is NOTHING for row in rows):
+        return np.full((len(MotorWork._fields), len(rows), WHEELS), np.nan)
     return np.array(rows, dtype=float).reshape(len(rows), len(MotorWork._fields), WHEELS).swapaxes(0, 1)

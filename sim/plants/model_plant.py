@@ -67,14 +67,13 @@ class ModelPlant:
     ) -> None:
         self._robot, self._name = robot or load_robot(), model.name
         delayed = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
-        self._slip, self._function = slip, _Function(delayed) if isinstance(delayed, NonlinearModel) else None
-        self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
-        self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
-        self._c, self._memory = _plant_in_c(delayed, effects or BaseEffects(), slip, disturbance, self.sample_time)
-        self._advance = load_twin()[1].velocity_plant_advance
-        self._interpolate_pose = load_twin()[1].velocity_plant_look
-        self._pose, self._twist, self._wheels = (view(part) for part in (self._c.pose, self._c.twist, self._c.wheels))
-        self._interpolated = np.zeros(3)
+        self._function = _Function(delayed) if isinstance(delayed, NonlinearModel) else None
+        kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
+        self.sensors = Sensors(sensors, kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
+        self.c, self._memory = _plant_in_c(delayed, effects or BaseEffects(), slip, disturbance, self.sample_time)
+        self.c.limits, self.c.wheel_yaw_gain = [self._robot.limits.v, self._robot.limits.omega], slip.wheel_yaw_gain
+        self._sample = load_twin()[1].plant_sample
+        self._pose, self._twist = view(self.c.pose), view(self.c.twist)
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
@@ -89,7 +88,7 @@ class ModelPlant:
     @property
     def time(self) -> float:
         """Time since the last reset [s]."""
-        return float(self._c.tick * self._robot.sample_time)
+        return float(self.c.tick * self._robot.sample_time)
 
     @property
     def true_pose(self) -> FloatArray:
@@ -103,32 +102,23 @@ class ModelPlant:
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the robot to rest at `pose` (3,) at time 0 and restart the noise."""
-        self._sent: tuple[float, float] | None = None
         self._pose[:] = pose
         if self._function is not None:
-            self._c.next = self._function.rest()
-        load_twin()[1].velocity_plant_reset(self._c)
-        self._sensors.reset(self._pose, np.zeros(4))
+            self.c.next = self._function.rest()
+        load_twin()[1].velocity_plant_reset(self.c)
+        self.sensors.reset(self._pose, np.zeros(4))
 
     def measure(self) -> Measurement:
         """Collect the sensor data since the last call."""
-        return self._sensors.collect(self.time, self._sent)
+        return self.sensors.collect(self.time, tuple(self.c.sent) if self.c.has_sent else None)
 
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,) and advance by one sample; raise ValueError for an invalid command."""
-        sent, before = clip_command(command, self._robot.limits).tolist(), self.time
-        self._sent = (sent[0], sent[1])
+        sent = clip_command(command, self._robot.limits).tolist()
         if self._function is not None:
-            self._c.next = self._function.advance(sent)
-        self._advance(self._c, sent)
-        now = self.time
-        # A pose sensor has its own times, which may lie between the ticks.
-        for due in self._sensors.poses_due(now):
-            if due != now:
-                self._interpolate_pose(self._c, before, due, address(self._interpolated))
-            self._sensors.add_pose(due, self._pose if due == now else self._interpolated)
-        wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(self._wheels))
-        self._sensors.add_motion(now, wheel_speeds, self._c.yaw_rate)
+            self.c.next = self._function.advance(sent)
+        self.sensors.draw_noise(1)
+        self._sample(self.c, self.sensors.c, sent)
 
 
 class _Function:

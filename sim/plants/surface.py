@@ -68,10 +68,6 @@ class BodySlip(StrictModel):
             lateral = 0.0
         return np.array([v, lateral + self.sideways(v, omega), omega])
 
-    def wheels(self, output: FloatArray) -> FloatArray:
-        """Compute v [m/s], omega [rad/s] (2,) of encoders and geometric track, which slip laws do not affect."""
-        return np.array(self.turned(*output.tolist()))
-
     # The following formulas also accept CasADi symbols as arguments and as values of the fields.
     def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
         """Compute forward speed [m/s] and yaw rate [rad/s] after the gains."""

@@ -135,9 +135,9 @@ def main(core: str, seed: str, count: str) -> None:
 
     def copy_arrays(layout: Any) -> Any:
         """Copy array by array: the gaps between them may not be read."""
-        block = np.zeros_like(layout._block)
+        block = np.zeros_like(layout.live)
         for place, _ in layout.places.values():
-            block[place] = layout._block[place]
+            block[place] = layout.live[place]
         return block
 
     patch.object(library, "load_library", load_library).start()

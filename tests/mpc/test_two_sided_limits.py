@@ -200,3 +200,9 @@ def test_base_with_two_sided_limits_tracks_as_well_as_one_without(tmp_path, base
         for plant, settings in ((f"mujoco:{tmp_path / 'robot.yaml'}", config), ("mujoco", load_config("ssm")))
     ]
     assert errors[0] < 1.2 * errors[1]
+
+
+def test_state_late_ends_once_the_robot_is_on_time() -> None:
+    run = simulate(Controller("ssm"), make_plant("model:ssm+0.25", seed=3), load_trajectory("circle"))
+    late = [k for k, state in enumerate(run.states) if state == "LATE"]
+    assert late and late[-1] < 100

@@ -111,7 +111,7 @@ def test_formulas_in_c_are_those_of_the_plant() -> None:
     output, pose = np.array([0.7, -0.9]), np.array([0.3, -0.2, 2.0])
     body, wheels = floor_of(output, [getattr(slip, name) for name in FLOOR])
     assert body.full().ravel() == pytest.approx(slip.body(output), abs=1e-15)
-    assert wheels.full().ravel() == pytest.approx(slip.wheels(output), abs=1e-15)
+    assert wheels.full().ravel() == pytest.approx(slip.turned(*output), abs=1e-15)
     v, lateral, omega = slip.body(output)
     expected = integrate_pose(pose, v, omega, 0.02, -lateral / (v * omega))
     moved = move_of(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()

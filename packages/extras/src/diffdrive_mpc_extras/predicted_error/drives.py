@@ -183,4 +183,4 @@ def scale_by_logs(
 
 def _errors(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
     robot = make_plant(plant, seed=seed, **plant_settings(config))
-    return absolute_errors(simulate(Controller(config), robot, reference), count)
+    return absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)

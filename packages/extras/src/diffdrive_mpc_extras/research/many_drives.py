@@ -95,7 +95,7 @@ def drive_many(
 
 def _drive(name: str, config: ControllerConfig, reference: Trajectory, plant: str, seed: int) -> dict[str, object]:
     """Simulate one drive and return its row."""
-    run = simulate(Controller(config), make_plant(plant, seed=seed, **plant_settings(config)), reference)
+    run = simulate(Controller(config), make_plant(plant, seed=seed, **plant_settings(config)), reference, lean=True)
     key = {"config": name, "trajectory": reference.name, "seed": seed}
     return {**key, **statistics_of(run, timed=False), "ended": run.ended}
 

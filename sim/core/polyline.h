@@ -1,0 +1,16 @@
+/* Projection of points onto a polyline; sim/metrics/path_projection.py documents it. Units are SI units. */
+#ifndef POLYLINE_H
+#define POLYLINE_H
+
+typedef struct {
+    int segments;
+    const double *start, *direction, *length; /* [segments][2], [segments][2], [segments] */
+    const double *arc_start, *arc_end;        /* [segments] arc lengths at both ends of each segment */
+} polyline;
+
+/* Compute the signed distances [count] of `points` [count][2]. `first` and `last` [count] are the range of segments by
+ * the expected position, `margin` [count] extends the range around the nearest segment of the previous point. */
+void polyline_lateral(const polyline *line, int count, const double *points, const long long *first,
+                      const long long *last, const double *margin, double *lateral);
+
+#endif
