@@ -30,6 +30,7 @@ from diffdrive_mpc.bench.peers.tracking_peer import Delayed, LawInput, law_kind,
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.plants.surface import load_surface
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")
 ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
@@ -51,7 +52,7 @@ def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
     """Model, states and slip are those of the plant, and commands stay constant: the pose equals the plant's."""
     dt = CONFIG.sample_time
     plant = make_plant("model:sm", surface="slippery", sensors="perfect")
-    slip = plant._slip
+    slip = load_surface("slippery").slip
     known_slip = Slip(longitudinal_gain=slip.longitudinal_gain, yaw_gain=slip.yaw_gain, side_slip=slip.side_slip)
     predictor, sampled = DelayPredictor(MODEL, dt, ticks * dt), MODEL.discretise(dt)
     state, past = np.zeros(4), np.zeros((sampled.memory, 2))

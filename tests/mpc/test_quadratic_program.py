@@ -158,7 +158,7 @@ def test_linearisation_has_the_gradient_of_the_nonlinear_cost():
 
 def test_reprs_state_sizes_without_arrays():
     controller, _, step = drive(load_config("ssm", {"horizon": 5}), ticks=5)
-    assert repr(controller.quadratic_program()).startswith("QuadraticProgram of 60 variables, 95 rows, ")
+    assert repr(controller.quadratic_program()).startswith("QuadraticProgram of 60 variables, 95 rows: ")
     assert "nlp" not in repr(casadi_problem(controller.config))
     assert "_planned" not in repr(step) and "estimate=Estimate at 0.0808 s: " in repr(step)
 
