@@ -6,12 +6,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
 from commands import invoke, refusal
-from diffdrive_mpc import ControllerConfig, identify
+from diffdrive_mpc import ControllerConfig
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.input_file import read_input, reading
 from diffdrive_mpc.models.load import model_path
@@ -85,30 +84,13 @@ def run_simulate(*arguments, code=0):
     return invoke(app, *WORDS, *arguments, code=code)
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("logs")
-    for name in ("s.csv", "s.mcap"):
-        run_simulate("--log", folder / name)
-    return folder
-
-
-def test_log_states_the_drive_and_its_command(logs):
-    metadata_of_drive = read_drive_log(logs / "s.mcap").metadata
-    assert metadata_of_drive["case"]["plant"] == "model:ssm" and metadata_of_drive["case"]["seed"] == "3"
-    assert metadata_of_drive["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
-    assert ControllerConfig.model_validate(yaml.safe_load(metadata_of_drive["configuration"]["yaml"])).horizon == 12
-    assert yaml.safe_load(metadata_of_drive["model"]["yaml"])["name"]
-
-
-@pytest.mark.system
-def test_identify_gives_the_same_result_from_csv_and_mcap(logs):
-    first, second = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
-    sampled, expected = first.model.discretise(0.0202), second.model.discretise(0.0202)
-    assert all(
-        np.array_equal(getattr(sampled, name), getattr(expected, name)) for name in ("A", "B0", "B1", "C", "delay")
-    )
-    assert first.config == second.config
+def test_log_states_the_drive_and_its_command(tmp_path):
+    run_simulate("--log", tmp_path / "s.mcap")
+    metadata = read_drive_log(tmp_path / "s.mcap").metadata
+    assert metadata["case"]["plant"] == "model:ssm" and metadata["case"]["seed"] == "3"
+    assert metadata["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert ControllerConfig.model_validate(yaml.safe_load(metadata["configuration"]["yaml"])).horizon == 12
+    assert yaml.safe_load(metadata["model"]["yaml"])["name"]
 
 
 def test_full_disk_gives_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
