@@ -1,6 +1,5 @@
 """Sensors: measurements and faults."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -239,16 +238,10 @@ def test_pose_error_jumps_and_drifts_from_its_start_and_the_heading_stays_wrappe
         assert -np.pi < _value(faulty.pose)[2] <= np.pi  # type: ignore[index]
 
 
-def test_sensor_lost_and_then_stuck_repeats_its_last_reading(tmp_path: Path) -> None:
-    scenario = check(
-        Scenario,
-        {
-            "description": "test",
-            "drop_outs": [{"sensor": "gyro", "start": 0.0, "duration": 0.5}],
-            "stuck_sensors": [{"sensor": "gyro", "start": 0.3}],
-        },
-        "test",
-    )
+def test_sensor_lost_and_then_stuck_repeats_its_last_reading() -> None:
+    lost, stuck = {"sensor": "gyro", "start": 0.0, "duration": 0.5}, {"sensor": "gyro", "start": 0.3}
+    faults = {"description": "test", "drop_outs": [lost], "stuck_sensors": [stuck]}
+    scenario = check(Scenario, faults, "test")
     samples = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
     rates = [_value(m.yaw_rate) for time, m, _ in samples if time >= 0.5]
     assert all(m.yaw_rate is None for time, m, _ in samples if time < 0.5)
