@@ -59,36 +59,13 @@ def started_controller():
     return controller
 
 
-NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} | {
-    "Case": Case,
-    "SM": SM,
-    "SSM": SSM,
-    "SYSTEM": control.tf([1.0], [0.1, 1.0]),
-    "T": TIMES,
-    "TrajectoryLimits": TrajectoryLimits,
-    "WheelKinematics": WheelKinematics,
-    "X": np.sin(0.5 * TIMES),
-    "Y": 1.0 - np.cos(0.5 * TIMES),
-    "check_cases": check_cases,
-    "diffdrive_mpc": diffdrive_mpc,
-    "default_settings": default_settings,
-    "load_base_effects": load_base_effects,
-    "load_scenario": load_scenario,
-    "load_sensor_set": load_sensor_set,
-    "load_surface": load_surface,
-    "np": np,
-    "parse_seeds": parse_seeds,
-    "pd": pd,
-    "plan_cases": plan_cases,
-    "read_yaml": read_yaml,
-    "write_model": write_model,
-    "written": written,
-    "scaled_matrix": scaled_matrix,
-    "single_settings": single_settings,
-    "started_controller": started_controller,
-    "sweep_settings": sweep_settings,
-    "tf": control.tf,
-}
+CALLED = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
+CALLED += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
+CALLED += (single_settings, started_controller, sweep_settings)
+NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__}
+NAMES |= {function.__name__: function for function in CALLED} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
+NAMES |= {"X": np.sin(0.5 * TIMES), "Y": 1.0 - np.cos(0.5 * TIMES), "SYSTEM": control.tf([1.0], [0.1, 1.0])}
+NAMES |= {"diffdrive_mpc": diffdrive_mpc, "tf": control.tf}
 """Names in the expressions of refusals.yaml."""
 
 

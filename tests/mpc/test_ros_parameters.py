@@ -117,14 +117,8 @@ def started_node(*assignments):
         ("trajectry:=circle", "unknown parameter 'trajectry'; did you mean 'trajectory'?"),
         ("limits.gadget:=true", "unknown parameter 'limits.gadget'; "),
         ("expert.reentry.heading_wait:=9.0", "is the constant reentry.heading_wait"),
-        (
-            "online_dead_time.enabled:=false",
-            "online_dead_time.enabled was removed: the filter estimates unknown delays",
-        ),
-        (
-            "expert.online_dead_time.apply:=true",
-            "online_dead_time.apply was removed: the filter estimates unknown delays",
-        ),
+        ("online_dead_time.enabled:=false", "online_dead_time.enabled was removed: the filter estimates unknown"),
+        ("expert.online_dead_time.apply:=true", "online_dead_time.apply was removed: the filter estimates unknown"),
         ("estimator.crab:=[0.1, 0.0, 0.0]", "set expert.estimator.crab in the file"),
     ],
 )
