@@ -1,16 +1,15 @@
 """Metrics against known results, the ticks that they count, and the projection of a robot onto its path."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
-from numpy.typing import ArrayLike
 
 from diffdrive_mpc import integrate_pose, load_trajectory
-from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES, GIVEN_UP_MODES
@@ -23,7 +22,7 @@ COARSE = TIMES[::10]
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
-def shift_left(pose: FloatArray, offset: float) -> FloatArray:
+def shift_left(pose: FloatArray, offset: float | FloatArray) -> FloatArray:
     """Shift poses sideways in their own frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
@@ -197,21 +196,16 @@ def test_every_mode_of_the_controller_is_classified() -> None:
     assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
-@pytest.mark.parametrize("mode", ["BRAKING", "STOPPED"])
-def test_run_that_ends_without_tracking_is_not_completed(mode: str) -> None:
-    assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
-
-
-def test_run_that_ends_elsewhere_is_not_completed() -> None:
+def test_only_a_run_that_ends_tracking_at_the_end_of_its_reference_is_completed() -> None:
+    for mode in ("BRAKING", "STOPPED"):
+        assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
     pose = LINE.sample(SECOND).pose
-    near = run_along(LINE, pose + np.array([0.2, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND)
+    near, far, short = (
+        run_along(LINE, (pose + [ahead, 0.0, 0.0])[:count], [0.5, 0.0, 0.0], SECOND[:count])
+        for ahead, count in ((0.2, 51), (0.3, 51), (0.0, 40))
+    )
     assert near.metrics.completed and not replace(near, ended="the robot is lost").metrics.completed
-    assert not run_along(LINE, pose + np.array([0.3, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
-
-
-def test_truncated_run_is_not_completed() -> None:
-    pose = LINE.sample(SECOND[:40]).pose
-    assert not run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND[:40]).metrics.completed
+    assert not far.metrics.completed and not short.metrics.completed
 
 
 def test_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
@@ -288,68 +282,41 @@ def test_points_are_projected_as_if_one_after_the_other():
 
 
 TICK = 0.0202
-
-
-@dataclass(frozen=True)
-class TwoArcs:
-    """Four seconds to the left, then four to the right, with one metre radius and no transition between them."""
-
-    duration: float = 8.0
-    name: str = "two arcs"
-
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration)
-        first = integrate_pose([0.0, 0.0, 0.0], 0.5 * np.minimum(t, 4), 0.5 * np.minimum(t, 4), 1.0)
-        rest = np.maximum(t - 4, 0.0)
-        pose = integrate_pose(first, 0.5 * rest, -0.5 * rest, 1.0)
-        return ReferenceSample(pose, np.column_stack([np.full(len(t), 0.5), np.where(t < 4, 0.5, -0.5)]), 0.5 * t)
+SETTLED = metric_settings().settled_arc
+S, BACKWARD = load_trajectory("s"), ConstantTwist(-0.5, 0.5, 6.0)
 
 
 def run_beside(reference, lateral):
     """Build a run that drives `lateral` (n,) to the left of the reference."""
     times = np.arange(0.0, reference.duration, TICK)
-    pose = reference.sample(times).pose.copy()
-    lateral = np.broadcast_to(lateral, times.shape)
-    pose[:, 0] -= lateral * np.sin(pose[:, 2])
-    pose[:, 1] += lateral * np.cos(pose[:, 2])
+    pose = shift_left(reference.sample(times).pose, np.broadcast_to(lateral, times.shape)[:, None])
     return run_along(reference, pose, [0.5, 0.0, 0.5], times)
 
 
-@pytest.mark.parametrize("side", [0.03, -0.02])
-def test_constant_distance_is_the_bias_of_an_arc(side):
-    run = run_beside(ConstantTwist(0.5, 0.5, 6.0), side)
-    assert steady_arc_lateral(run) == pytest.approx([side], abs=1e-5)
-
-
 def test_each_arc_has_its_own_bias_without_its_settling_time():
-    reference = TwoArcs()
-    times = np.arange(0.0, reference.duration, TICK)
-    since = np.where(times < 4, times, times - 4)
-    settled = np.where(times < 4, -0.010, 0.006)
-    run = run_beside(reference, np.where(since < 1.5 - 1e-9, 0.1, settled))
-    assert steady_arc_lateral(run) == pytest.approx([-0.010, 0.006], abs=1e-5)
+    """The error is 0.1 m outside the settled parts of the three arcs."""
+    lateral = np.full(len(run_beside(S, 0.0).time), 0.1)
+    arcs = steady_arcs(run_beside(S, 0.0))
+    for ticks, error in zip(arcs, (-0.010, 0.006, 0.03), strict=True):
+        lateral[ticks] = error
+    assert steady_arc_lateral(run_beside(S, lateral)) == pytest.approx([-0.010, 0.006, 0.03], abs=1e-5)
 
 
-@pytest.mark.parametrize("twist", [(0.5, 0.0), (0.0, 1.0)])
-def test_straights_and_turns_on_the_spot_are_no_arcs(twist):
-    assert steady_arc_lateral(run_beside(ConstantTwist(*twist, 6.0), 0.0)).shape == (0,)
-
-
-def test_arc_shorter_than_the_settling_time_does_not_count():
-    reference = ConstantTwist(0.5, 0.5, metric_settings().settled_arc - TICK)
-    assert steady_arc_lateral(run_beside(reference, 0.01)).shape == (0,)
-
-
-def test_left_of_a_backward_robot_is_right_of_the_path():
-    assert steady_arc_lateral(run_beside(ConstantTwist(-0.5, 0.5, 6.0), 0.01)) == pytest.approx([-0.01], abs=1e-5)
-
-
-@pytest.mark.parametrize(("name", "arcs"), [("circle", 1), ("square", 0), ("s", 3), ("cane", 1)])
-def test_shipped_trajectories_have_the_arcs_of_their_files(name, arcs):
-    reference = load_trajectory(name)
-    run = run_beside(reference, 0.0)
-    result = steady_arcs(run)
-    assert len(result) == arcs
-    for ticks in result:
+@pytest.mark.parametrize("side", [0.03, -0.02])
+@pytest.mark.parametrize(
+    ("reference", "arcs"),
+    [
+        *((load_trajectory(name), arcs) for name, arcs in {"circle": 1, "square": 0, "s": 3, "cane": 1}.items()),
+        *((ConstantTwist(*twist, 6.0), 0) for twist in ((0.5, 0.0), (0.0, 1.0))),
+        *((ConstantTwist(0.5, 0.5, SETTLED + more), arcs) for more, arcs in ((-TICK, 0), (2 * TICK, 1))),
+        (BACKWARD, 1),
+    ],
+)
+def test_constant_distance_is_the_bias_of_each_settled_arc(reference, arcs, side):
+    """Left of a backward robot is right of the path."""
+    run = run_beside(reference, side)
+    bias = -side if reference is BACKWARD else side
+    assert steady_arc_lateral(run) == pytest.approx([bias] * arcs, abs=1e-5)
+    for ticks in steady_arcs(run):
         assert np.ptp(run.reference_twist[ticks], axis=0) == pytest.approx(0.0, abs=1e-5)
         assert (np.diff(ticks) == 1).all()
