@@ -22,36 +22,21 @@ from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
 from file_kinds import KINDS
 
-QUICK = {
-    "controllers": ("mpc",),
-    "models": ("ssm",),
-    "plants": ("model:ssm",),
-    "surfaces": ("ideal",),
-    "sensors": ("perfect",),
-    "beyond": False,
-    "osqp": False,
-}
 
-
-def experiment(**changes: object) -> ComparisonSettings:
-    return default_settings().model_copy(update={**QUICK, **changes})
+def settings_with(**changes: object) -> ComparisonSettings:
+    return default_settings().model_copy(update=changes)
 
 
 def test_peer_has_no_model_and_no_settings() -> None:
     settings = ((("horizon", 5),), (("horizon", 10),))
-    plan = plan_cases(
-        experiment(controllers=("mpc", "kanayama"), trajectories=("s",), seeds=(0,), horizons=(), settings=settings)
-    )
-    assert [(case.controller, case.model, case.horizon) for case in plan.all] == [
-        ("mpc", "ssm", 5),
-        ("mpc", "ssm", 10),
-        ("kanayama", "none", None),
-    ]
+    changes = {"controllers": ("mpc", "kanayama"), "models": ("ssm",), "trajectories": ("s",), "seeds": (0,)}
+    changes |= {"horizons": (), "settings": settings, "beyond": False, "osqp": False}
+    cases = [(case.controller, case.model, case.horizon) for case in plan_cases(settings_with(**changes)).all]
+    assert cases == [("mpc", "ssm", 5), ("mpc", "ssm", 10), ("kanayama", "none", None)]
 
 
 def test_bench_compares_the_declared_pairs() -> None:
-    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
-    plan = plan_cases(settings)
+    plan = plan_cases(settings_with(trajectories=("s",), seeds=(0,), beyond=True))
     *main, by_osqp = plan.main
     assert [(case.controller, case.model) for case in main] == list(COMPARED)
     assert (by_osqp.model, dict(by_osqp.overrides)) == ("ssm", {"solver.method": "osqp"})
