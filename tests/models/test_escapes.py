@@ -13,19 +13,7 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Finding
 
-CONTROLS = [
-    "\x1b[2J",
-    "\x1b]0;owned\x07",
-    "\r",
-    "\n",
-    "\x9b31m",
-    "\u202e",
-    "\u2066",
-    "\u2028",
-    "\x00",
-    "\x7f",
-    "\x85",
-]
+CONTROLS = ["\x1b[2J", "\x1b]0;owned\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2066", "\u2028", "\x00", "\x7f", "\x85"]
 NAMES = [
     "".join(random.Random(seed).sample(CONTROLS, 3)) + "x".join(random.Random(seed + 1).sample(CONTROLS, 2))
     for seed in range(12)
