@@ -146,14 +146,6 @@ def test_hand_written_documents_are_short():
     assert len(pages) <= MAX_PAGES, "merge pages"
 
 
-@pytest.mark.parametrize("document", PAGES, ids=name_of)
-def test_page_has_its_question_as_title_and_starts_with_the_answer(document):
-    title, opening = document.read_text(encoding="utf-8").split("\n\n")[:2]
-    assert re.fullmatch(r"# .*\?", title)
-    assert re.match(r"[A-Z`\[*]", opening), opening
-    assert not opening.startswith(("```", "* ", "<!--"))
-
-
 def test_files_named_by_documents_and_ci_exist():
     texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
     named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
