@@ -8,7 +8,6 @@ from scipy import signal
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-TOLERANCE = 0.05
 _SHARES = (0.6, 0.9)
 _DEFECTS = ("nothing", "slew", "compressed gain", "dead band", "sagging gain", "gain of the other channel")
 
@@ -98,10 +97,3 @@ def _limit_slew(values, max_step):
     for k in range(1, len(result)):
         result[k] = result[k - 1] + np.clip(values[k] - result[k - 1], -max_step, max_step)
     return result
-
-
-def judge_limits(case: LimitCase, limits) -> tuple[bool, bool, int]:
-    """Return whether the limit is found, whether it is within the tolerance, and the number of false limits."""
-    is_found = case.channel in limits
-    close = is_found and abs(limits[case.channel] / case.level - 1) <= TOLERANCE
-    return is_found, close, len(set(limits) - {case.channel})

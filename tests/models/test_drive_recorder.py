@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, Measurement, Stamped, load_trajectory, make_plant, simulate
+from diffdrive_mpc import Measurement, Stamped
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder
@@ -187,8 +187,3 @@ def test_invalid_line_raises_error(line):
     for kind in (TickRecord, DriveRecord):
         with pytest.raises(TickRecordError):
             kind.read(line)
-
-
-@pytest.fixture(scope="module")
-def run():
-    return simulate(Controller("sm"), make_plant("model:sm"), load_trajectory("s"))
