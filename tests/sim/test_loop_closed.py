@@ -142,29 +142,24 @@ def test_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: fl
     assert mirrored == figures
 
 
-def test_recovery_counts_from_the_end_of_the_disturbance_to_the_last_departure() -> None:
-    lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.06, 0.0)
-    figures = _recovery(lateral, (2.0, 2.5))
-    assert figures.recovery_time_s == pytest.approx(3.0)
-    assert figures.overshoot_m == pytest.approx(0.06)
-
-
-def test_robot_that_never_leaves_the_band_recovers_at_once_without_overshoot() -> None:
-    wobble = 0.99 * BAND * np.sin(20 * TIME)
-    figures = _recovery(wobble, (2.0, 3.0))
-    assert (figures.recovery_time_s, figures.overshoot_m) == (0.0, 0.0)
+@pytest.mark.parametrize(
+    ("lateral", "disturbance", "time", "overshoot"),
+    [
+        (np.where((TIME >= 2) & (TIME < 3), 0.2, 0) - np.where((TIME >= 5) & (TIME < 5.5), 0.06, 0), (2, 2.5), 3, 0.06),
+        (0.99 * BAND * np.sin(20 * TIME), (2, 3), 0, 0),
+        (_from(2.0, np.full(len(TIME), 0.1)), (2, 2), math.inf, 0),
+    ],
+    ids=["two excursions", "never outside the band", "ends outside the band"],
+)
+def test_recovery_counts_from_the_end_of_the_disturbance_to_the_last_departure(lateral, disturbance, time, overshoot):
+    figures = _recovery(lateral, disturbance)
+    assert (figures.recovery_time_s, figures.overshoot_m) == pytest.approx((time, overshoot))
 
 
 def test_side_of_the_excursion_is_that_on_which_the_robot_leaves_the_band() -> None:
     """At the end of a push the robot is still inside the band, on either side; it leaves the band to the left."""
     lateral = _from(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
     assert _recovery(lateral, (2.0, 2.1)).overshoot_m == 0.0
-
-
-def test_end_outside_the_band_is_no_recovery() -> None:
-    figures = _recovery(_from(2.0, np.full(len(TIME), 0.1)), (2.0, 2.0))
-    assert figures.recovery_time_s == math.inf
-    assert figures.overshoot_m == 0.0
 
 
 def test_recovery_is_undefined_without_a_disturbance_or_with_an_invalid_pose() -> None:
