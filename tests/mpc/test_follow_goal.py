@@ -65,6 +65,13 @@ def parts():
     return loop, side, following
 
 
+def begun(following, side):
+    """Return a goal that the loop follows."""
+    following.take(goal := FollowGoal(STRAIGHT, "odom"))
+    side.respond()
+    return goal
+
+
 def standing():
     return LoopTick(np.zeros(2), LoopState.IDLE, "")
 
@@ -101,8 +108,7 @@ def test_goal_at_the_position_of_the_robot_succeeds(parts, robot, poses):
 @pytest.mark.parametrize("state", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
 def test_empty_path_is_no_arrival_if_the_robot_moves_or_is_off_the_goal(parts, state):
     loop, side, following = parts
-    following.take(old := FollowGoal(STRAIGHT, "odom"))
-    side.respond()
+    old = begun(following, side)
     loop.pose_and_twist = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if state is None else state[1])
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
     loop.pose_and_twist = lambda: state and (np.array(state[0]), state[1])
@@ -129,10 +135,8 @@ def test_newer_goal_ends_a_goal_that_has_not_begun(parts):
 
 def test_cancelling_a_goal_that_has_not_begun_ends_the_drive_it_was_to_replace(parts):
     loop, side, following = parts
-    old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
-    following.take(old)
-    side.respond()
-    following.take(newer)
+    old = begun(following, side)
+    following.take(newer := FollowGoal(STRAIGHT, "odom"))
     newer.cancelled = True
     following.update(standing())
     assert newer.end.outcome is GoalOutcome.CANCELED
@@ -156,18 +160,14 @@ def test_goal_whose_path_never_arrives_times_out(parts, monkeypatch):
 
 def test_fault_of_the_loop_ends_the_goal(parts):
     _, side, following = parts
-    goal = FollowGoal(STRAIGHT, "odom")
-    following.take(goal)
-    side.respond()
+    goal = begun(following, side)
     following.update(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
 
 def test_goal_without_pose_waits_for_its_patience_only(parts):
     loop, side, following = parts
-    goal = FollowGoal(STRAIGHT, "odom")
-    following.take(goal)
-    side.respond()
+    goal = begun(following, side)
     loop.inbox.now = 0.9 * SETTINGS.follow_patience
     following.update(standing())
     assert goal.end is None
@@ -186,9 +186,7 @@ def test_path_limits_stay_below_the_limits_of_the_robot():
 
 def test_robot_waits_for_a_silent_client_continues_and_finally_aborts(parts, monkeypatch):
     loop, side, following = parts
-    goal = FollowGoal(STRAIGHT, "odom")
-    following.take(goal)
-    side.respond()
+    goal = begun(following, side)
     start = goal.alive_at
     drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
     distance = 0.0
