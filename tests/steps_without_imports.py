@@ -11,11 +11,7 @@ import os
 import subprocess
 import sys
 
-CASES = {
-    "shipped": {},
-    "osqp": {"solver.method": "osqp"},
-    "daqp": {"solver.method": "daqp"},
-}
+CASES = {"shipped": {}, "osqp": {"solver.method": "osqp"}, "daqp": {"solver.method": "daqp"}}
 HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
 
 

@@ -9,12 +9,5 @@ from fuzz.yaml_files import YamlFuzzer
 
 FUZZERS: dict[str, Fuzzer] = {
     fuzzer.name: fuzzer
-    for fuzzer in (
-        ControllerFuzzer(),
-        CoreFuzzer(),
-        ReferenceFuzzer(),
-        YamlFuzzer(),
-        LogFuzzer(),
-        ReplayFuzzer(),
-    )
+    for fuzzer in (ControllerFuzzer(), CoreFuzzer(), ReferenceFuzzer(), YamlFuzzer(), LogFuzzer(), ReplayFuzzer())
 }

@@ -27,10 +27,7 @@ from fuzz.case import Case, FaultError
 from fuzz.controller import Session, checked_reference
 from fuzz.promises import refused_or
 
-_SEEDS = {
-    "base": "sim/ros/base.yaml",
-    "experiment": "../../studies/tracking/quick.yaml",
-}
+_SEEDS = {"base": "sim/ros/base.yaml", "experiment": "../../studies/tracking/quick.yaml"}
 """Shipped files that are changed for kinds whose names no shell completes."""
 
 

@@ -328,14 +328,9 @@ def test_restart_and_reset_agree():
 # Single faulty measurements, four ticks each.
 
 SLIP = Slip(
-    v_offset=0.03,
-    longitudinal_gain=0.99,
-    yaw_gain=0.7,
-    side_slip=0.06,
-    turn_ahead=0.04,
-    turn_left=-0.03,
+    v_offset=0.03, longitudinal_gain=0.99, yaw_gain=0.7, side_slip=0.06, turn_ahead=0.04, turn_left=-0.03,
     load_shift=0.05,
-)
+)  # fmt: skip
 
 
 def pose(change, **stated):

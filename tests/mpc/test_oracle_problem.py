@@ -15,6 +15,10 @@ from oracle.tick import FeedForward, Tick
 
 DT = 0.0202
 EXTRA = (0.011, 0.033)
+SLIP = Slip(
+    v_offset=0.01, omega_gain=1.05, longitudinal_gain=0.98, yaw_gain=0.9, side_slip=0.1,
+    turn_ahead=0.04, turn_left=-0.03, slide_x=0.02, slide_y=-0.03,
+)  # fmt: skip
 
 
 def problem(model_name, horizon, **overrides):
@@ -35,17 +39,7 @@ def setting(model_name, horizon=15, **overrides):
     return subject, Tick(
         pose=np.array([0.02, -0.03, heading]),
         state=subject.model.settled_state([0.45, 0.4]),
-        slip=Slip(
-            v_offset=0.01,
-            omega_gain=1.05,
-            longitudinal_gain=0.98,
-            yaw_gain=0.9,
-            side_slip=0.1,
-            turn_ahead=0.04,
-            turn_left=-0.03,
-            slide_x=0.02,
-            slide_y=-0.03,
-        ),
+        slip=SLIP,
         past=past,
         last_command=past[-1],
         aim=aim,

@@ -229,10 +229,7 @@ def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, messa
     ("changes", "message"),
     [
         ({"defaults": (1.0, float("nan"))}, "term 'mine': parameters [1.0, nan]; give finite numbers"),
-        (
-            {"function": lambda pose: pose},
-            "term 'mine': function is not a casadi.Function; build one with named",
-        ),
+        ({"function": lambda pose: pose}, "term 'mine': function is not a casadi.Function; build one with named"),
     ],
 )
 def test_mistake_in_a_python_term_raises_config_error(changes, message):

@@ -112,10 +112,7 @@ def test_static_transform_is_valid_at_any_time():
 
 @pytest.mark.parametrize(
     ("time", "message"),
-    [
-        (NOW + 2 * 10**9, "0.10 s after the last transform"),
-        (NOW - 10**9, "1.00 s before the first transform"),
-    ],
+    [(NOW + 2 * 10**9, "0.10 s after the last transform"), (NOW - 10**9, "1.00 s before the first transform")],
 )
 def test_lookup_outside_the_received_times_raises_error(time, message):
     with pytest.raises(TransformError, match=message):

@@ -7,11 +7,7 @@ from diffdrive_mpc import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from studies.shipped_models.calibration import (
-    PredictionFit,
-    load_calibration_parameters,
-    validate_calibration,
-)
+from studies.shipped_models.calibration import PredictionFit, load_calibration_parameters, validate_calibration
 from studies.shipped_models.known_truths import recover_all
 
 pytestmark = pytest.mark.system
