@@ -131,8 +131,7 @@ def _bag(untrusted, door):
         writer.add_attachment(0, 0, f"{untrusted}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(untrusted)))
         writer.add_metadata("configuration", {"yaml": f"model: {untrusted}/model.yaml"})
         writer.finish()
-    for command in ("identify",):
-        call(command, door / "bag.mcap", "--out", door / "out.png")
+    call("identify", door / "bag.mcap", "--out", door / "out.png")
     call("log", "replay", door / "bag.mcap")
 
 

@@ -27,11 +27,8 @@ TRACK = "wheels: {track: 0.5}\n"
 def identification(tmp_path_factory):
     """Identification of a log without objections."""
     folder = tmp_path_factory.mktemp("sound")
-    log, mapping = (
-        write_csv(folder / "drive.csv", drive(seconds=40.0)),
-        write_mapping(folder / "map.yaml", MAPPING + TRACK),
-    )
-    return identify(log, mapping=mapping)
+    log = write_csv(folder / "drive.csv", drive(seconds=40.0))
+    return identify(log, mapping=write_mapping(folder / "map.yaml", MAPPING + TRACK))
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +127,8 @@ def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatc
     # Failing drives take long: only the lowest limits are tried.
     slowest = trial_drives.trial_settings().model_copy(update={"shares": trial_drives.trial_settings().shares[-1:]})
     monkeypatch.setattr(verdicts, "trial_settings", lambda: slowest)
-    log, mapping = (
-        write_csv(tmp_path / "a.csv", drive(seconds=20.0)),
-        write_mapping(tmp_path / "m.yaml", MAPPING + TRACK),
-    )
+    log = write_csv(tmp_path / "a.csv", drive(seconds=20.0))
+    mapping = write_mapping(tmp_path / "m.yaml", MAPPING + TRACK)
     arguments = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2 and "fails on 'circle'" in result.stderr and result.stderr.count("error: ") == 1

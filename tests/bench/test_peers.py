@@ -38,15 +38,6 @@ PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
 
-def law_input(pose, reference, feed_forward, time=2.0, twist=None):
-    return LawInput(
-        time,
-        PredictedMotion(np.array(pose), np.array(feed_forward if twist is None else twist)),
-        np.array(reference),
-        np.array(feed_forward),
-    )
-
-
 @pytest.mark.parametrize("ticks", [0, 2, 5])
 def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
     """Model, states and slip are those of the plant, and commands stay constant: the pose equals the plant's."""
@@ -119,7 +110,8 @@ def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y:
     law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=v, omega=0.5, duration=20.0)
     law.start(arc)
     pose = arc.sample([2.0]).pose[0]
-    view = law_input(pose + [x, y, turn], pose, [v, 0.5])
+    forward = np.array([v, 0.5])
+    view = LawInput(2.0, PredictedMotion(pose + [x, y, turn], forward), pose, forward)
     wanted, turn = law.decide(view)
     carrot = law.carrot(view)
     # The pose after a drive along the arc until the chord equals the distance to the point.

@@ -127,21 +127,14 @@ def test_limits_hold_on_legs_with_few_pieces() -> None:
     assert np.abs(rate[:, 1]).max() <= _LIMITS.omega_acceleration * 1.01
 
 
-@pytest.mark.parametrize(
-    "segments",
-    [
-        [Segment(v=0.4, omega=0.1, duration=1e9)],
-        [Segment(v=0.0, omega=0.1, duration=1e9)],
-        # A long segment among short ones, which their joints alone would not reveal.
-        [
-            Segment(v=0.5, omega=-0.5, duration=0.003),
-            Segment(v=-0.5, omega=0.001, duration=1e6),
-            Segment(v=0.5, omega=0.8, duration=3.0),
-        ],
-    ],
-)
-def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[Segment]) -> None:
+# The last has a long segment among short ones, which their joints alone would not reveal.
+LONG_PATHS = [[(0.4, 0.1, 1e9)], [(0.0, 0.1, 1e9)], [(0.5, -0.5, 0.003), (-0.5, 0.001, 1e6), (0.5, 0.8, 3.0)]]
+
+
+@pytest.mark.parametrize("rows", LONG_PATHS)
+def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(rows: list[tuple[float, float, float]]) -> None:
     """The first path would need 149 GiB."""
+    segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in rows]
     tracemalloc.start()
     with pytest.raises(ConfigError, match=r"^here: its length requires .* pieces"):
         lay_smooth(segments, _LIMITS, name="x", where="here")
