@@ -40,17 +40,17 @@ def test_any_text_is_read_or_refused(text):
         parse_yaml(text)
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
-def test_only_regular_files_are_read(kind, tmp_path):
-    path = tmp_path / "there.yaml"
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "device":
-        path.symlink_to("/dev/zero")
-    else:
-        path.mkdir()
-    with pytest.raises(ConfigError, match="pipe or a device" if kind != "folder" else "directory"):
-        read_yaml(path)
+DEVICE = "pipe or a device"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [(os.mkfifo, DEVICE), (lambda path: path.symlink_to("/dev/zero"), DEVICE), (Path.mkdir, "directory")],
+)
+def test_only_regular_files_are_read(make, message, tmp_path):
+    make(tmp_path / "there.yaml")
+    with pytest.raises(ConfigError, match=message):
+        read_yaml(tmp_path / "there.yaml")
 
 
 def test_message_shortens_long_values_and_keys(tmp_path):
