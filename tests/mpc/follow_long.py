@@ -80,23 +80,12 @@ def run(goals, seed):
     place, heading = np.array(errors).T
     settled = used[min(9, goals - 1)]
     memory, threads = np.array(used).T
-    print(
-        json.dumps(
-            {
-                "goals": goals,
-                "seed": seed,
-                "succeeded": int(reached),
-                "place_m": {"median": float(np.median(place)), "max": float(place.max())},
-                "heading_rad": {"median": float(np.median(heading)), "max": float(heading.max())},
-                "memory_mb": {
-                    str(i): round(float(memory[i]), 1) for i in sorted({0, 9, 19, 49, goals - 1}) if i < goals
-                },
-                "threads": {"first": int(threads[0]), "last": int(threads[-1]), "most": int(threads.max())},
-            },
-            indent=2,
-        )
-    )
-
+    place_m, heading_rad = ({"median": float(np.median(part)), "max": float(part.max())} for part in (place, heading))
+    memory_mb = {str(i): round(float(memory[i]), 1) for i in sorted({0, 9, 19, 49, goals - 1}) if i < goals}
+    summary = {"goals": goals, "seed": seed, "succeeded": int(reached), "place_m": place_m, "heading_rad": heading_rad}
+    summary |= {"memory_mb": memory_mb, "threads": {"first": int(threads[0]), "last": int(threads[-1])}}
+    summary["threads"]["most"] = int(threads.max())
+    print(json.dumps(summary, indent=2))
     growth = memory[-1] - settled[0]
     faults = [
         f"{goals - reached} goals were not reached" * (reached < goals),

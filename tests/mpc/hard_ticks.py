@@ -70,19 +70,11 @@ def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]
     run = simulate(controller, make_plant("model:ssm", seed=1), load_trajectory(trajectory))
     stored = vars(controller)
     methods = ", ".join(f"{name} {count}" for name, count in Counter(run.solver_methods).most_common())
-    return [
-        drive,
-        str(config.horizon),
-        method,
-        f"{share:g}",
-        str(len(run.solver_methods)),
-        *(f"{value:.2f}" for value in np.percentile(stored["times"], (50, 99, 100))),
-        f"{np.nanmax(run.solver_iterations):.0f}",
-        f"{max(stored['operations']) / controller.operations_bound:.3f}",
-        str(sum(stored["stopped"])),
-        f"{run.metrics.position_rmse_m:.4f}",
-        methods,
-    ]
+    durations = [f"{value:.2f}" for value in np.percentile(stored["times"], (50, 99, 100))]
+    share_used = f"{max(stored['operations']) / controller.operations_bound:.3f}"
+    cells = [drive, config.horizon, method, f"{share:g}", len(run.solver_methods), *durations]
+    cells += [f"{np.nanmax(run.solver_iterations):.0f}", share_used, sum(stored["stopped"])]
+    return [str(cell) for cell in (*cells, f"{run.metrics.position_rmse_m:.4f}", methods)]
 
 
 def main() -> None:
