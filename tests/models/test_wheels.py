@@ -54,15 +54,11 @@ def read(tmp_path, words, **more):
     return read_log(bag(tmp_path, **more), write_mapping(tmp_path / "m.yaml", USUAL + words + WHEELS))
 
 
-def test_battery_power_is_positive_for_any_sign_of_the_log(tmp_path):
-    (record,) = read(tmp_path, "  battery: /battery\n").records
+@pytest.mark.parametrize(("topic", "current"), [("/battery", -CURRENT), ("{topic: /battery, sign: -1}", CURRENT)])
+def test_battery_power_is_positive_for_any_sign_of_the_log(tmp_path, topic, current):
+    (record,) = read(tmp_path, f"  battery: {topic}\n", battery=current).records
     assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
     assert record.motor_current is None
-
-
-def test_battery_sign_of_the_mapping_is_applied(tmp_path):
-    (record,) = read(tmp_path, "  battery: {topic: /battery, sign: -1}\n", battery=CURRENT).records
-    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
 
 
 def test_efforts_of_joints_are_the_motors_of_the_sides(tmp_path):
