@@ -47,9 +47,7 @@ def test_tipped_robot_is_an_incomplete_run_and_the_bench_continues(tmp_path: Pat
     assert re.fullmatch(TIPPED, tipped["ended"])
     assert upright["ended"] is None
     assert 50 < tipped["steps"] < 100 < upright["steps"]
-    assert tipped["recovery_time_s"] is None
     # On a busy machine so short a run may have no tick with undisturbed timing.
     timed = ("step_time", "solve_time")
-    assert [name for name, value in tipped.items() if value is None and not name.startswith(timed)] == [
-        "recovery_time_s"
-    ]
+    undefined = {name for name, value in tipped.items() if value is None and not name.startswith(timed)}
+    assert undefined == {"recovery_time_s"}

@@ -42,10 +42,8 @@ def test_schema_lists_every_key_with_its_default() -> None:
     flat = {row.key: row for row in schema_rows()}
     assert flat["horizon"].default == str(ControllerConfig().horizon)
     assert flat["horizon"].range == ">= 1, <= 200"
-    assert flat["weights.across"].unit == "1/m^2"
     assert flat["weights.across"].range == ">= 0"
     assert flat["solver.method"].range == "auto, osqp, daqp"
-    assert all(row.help for row in flat.values())
     text = runner.invoke(app, ["config", "schema"]).stdout
     assert all(key in text for key in flat)
     assert "[" not in flat["weights.across"].help

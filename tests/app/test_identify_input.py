@@ -57,10 +57,7 @@ def folder(tmp_path_factory):
     [
         ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
         ("nan.csv --mapping map.yaml", "nan.csv: column 'v_ref' holds no usable number"),
-        (
-            "slow.csv --mapping no_pose.yaml",
-            "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
-        ),
+        ("slow.csv --mapping no_pose.yaml", "slow.csv: sample_time: Input should be less than or equal to 0.5 (found"),
         ("good.csv", "are unknown without a mapping. Give a mapping file"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),

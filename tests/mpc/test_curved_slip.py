@@ -31,15 +31,9 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 DT = load_config("ssm").sample_time
 # Plausible coefficients of a surface.
 CURVES = {"crab": 0.0, "veer": 0.1, "forward_coupling": -0.1, "yaw_coupling": 0.3, "track_growth": 0.2}
-PLAIN = {
-    "weights.v_increment": 20.0,
-    "weights.omega_increment": 15.0,
-    "compensation.delay": False,
-    "compensation.v_offset": False,
-    "compensation.yaw_gain": False,
-    "compensation.side_slip": False,
-    "monitor.enabled": False,
-}
+COMPENSATIONS = ("delay", "v_offset", "yaw_gain", "side_slip")
+PLAIN = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0, "monitor.enabled": False}
+PLAIN |= {f"compensation.{name}": False for name in COMPENSATIONS}
 
 
 def in_config(values):

@@ -39,10 +39,7 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     driven = np.flatnonzero(columns["mode"] == "TRACKING")
     assert len(driven) >= 145
     assert np.allclose(np.diff(columns["t_s"][driven]), DT, atol=1e-6)
-    assert (
-        np.isfinite(columns["v_wheel_m_s"][driven[2:]]).all()
-        and np.isfinite(columns["omega_gyro_rad_s"][driven[2:]]).all()
-    )
+    assert all(np.isfinite(columns[name][driven[2:]]).all() for name in ("v_wheel_m_s", "omega_gyro_rad_s"))
     assert np.isfinite(columns["estimate_x_sd_m"][driven]).all()
     assert all(log.plans[row] is not None for row in driven)
     assert counts[REFERENCE] == 1 and counts[PLAN] >= len(driven) and counts[DIAGNOSTICS] >= 1
