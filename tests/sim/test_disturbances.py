@@ -306,10 +306,14 @@ def test_robot_with_diverging_motion_is_lost_and_not_back_at_its_start(
 
 
 @given(seed=st.integers(0, 10_000), low=st.floats(0.1, 5.0), width=st.floats(0.0, 5.0))
-def test_random_values_lie_in_their_ranges_and_choices(seed: int, low: float, width: float) -> None:
-    push = {"force": [low, low + width], "yaw_torque": {"one_of": [[-2.0, -1.0], [1.0, 2.0]]}}
-    scenario = _scenario(pushes=[{**push, "height": 0, "start": 1, "duration": 1}])
-    (drawn,) = scenario.draw(seed).pushes
-    assert low <= drawn.force <= low + width
-    assert 1.0 <= abs(drawn.yaw_torque) <= 2.0
-    assert scenario.draw(seed) == scenario.draw(seed)
+def test_random_values_lie_in_their_ranges_and_choices(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, low: float, width: float
+) -> None:
+    path = tmp_path_factory.mktemp("scenario") / "mine.yaml"
+    drawn = f"force: [{low}, {low + width}], yaw_torque: {{one_of: [[-2.0, -1.0], [1.0, 2.0]]}}"
+    path.write_text(f"description: mine\npushes: [{{{drawn}, height: 0, start: 1, duration: 1}}]\n")
+    file = load_scenario(path)
+    (push,) = file.draw(seed).pushes
+    assert low <= push.force <= low + width
+    assert 1.0 <= abs(push.yaw_torque) <= 2.0
+    assert file.draw(seed) == file.draw(seed)
