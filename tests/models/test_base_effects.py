@@ -140,9 +140,9 @@ TRUE = BaseEffects.model_validate(
 )
 # Yaw ratio of the encoders at which the gains match the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
 RATIO = 0.95 * TRUE.wheel_command.track / (0.57 * ENCODER_TRACK)
-EFFECTS = {"slew.v": 1.5, "slew.omega": 2.5, "wheels.coasting": 0.12, "relaxation": 0.04, "veer": -0.06}
+EFFECT_VALUES = {"slew.v": 1.5, "slew.omega": 2.5, "wheels.coasting": 0.12, "relaxation": 0.04, "veer": -0.06}
 GAINS = {"gain.v": 0.95, "gain.omega": 0.57, "lag.v": 1 / 14, "lag.omega": 1 / 20}
-POINT = dict.fromkeys(("dead_time.v", "dead_time.omega", "encoders.delay", "gyro.offset"), 0.0) | GAINS | EFFECTS
+POINT = dict.fromkeys(("dead_time.v", "dead_time.omega", "encoders.delay", "gyro.offset"), 0.0) | GAINS | EFFECT_VALUES
 POINT |= {"encoders.yaw_ratio": RATIO, "encoders.track": ENCODER_TRACK, "wheels.resolution": 0.02}
 
 
@@ -224,7 +224,7 @@ def test_every_effect_is_identified(fit_result):
 def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
     estimate = fit_result.identified.parameters
     truth = {"v.gain": 0.95, "omega.gain": 0.57, "v.natural_frequency": 14.0, "omega.natural_frequency": 20.0}
-    truth |= {"encoders.delay": 0.05, "gyro.offset": 0.02, "wheels.track": 0.54} | EFFECTS
+    truth |= {"encoders.delay": 0.05, "gyro.offset": 0.02, "wheels.track": 0.54} | EFFECT_VALUES
     scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
     assert max(map(abs, scores.values())) < 4, scores
     assert fit_result.point["wheels.resolution"] == pytest.approx(0.02)
