@@ -89,8 +89,8 @@ def corrupt_message(message: Any, random: Random) -> bytes:
     kind, index = random.randrange(3), random.randrange(len(content))
     if kind == 0:
         return bytes(content[:index])
-    size, content_ = random.choice(((1, random.randbytes(1)), (4, b"\xff\xff\xff\x7f"), (4, b"\x00\x00\x00\x10")))
-    content[index // size * size : index // size * size + size] = content_
+    size, replacement = random.choice(((1, random.randbytes(1)), (4, b"\xff\xff\xff\x7f"), (4, b"\x00\x00\x00\x10")))
+    content[index // size * size : index // size * size + size] = replacement
     return bytes(content)
 
 

@@ -205,7 +205,7 @@ def test_late_poses_give_the_estimate_of_punctual_poses(delay):
 
 
 def test_delays_of_readings_in_the_configuration_are_compensated():
-    """All readings have the current stamp; poses are half a tick old, and wheel speeds have that lag and a scale error."""
+    """All stamps are current; poses are half a tick old, and wheel speeds have that lag and a scale error."""
     responses = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=WheelResponse(lag=0.5 * DT, scale=1.05))
     estimator, robot = StateEstimator(MODEL, Estimator(), sensors=responses), IdealRobot(MODEL, np.zeros(3))
     wheels = [np.zeros(2)]
@@ -242,10 +242,10 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
 def test_wheel_gain_is_not_attributed_to_slip():
     """Encoders measure the wheels: a wrong gain of the wheels changes omega_gain, not yaw_gain."""
 
-    class AdaptsAtOnce(Estimator):
+    class NoEvidenceThreshold(Estimator):
         gain_evidence: ClassVar[float] = 0.0
 
-    estimator = StateEstimator(MODEL, AdaptsAtOnce())
+    estimator = StateEstimator(MODEL, NoEvidenceThreshold())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=Slip(omega_gain=0.9)), 600)
     assert estimator.estimate.slip.omega_gain == pytest.approx(0.9, abs=0.01)
     assert estimator.estimate.slip.yaw_gain == pytest.approx(1.0, abs=0.01)
