@@ -15,7 +15,7 @@ Case = Any
 
 
 class FaultError(AssertionError):
-    """Violation of a guarantee of the project, which the message names before the colon."""
+    """Violation of a guarantee of the project; the message starts with the name of the guarantee and a colon."""
 
 
 class HangError(BaseException):

@@ -68,8 +68,8 @@ def arguments_strategy(function):
 
 def call(function, values):
     """Return the results as arrays, with column vectors flattened."""
-    shaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
-    results = function.call([ca.DM(value) for value in shaped])
+    reshaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
+    results = function.call([ca.DM(value) for value in reshaped])
     return [np.array(result).ravel() if result.shape[1] == 1 else np.array(result) for result in results]
 
 
@@ -99,12 +99,12 @@ def test_gradients_agree_with_finite_differences(function, data):
     _, gradient = call(function, values)
     name = function.name().removeprefix("ddmpc_f_")
     step, indices = 1e-6, [function.index_in(input_name) for input_name in GRADIENT_INPUTS[name]]
-    sizes = [values[place].size for place in indices]
+    sizes = [values[index].size for index in indices]
     # CasADi evaluates the function for each column, that is, for all directions at once.
     columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
-    for start, place, size in zip(np.cumsum([0, *sizes]), indices, sizes, strict=False):
-        columns[place][:, start : start + size] += step * np.eye(size)
-        columns[place][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
+    for start, index, size in zip(np.cumsum([0, *sizes]), indices, sizes, strict=False):
+        columns[index][:, start : start + size] += step * np.eye(size)
+        columns[index][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
     ends = np.array(function.call([ca.DM(column) for column in columns])[0])
     slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()

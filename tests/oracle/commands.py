@@ -1,4 +1,4 @@
-"""Commands that were sent, including those still delayed by the dead time."""
+"""Sent commands, including commands that the dead time still delays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 
 
 class PastCommands:
-    """Past commands, newest last, as far back as a history of `oldest` ticks and the dead time require."""
+    """Past commands, newest last, for a history of `oldest` ticks and the dead time."""
 
     def __init__(self, model: DiscreteModel, oldest: int, spare: int) -> None:
         self.model, self.oldest, self.spare = model, oldest, spare
@@ -27,16 +27,16 @@ class PastCommands:
         self._sent.append(np.array(command, dtype=float))
 
     def correct_last(self, sent: FloatArray) -> None:
-        """Replace the newest command by the one that the robot received (2,)."""
+        """Replace the newest command by the received command (2,)."""
         self._sent[-1] = np.array(sent, dtype=float)
 
     def overrule(self, sent: FloatArray) -> None:
-        """Replace the newest commands by those of another sender (K, 2), oldest first."""
+        """Replace the newest commands by commands (K, 2) of another sender, oldest first."""
         self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
 
     @property
     def memory(self) -> int:
-        """Number of commands that can still act in the future, including `spare` samples of unknown delay."""
+        """Number of commands that can act in the future, including `spare` samples of unknown delay."""
         return self.model.memory + self.spare + 1
 
     @property
@@ -51,7 +51,7 @@ class PastCommands:
 
     @property
     def recent(self) -> FloatArray:
-        """Commands (memory, 2) that still act in the future, oldest first."""
+        """Commands (memory, 2) that can act in the future, oldest first."""
         return np.array(self._sent)[-self.memory :]
 
     def acting(self, ticks_ago: int) -> FloatArray:

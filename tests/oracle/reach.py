@@ -1,4 +1,4 @@
-"""Attainable wheel speed, learned while the wheels cannot follow reference and commands."""
+"""Attainable wheel speed, estimated while the wheels cannot follow reference and commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oracle.commands import PastCommands
 # Constants of mpc/config/sensor_test.yaml.
 _SHORT, _LEAST, _SLOWER, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.25, 0.2, 0.3, 0.2, 0.2
 _ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
-# Minimum relative increase of the command, and maximum share of it by which the speed of a saturated wheel increases.
+# Minimum relative increase of the command; maximum ratio of the increases of speed and command of a saturated wheel.
 _MORE, _GAINED = 0.03, 0.15
 # Delay [s] and share of the band above which the limit is learned.
 ASTRAY, BESIDE = 0.25, 0.25
@@ -56,15 +56,15 @@ class WheelReach:
         commands: PastCommands,
         astray: bool | None,
     ) -> None:
-        """Compare the encoders at tick `t` [s] with the next twists (n, 2) of the reference; the second is due now.
+        """Compare the encoders at tick `t` [s] with the next twists (n, 2) of the reference, the second of them current.
 
         `astray` is True if the robot is late or off its path, None while it is not tracking.
         """
-        read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
-        self.actual = self.actual + _SMOOTHED * (read - self.actual)
-        target, before = next_twists[1], self.on_spot
+        readings = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
+        self.actual = self.actual + _SMOOTHED * (readings - self.actual)
+        target, was_on_spot = next_twists[1], self.on_spot
         self.on_spot = bool(abs(target[0]) < _ON_SPOT * self.half_track * abs(target[1]))
-        if self.on_spot != before:
+        if self.on_spot != was_on_spot:
             self._drop()
             self.tried = math.inf
         needed = float((np.abs(next_twists) @ [1.0, self.half_track / slip.yaw_gain]).max())
@@ -80,13 +80,13 @@ class WheelReach:
             turning = sign * self._rims(np.hstack([twists, gain * twists]) * [[0.0], [1.0]], Slip())
             min_command, along = forward.min(axis=1) + turning.min(axis=1), sign[:, 0] * self.actual
             max_command = forward.max(axis=1) + turning.max(axis=1)
-            demanded = np.minimum(min_command, sign[:, 0] * by_reference)
-            lacks = demanded - along
+            demand = np.minimum(min_command, sign[:, 0] * by_reference)
+            shortfall = demand - along
             slower = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
-            steady = (np.abs(read - self.actual) < _STEADY * demanded) & (slower > _SLOWER * lacks)
-            short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
+            steady = (np.abs(readings - self.actual) < _STEADY * demand) & (slower > _SLOWER * shortfall)
+            short = steady & (along > _HELD * demand) & (shortfall > np.maximum(_SHORT * demand, _LEAST))
             if short.any() and (along <= max_command + _LEAST).all():
-                rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
+                rank = shortfall + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
         if wheel is not None and self._is_saturated(wheel, float(min_command[wheel])):
             self.attained, self.slowed = abs(self.actual[wheel]), 0.0
@@ -94,16 +94,16 @@ class WheelReach:
             self.slowed += self.dt
         growth = _REGAIN[0] * self.attained + _REGAIN[1]
         self.allowed = self.attained + (growth * (self.slowed - _RETRY) if self.slowed > _RETRY else 0.0)
-        faster = abs(self.actual[self.short_wheel]) > self.attained * (1 + _SHORT) + _LEAST
-        if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.max_speed:
+        is_faster = abs(self.actual[self.short_wheel]) > self.attained * (1 + _SHORT) + _LEAST
+        if not self.enabled or is_faster or needed < _FAR_BELOW * self.attained or not self.attained < self.max_speed:
             self._drop()
 
     def _is_saturated(self, wheel: int, command: float) -> bool:
         """Return True if a higher command than at the first shortfall does not make the wheel faster."""
         speed = abs(self.actual[wheel])
-        more, gained = command - self.tried, speed - self.tried_speed
-        enough = more > _MORE * command
-        if wheel != self.short_wheel or more < 0 or (enough and gained > _GAINED * more):
+        increase, gain = command - self.tried, speed - self.tried_speed
+        is_conclusive = increase > _MORE * command
+        if wheel != self.short_wheel or increase < 0 or (is_conclusive and gain > _GAINED * increase):
             self.short_wheel, self.tried, self.tried_speed = wheel, command, speed
             return False
-        return enough
+        return is_conclusive
