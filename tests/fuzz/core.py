@@ -136,8 +136,8 @@ def main(core: str, seed: str, count: str) -> None:
     def copy_arrays(layout: Any) -> Any:
         """Copy each array; the gaps between the arrays must not be read."""
         block = np.zeros_like(layout.live)
-        for slice_, _ in layout.places.values():
-            block[slice_] = layout.live[slice_]
+        for rows, _ in layout.places.values():
+            block[rows] = layout.live[rows]
         return block
 
     patch.object(library, "load_library", load_library).start()

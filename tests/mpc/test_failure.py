@@ -87,7 +87,7 @@ STOP_AND_RESUME = [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
 
 
 @pytest.mark.parametrize(
-    ("dead_reckoning", "seconds", "change", "sequence", "rows", "max_error", "messages"),
+    ("dead_reckoning", "seconds", "change", "sequence", "rows", "bound", "messages"),
     [
         (1.5, 5.0, bad_poses(100), [Mode.TRACKING], slice(None), 0.01, {100: "pose rejected"}),
         (1.5, 4.0, OUTLIERS, [Mode.TRACKING], slice(None), 0.01, {}),

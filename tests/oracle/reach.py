@@ -56,7 +56,7 @@ class WheelReach:
         commands: PastCommands,
         astray: bool | None,
     ) -> None:
-        """Compare the encoders at tick `t` [s] with the next twists (n, 2) of the reference, the second of them current.
+        """Compare the encoders at tick `t` [s] with the next twists (n, 2) of the reference; the second is current.
 
         `astray` is True if the robot is late or off its path, None while it is not tracking.
         """
