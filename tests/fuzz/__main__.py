@@ -55,17 +55,17 @@ def _run_fuzzer(fuzzer: Fuzzer, length: str, arguments: argparse.Namespace) -> b
     limit, steps = _SECONDS[length], math.inf
     if arguments.steps is not None:
         count, limit, steps = 10**9, _STEPS_TIME_LIMIT, arguments.steps
-    start, totals, part = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
+    start, totals, index = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
     end, code = start + (limit if arguments.seconds is None else arguments.seconds), 0
     while not code and totals["cases"] < count and totals["steps"] < steps and time.monotonic() < end:
         with TemporaryDirectory() as scratch:
-            bounds = f"{fuzzer.name}/{arguments.seed}/{part}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
+            bounds = f"{fuzzer.name}/{arguments.seed}/{index}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
             process = get_context("spawn").Process(
                 target=run_search, args=(fuzzer.name, *bounds, arguments.keep, scratch)
             )
             process.start()
             process.join()
-            code, part = process.exitcode or 0, part + 1
+            code, index = process.exitcode or 0, index + 1
             statistics, case = Path(scratch, "statistics.json"), Path(scratch, "case.json")
             for key, value in json.loads(statistics.read_text()).items() if statistics.exists() else ():
                 totals[key] = max(totals[key], value) if key == "longest_step" else totals[key] + value

@@ -99,7 +99,7 @@ class UserReference:
     spoils: dict[int, float] = field(default_factory=dict)
 
     def sample(self, times: Any) -> ReferenceSample:
-        """Return samples on a straight line; `spoils` contains values of x by the number of the call."""
+        """Return samples on a straight line; `spoils` maps the number of a call to its first coordinate."""
         clipped = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
         pose = np.asarray(self.pose) + clipped[:, None] * np.asarray(self.velocity)
         twist = np.tile(np.asarray(self.twist, dtype=float), (len(clipped), 1))
@@ -261,8 +261,8 @@ class Session:
         for _ in range(count):
             self.tick(self.controller.config.sample_time)
 
-    def tick(self, dt: float, spoilt: dict[str, Any] | None = None) -> None:
-        """Run a tick `dt` [s] after the last tick, with the changes `spoilt` of the measurement."""
+    def tick(self, dt: float, changes: dict[str, Any] | None = None) -> None:
+        """Run a tick `dt` [s] after the last tick, with `changes` of the measurement."""
         if not self.started:
             return
         t = self.t + dt
@@ -278,7 +278,7 @@ class Session:
             # Python code must not cause numerical warnings.
             warnings.simplefilter("error", RuntimeWarning)
             bound, seconds = self.bounds
-            measurement, sample_time = self.measured(spoilt or {}), self.controller.sample_time
+            measurement, sample_time = self.measured(changes or {}), self.controller.sample_time
             limit = _SHARE_OF_TICK * sample_time
             # Disable garbage collection, because the node excludes existing objects from it at activation.
             gc.disable()
@@ -306,13 +306,13 @@ class Session:
         check_step(result, self.controller.config, self.last, held=self.hold_now is not None)
         self.last = np.array(result.command)
 
-    def measured(self, spoilt: dict[str, Any]) -> Measurement:
+    def measured(self, changes: dict[str, Any]) -> Measurement:
         """Return the measurement with changes, or the last measurement for "repeat"."""
-        if "repeat" in spoilt:
+        if "repeat" in changes:
             return self.measurement
         ordinary = {"pose": self.pose.copy(), "wheel_twist": self.twist.copy(), "yaw_rate": float(self.twist[1])}
         values: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
-        for name, change in spoilt.items():
+        for name, change in changes.items():
             if name == "sent":
                 values["sent"] = tuple(change) if isinstance(change, list) else change
             elif change is None:
@@ -514,15 +514,15 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
 
 def draw_changes(random: Random) -> dict[str, Any]:
     """Draw changes of a measurement."""
-    spoilt: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
+    changes: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
     for name, size in (("pose", 3), ("wheel_twist", 2), ("yaw_rate", 1)):
         if random.random() < 0.4:
-            spoilt[name] = draw_message(random, size)
+            changes[name] = draw_message(random, size)
     if random.random() < 0.2:
-        spoilt["sent"] = random.choice(
+        changes["sent"] = random.choice(
             ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], [1e160, -1e300], "rubbish", [1.0])
         )
-    return spoilt
+    return changes
 
 
 def draw_message(random: Random, size: int) -> Any:

@@ -15,10 +15,10 @@ _MAX_LENGTH = 4000
 _TESTS = str(Path(__file__).parents[1])
 
 
-def refused_or(read: Callable[[], T]) -> T | None:
-    """Return the result of `read`; None if it raises an expected error. Other errors are propagated."""
+def refused_or(function: Callable[[], T]) -> T | None:
+    """Return the result of `function`; None if it raises an expected error. Other errors are propagated."""
     try:
-        return read()
+        return function()
     except (DiffdriveMpcError, ValueError, OSError) as error:
         check_refusal(error)
         return None

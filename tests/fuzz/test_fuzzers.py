@@ -66,10 +66,10 @@ def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
 
 
 def test_configurations_cover_the_schema_and_most_are_valid():
-    drawn = [configs.draw_overrides(Random(str(i))) for i in range(200)]
-    assert len({key for values in drawn for key in values}) > 100
+    overrides = [configs.draw_overrides(Random(str(i))) for i in range(200)]
+    assert len({key for values in overrides for key in values}) > 100
     valid_count = 0
-    for values in drawn:
+    for values in overrides:
         try:
             load_config("ssm", values)
         except ConfigError:

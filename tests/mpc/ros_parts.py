@@ -48,10 +48,10 @@ class KeptProcess(SideProcess):
     _busy = False
 
     def _begin(self):
-        spare, KeptProcess._spare = KeptProcess._spare, None
-        if spare is None or spare[0].poll() is not None:
+        process_and_link, KeptProcess._spare = KeptProcess._spare, None
+        if process_and_link is None or process_and_link[0].poll() is not None:
             return super()._begin()
-        self._process, self._link = spare
+        self._process, self._link = process_and_link
         return self._link
 
     def _ask(self, job):
@@ -287,9 +287,9 @@ class Stack:
                 node = stack.enter_context(self.new_participant())
         raise AssertionError(f"timed out waiting for {name}")
 
-    def wait_for(self, condition, patience):
-        """Wait for a condition; return False after `patience` [s]."""
-        deadline = time.monotonic() + patience
+    def wait_for(self, condition, timeout):
+        """Wait for a condition; return False after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > deadline:
                 return False

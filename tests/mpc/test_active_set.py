@@ -203,13 +203,13 @@ def robot_problem(rng, steps, extra=0, tight=1.0):
     omega[:, 0::2] = 0.05 * responses[0]
     heading = np.cumsum(omega, axis=0) * 0.05
     across = np.cumsum(heading * rng.uniform(0.2, 1), axis=0) * 0.05
-    along = np.cumsum(v, axis=0) * 0.05
+    progress = np.cumsum(v, axis=0) * 0.05
     unit = np.eye(n)
     difference = unit - np.eye(n, k=-2)
     user_rows = [np.tril(rng.normal(size=(N, N))) @ (v + omega) * 0.1 for _ in range(extra)]
     soft = [v, omega, v + 0.3 * omega, v - 0.3 * omega, across, *user_rows]
     A = np.concatenate([unit[0::2], unit[1::2], difference[0::2], difference[1::2], *soft])
-    stack = np.concatenate([10 * along, 10 * across, 2 * heading])
+    stack = np.concatenate([10 * progress, 10 * across, 2 * heading])
     H = stack.T @ stack + 0.05 * unit + 0.3 * difference.T @ difference
     target = np.repeat(rng.normal(size=(N // 10 + 1, 2)) * [1.0, 1.5], 10, axis=0)[:N].ravel()
     g = -H @ target + 0.1 * rng.normal(size=n)

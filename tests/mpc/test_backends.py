@@ -181,11 +181,11 @@ def test_backend_solves_if_the_active_set_has_no_iterations():
         drives[iterations] = simulate(
             Controller(limited), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
         )
-    none, many = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
-    assert "daqp" not in many
-    is_active = many == "active_set"
+    without_iterations, with_iterations = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
+    assert "daqp" not in with_iterations
+    is_active = with_iterations == "active_set"
     assert is_active.sum() > 20
-    assert set(none[is_active]) == {"daqp"}
+    assert set(without_iterations[is_active]) == {"daqp"}
     # The method does not change the motion of the robot.
     assert drives[0].command == pytest.approx(drives[500].command, abs=1e-5)
 

@@ -60,12 +60,12 @@ def test_known_slip_lowers_the_pose_covariance():
     """The covariance of unknown slip increases the covariance of the pose; exactly known slip does not."""
     controller, _, _ = drive()
     belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))
-    uncertain, known = (
+    uncertain, certain = (
         controller.predict_belief(belief, commands),
         controller.predict_belief(belief.with_slip(belief.slip), commands),
     )
-    assert np.array_equal(uncertain.mean, known.mean)
-    assert uncertain.pose_covariance[2, 2] > known.pose_covariance[2, 2]
+    assert np.array_equal(uncertain.mean, certain.mean)
+    assert uncertain.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
     # A different slip turns the robot by a different angle.
     without_slip = controller.predict_belief(belief.with_slip(Slip()), commands)
     assert abs(without_slip.pose[2] - uncertain.pose[2]) > 0.1

@@ -56,11 +56,11 @@ def test_constant_slip_leaves_no_steady_error():
     robot = robot_for(reference, slip=slip)
     _, poses, times = drive(controller(), robot, reference, reference.duration)
     x, y, theta = reference.sample(times).pose[300:500].T
-    across = np.cos(theta) * (poses[300:500, 1] - y) - np.sin(theta) * (poses[300:500, 0] - x)
-    assert np.abs(across).max() < 0.003
+    lateral_error = np.cos(theta) * (poses[300:500, 1] - y) - np.sin(theta) * (poses[300:500, 0] - x)
+    assert np.abs(lateral_error).max() < 0.003
     # The heading that compensates side slip must not cause an error along the path.
-    along = np.cos(theta) * (poses[300:500, 0] - x) + np.sin(theta) * (poses[300:500, 1] - y)
-    assert along == pytest.approx(0.0, abs=0.002)
+    longitudinal_error = np.cos(theta) * (poses[300:500, 0] - x) + np.sin(theta) * (poses[300:500, 1] - y)
+    assert longitudinal_error == pytest.approx(0.0, abs=0.002)
     assert poses[300:500, 2] - theta == pytest.approx(np.arctan(0.06 * 0.5), abs=0.004)
 
 
@@ -125,8 +125,8 @@ def test_full_turns_of_the_start_heading_do_not_change_commands(turns):
     reference = load_trajectory("circle")
     expected, _, _ = drive(controller(), robot_for(reference), reference, 3.0)
     robot = IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0] + [0, 0, 2 * np.pi * turns])
-    turned, _, _ = drive(controller(), robot, reference, 3.0)
-    assert np.array([r.command for r in turned]) == pytest.approx(np.array([r.command for r in expected]), abs=1e-6)
+    actual, _, _ = drive(controller(), robot, reference, 3.0)
+    assert np.array([r.command for r in actual]) == pytest.approx(np.array([r.command for r in expected]), abs=1e-6)
 
 
 def test_start_time_of_the_clock_does_not_change_commands():
@@ -174,26 +174,26 @@ def test_drive_finishes_at_rest_at_the_end():
 
 def test_restart_while_driving_keeps_slew_limit_and_twist_estimate():
     circle, robot, driver = load_trajectory("circle"), robot_for(load_trajectory("circle")), controller()
-    before, _, _ = drive(driver, robot, circle, 2.0)
+    results, _, _ = drive(driver, robot, circle, 2.0)
     driver.start(circle, robot.time - 2.0)
-    after = driver.step(robot.time, robot.measure())
-    assert (np.abs(after.command - before[-1].command) <= np.array([2.0, 6.0]) * DT + 1e-9).all()
-    assert after.estimate.twist == pytest.approx(robot.twist, abs=1e-3)
+    result = driver.step(robot.time, robot.measure())
+    assert (np.abs(result.command - results[-1].command) <= np.array([2.0, 6.0]) * DT + 1e-9).all()
+    assert result.estimate.twist == pytest.approx(robot.twist, abs=1e-3)
 
 
 def test_reported_command_replaces_the_sent_command_in_the_estimate():
     """The base halves every command; the estimator needs no offset if it receives the halved commands."""
     reference, offsets = load_trajectory("circle"), {}
     for is_reported in (False, True):
-        robot, driver, sent = robot_for(reference), controller(), None
+        robot, driver, applied = robot_for(reference), controller(), None
         driver.start(reference, 0.0)
         for _ in range(60):
             measurement = robot.measure()
-            if is_reported and sent is not None:
-                measurement = replace(measurement, sent=tuple(sent))
+            if is_reported and applied is not None:
+                measurement = replace(measurement, sent=tuple(applied))
             result = driver.step(robot.time, measurement)
-            sent = 0.5 * result.command
-            robot.advance(sent)
+            applied = 0.5 * result.command
+            robot.advance(applied)
         offsets[is_reported] = abs(result.estimate.slip.v_offset)
     assert offsets[True] < 1e-6
     assert offsets[False] > 0.01
@@ -259,10 +259,10 @@ def test_update_warns_only_if_the_rest_of_the_reference_exceeds_the_limits():
 )
 def test_rejected_update_changes_nothing(change):
     driver = controller()
-    before = driver.config
+    config = driver.config
     with pytest.raises(ConfigError):
         driver.update(**change)
-    assert driver.config is before
+    assert driver.config is config
 
 
 @pytest.mark.parametrize("steps", [1.8, 2.0])

@@ -270,10 +270,10 @@ def test_route_including_its_end_agrees(route, name, tmp_path):
     path = tmp_path / "route.yaml"
     path.write_text(ROUTES[route])
     reference = load_trajectory(path)
-    moved = starting_at(reference, [-1.0, 0.5, 2.5])
+    shifted = starting_at(reference, [-1.0, 0.5, 2.5])
     both = pair(name, horizon=15)
     plant = make_plant("mujoco", seed=5)
-    both.drive(plant, moved, math.ceil((reference.duration + 1.5) / DT))
+    both.drive(plant, shifted, math.ceil((reference.duration + 1.5) / DT))
     assert both.modes[0] == "TRACKING"
     assert both.modes[-1] == "FINISHED"
 
@@ -432,11 +432,11 @@ def test_measurements_beyond_the_capacity_of_a_sample_are_rejected():
     drive = EstimatorDrive()
     for _ in range(20):
         drive.tick("in time")
-    now = drive.robot.time - DT
+    last_time = drive.robot.time - DT
     for index in range(1, 14):
-        stamp = now + 1e-4 * index
+        stamp = last_time + 1e-4 * index
         twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
-        drive.both.step(now + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
+        drive.both.step(last_time + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
     for name in ("pose", "wheel speed", "yaw rate"):
         assert f"{name} rejected: too many arrived for one sample" in drive.both.words
     for _ in range(5):

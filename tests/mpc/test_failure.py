@@ -130,12 +130,12 @@ def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
     assert (first_brake - 99) * DT < 1.2
 
 
-def rare_poses(interval, latency, until=math.inf):
-    """Return a change for `drive`: until `until` [s], one pose per `interval`, with a delay of `latency` [samples]."""
+def rare_poses(interval, latency, end=math.inf):
+    """Return a change for `drive`: until `end` [s], one pose per `interval`, with a delay of `latency` [samples]."""
     queue = []
 
     def change(k, m):
-        if k * DT >= until:
+        if k * DT >= end:
             return m
         if k % interval == 0:
             queue.append((k + latency, m.pose))
@@ -260,8 +260,8 @@ def test_wrong_first_pose_is_detected_before_the_robot_moves_far(error):
 def test_reported_command_beyond_limits_does_not_extend_them():
     driver, base = controller(), robot()
     drive(driver, base, REFERENCE, 2.0)
-    for sent in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
-        result = driver.step(base.time, replace(base.measure(), sent=sent))
+    for reported in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
+        result = driver.step(base.time, replace(base.measure(), sent=reported))
         assert (np.abs(result.command) <= [1.5, 2.0]).all()
         base.advance(result.command)
 

@@ -169,42 +169,42 @@ class FaultyRobot:
 
 @cache
 def drive(name, seed):
-    """Return product and oracle after drives with equal results."""
+    """Return the pair of product and oracle after drives with equal results, the configuration and the model."""
     config, model = distinct_config(seed), load_model(name).with_extra_dead_time(MODELS[name])
-    both, reference = Pair(config, model, accuracy=DAQP_ACCURACY), CorruptedReference(route())
+    pair, reference = Pair(config, model, accuracy=DAQP_ACCURACY), CorruptedReference(route())
     robot, command = FaultyRobot(config, model, seed), np.zeros(2)
-    both.start(reference, 0.0)
+    pair.start(reference, 0.0)
     for k in range(TICKS):
         robot.disturb(k)
         if k in (89, 170, 230, 280):
-            both.resume()
+            pair.resume()
         reference.is_corrupted = k in (20, 21) or 30 <= k < 40 or 66 <= k < 82
         hold = Hold("held", failure=True) if 84 <= k < 88 else None
-        command = both.step(robot.robot.time, robot.measure(k, command), hold).command
+        command = pair.step(robot.robot.time, robot.measure(k, command), hold).command
         robot.advance(k, command)
     reference.is_corrupted = False
     for delay, offset in ((-0.3, 0.0), (config.finish.timeout - 0.2, 0.06)):
-        drive_to_end(both, model, reference, delay, offset)
-    return both, config, model
+        drive_to_end(pair, model, reference, delay, offset)
+    return pair, config, model
 
 
-def drive_to_end(both, model, reference, delay, offset):
+def drive_to_end(pair, model, reference, delay, offset):
     """Start `delay` [s] after the end of the reference with a lateral offset `offset` [m]."""
-    both.reset()
+    pair.reset()
     end = reference.sample([reference.duration]).pose[0]
     robot = IdealRobot(model.discretise(DT), end + [-0.03, offset, 0.0], noise=0.5)
-    both.start(reference, -reference.duration - delay)
+    pair.start(reference, -reference.duration - delay)
     command = np.zeros(2)
     for _ in range(70):
-        command = both.step(robot.time, replace_parts(robot.measure(), sent=tuple(command))).command
+        command = pair.step(robot.time, replace_parts(robot.measure(), sent=tuple(command))).command
         robot.advance(command)
 
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_oracle_agrees_on_drives_that_depend_on_every_field(name, seed):
-    both, _, _ = drive(name, seed)
-    modes = [str(result.mode) for result in both.results]
+    pair, _, _ = drive(name, seed)
+    modes = [str(result.mode) for result in pair.results]
     assert {"TRACKING", "REUSED_PLAN", "BRAKING", "FINISHED"} <= set(modes)
     assert modes.count("TRACKING") > 150
 

@@ -160,11 +160,11 @@ def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
         FORMULAS["move_curved"], [[v, omega], [getattr(slip, name) for name in SLIPS], [theta], [0.0], [dt]]
     )
     c, s = np.cos(theta), np.sin(theta)
-    forward, left = (c * motion[0] + s * motion[1]) / dt, (c * motion[1] - s * motion[0]) / dt
+    forward, lateral = (c * motion[0] + s * motion[1]) / dt, (c * motion[1] - s * motion[0]) / dt
     expected = polynomial_twist(coefficients, [v, omega])
     a12, a21, a23 = coefficients[[1, 3, 5]]
     lateral_term = a12 / (1 + coefficients[0]) * omega * (a21 + a23 * omega)
-    assert [forward, left - lateral_term, motion[2] / dt] == pytest.approx(expected, abs=1e-6)
+    assert [forward, lateral - lateral_term, motion[2] / dt] == pytest.approx(expected, abs=1e-6)
 
 
 @given(st.floats(-0.2, 2), st.floats(-1, 1), st.floats(-2, 2))

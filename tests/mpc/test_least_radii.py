@@ -84,15 +84,15 @@ def test_every_command_satisfies_range_slew_and_radius(path, radius, slew, braki
         last = step.command
 
 
-@pytest.mark.parametrize(("sent", "max_speed"), [((0.0, 1.0), 0.0), ((0.2, 1.0), 0.2), ((-0.3, -1.2), 0.3)])
-def test_foreign_tight_turn_ends_at_the_slew_limit_without_acceleration(sent, max_speed):
+@pytest.mark.parametrize(("foreign", "max_speed"), [((0.0, 1.0), 0.0), ((0.2, 1.0), 0.2), ((-0.3, -1.2), 0.3)])
+def test_foreign_tight_turn_ends_at_the_slew_limit_without_acceleration(foreign, max_speed):
     """The yaw rate is reduced; the speed is not raised to satisfy the radius."""
     config = load_config("ssm", {KEY: 2.0, "limits.omega_slew": 2.0})
-    rest = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
+    reference = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
     controller = Controller(config)
-    controller.start(rest, 0.0)
-    controller.set_applied_commands([sent])
-    previous = np.array(sent)
+    controller.start(reference, 0.0)
+    controller.set_applied_commands([foreign])
+    previous = np.array(foreign)
     for k in range(40):
         command = controller.step(k * DT, Measurement(pose=Stamped(np.zeros(3), k * DT))).command
         if excess(previous, 2.0) > 0 and excess(command, 2.0) > 1e-9:

@@ -29,8 +29,8 @@ def growth(channel, share):
     late_model = controller.model.with_extra_dead_time(delay).discretise(controller.sample_time)
     robot = IdealRobot(late_model, [0.0, 0.02, 0.0])
     t, zeros = np.linspace(0.0, 20.0, 201), np.zeros(201)
-    line = np.column_stack([margin.SPEED * t, zeros, zeros]), np.column_stack([margin.SPEED + zeros, zeros, zeros])
-    controller.start(SplineTrajectory.through("line", t, *line), 0.0)
+    path = np.column_stack([margin.SPEED * t, zeros, zeros]), np.column_stack([margin.SPEED + zeros, zeros, zeros])
+    controller.start(SplineTrajectory.through("line", t, *path), 0.0)
     errors = []
     for _ in range(900):
         robot.advance(controller.step(robot.time, robot.measure()).command)
@@ -67,8 +67,8 @@ def test_configured_weights_replace_the_weights_of_the_margin():
 def test_update_keeps_the_weights_of_the_start(monkeypatch):
     controller = Controller("sm")
     monkeypatch.setattr(margin, "_increment_weights", None)
-    before = controller.config.weights
-    assert controller.update(weights={"across": 1200.0}).weights == before.model_copy(update={"across": 1200.0})
+    weights = controller.config.weights
+    assert controller.update(weights={"across": 1200.0}).weights == weights.model_copy(update={"across": 1200.0})
     assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
 
 

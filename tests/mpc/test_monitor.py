@@ -26,16 +26,16 @@ class HeldRobot(IdealRobot):
     spins = False
 
     @property
-    def held(self):
+    def is_held(self):
         return FAULT <= self.k < FAULT + 60
 
     @property
     def twist(self):
-        return np.zeros(2) if self.held else super().twist
+        return np.zeros(2) if self.is_held else super().twist
 
     @property
     def wheels(self):
-        return np.zeros(2) if self.held and not self.spins else super().wheels
+        return np.zeros(2) if self.is_held and not self.spins else super().wheels
 
 
 class SpinningRobot(HeldRobot):
@@ -46,12 +46,12 @@ class QuietHeldRobot(HeldRobot):
     """Robot that is held for 2.6 s; its encoders then read exactly zero, like real encoders."""
 
     @property
-    def held(self):
+    def is_held(self):
         return FAULT <= self.k < FAULT + 130
 
     def measure(self):
         measurement = super().measure()
-        if not self.held:
+        if not self.is_held:
             return measurement
         return replace(measurement, wheel_twist=replace(measurement.wheel_twist, value=np.zeros(2)))
 
@@ -239,7 +239,7 @@ def test_sensors_of_a_disturbed_robot_are_used(robot, trajectory):
 
 
 def test_monitor_without_findings_changes_no_command():
-    monitored, unmonitored = (run(seconds=5.0, **{"monitor.enabled": on})[0] for on in (True, False))
+    monitored, unmonitored = (run(seconds=5.0, **{"monitor.enabled": enabled})[0] for enabled in (True, False))
     assert all((a.command == b.command).all() for a, b in zip(monitored, unmonitored, strict=True))
     assert {result.message for result in monitored} == {""}
 
@@ -326,8 +326,8 @@ def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
                            wheel_twist=replace(m.wheel_twist, value=m.wheel_twist.value * sign),
                            yaw_rate=replace(m.yaw_rate, value=-m.yaw_rate.value))  # fmt: skip
         pose = motion + [cosine * x - sine * y, sine * x + cosine * y, theta]
-        moved = replace(m, pose=replace(m.pose, value=pose))
-        steps.append((mirror_controller.step(k * DT, mirrored), rotated_controller.step(k * DT, moved)))
+        rotated = replace(m, pose=replace(m.pose, value=pose))
+        steps.append((mirror_controller.step(k * DT, mirrored), rotated_controller.step(k * DT, rotated)))
         return m
 
     steps = []

@@ -72,9 +72,9 @@ def test_process_noise_acts_on_the_inputs():
 
 
 def test_gains_and_their_variances_stay_constant_at_rest():
-    before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
-    predicted = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros((4, 2)))
-    growth = np.diag(predicted.covariance - before.covariance)[N : N + 11]
+    belief = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
+    predicted = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(belief, np.zeros((4, 2)))
+    growth = np.diag(predicted.covariance - belief.covariance)[N : N + 11]
     assert (growth[[0, 10]] > 0).all()
     assert growth[1:10] == pytest.approx(0, abs=1e-15)
 
@@ -296,12 +296,12 @@ def test_short_disturbance_does_not_change_slip():
 def test_yaw_gains_are_frozen_at_low_yaw_rate():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=SLIP, noise=1.0)
     run(estimator, robot, 20, command=(0.5, 0.03))
-    before, gains = estimator.estimate, estimator.nodes[-1].posterior.mean[[N + 1, N + 3]]
+    first, gains = estimator.estimate, estimator.nodes[-1].posterior.mean[[N + 1, N + 3]]
     run(estimator, robot, 280, command=(0.5, 0.03))
-    after = estimator.estimate
+    second = estimator.estimate
     assert (estimator.nodes[-1].posterior.mean[[N + 1, N + 3]] == gains).all()
-    assert after.slip_deviation.yaw_gain <= before.slip_deviation.yaw_gain
-    assert after.slip.v_offset != before.slip.v_offset
+    assert second.slip_deviation.yaw_gain <= first.slip_deviation.yaw_gain
+    assert second.slip.v_offset != first.slip.v_offset
 
 
 def test_innovations_are_chi_squared_distributed():

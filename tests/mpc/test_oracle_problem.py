@@ -79,8 +79,8 @@ def test_fixed_turning_points_of_the_guess_increase_the_cost_slightly():
     ahead = subject.turning_points(tick, plan)
     assert np.ptp(ahead) > 0.004
     assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
-    cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
-    assert cost(best.ravel()) <= cost(plan.ravel()) < 1.02 * cost(best.ravel())
+    cost, optimum = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
+    assert cost(optimum.ravel()) <= cost(plan.ravel()) < 1.02 * cost(optimum.ravel())
 
 
 def nonlinear_cost(subject, tick, ahead):

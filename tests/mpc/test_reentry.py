@@ -247,12 +247,12 @@ def lateral_errors(reference, results, poses, times):
     return np.array(offsets)
 
 
-def return_time_and_overshoot(distance, times, since):
-    """Return the time [s] after `since` from which the robot stays in the band, and its overshoot after that."""
-    is_after = times >= since
-    outside = np.flatnonzero(is_after & (np.abs(distance) > BAND))
+def return_time_and_overshoot(distance, times, start):
+    """Return the time [s] from `start` until the robot stays in the band, and the overshoot after the maximum error."""
+    is_after = times >= start
+    outside_band = np.flatnonzero(is_after & (np.abs(distance) > BAND))
     peak = np.flatnonzero(is_after)[np.argmax(np.abs(distance[is_after]))]
-    return times[outside[-1]] - since, float(np.max(-np.sign(distance[peak]) * distance[peak:]))
+    return times[outside_band[-1]] - start, float(np.max(-np.sign(distance[peak]) * distance[peak:]))
 
 
 def satisfies_slew(results):
@@ -347,16 +347,16 @@ def test_robot_too_far_from_the_reference_stops_and_reports_the_distance():
     assert "1.40 m from the reference; the limit is 1.0 m" in results[-1].message
 
 
-def wheels(max_speed=np.inf, share=(1.0, 1.0), until=np.inf, turning=False):
+def wheels(max_speed=np.inf, share=(1.0, 1.0), end=np.inf, turning=False):
     """Return a base whose right and left wheels reach `share` of their command, at most `max_speed` [m/s].
 
-    `max_speed` applies until `until` [s], and only during turns on the spot if `turning`.
+    `max_speed` applies until `end` [s], and only during turns on the spot if `turning`.
     """
     half_track, ticks = 0.5 * load_config("ssm").wheels.track, count()
 
     def base(command):
         v, omega = command
-        limit = max_speed if next(ticks) * DT < until and (abs(v) < 0.1 or not turning) else np.inf
+        limit = max_speed if next(ticks) * DT < end and (abs(v) < 0.1 or not turning) else np.inf
         right, left = np.clip([v + half_track * omega, v - half_track * omega] * np.array(share), -limit, limit)
         return np.array([right + left, (right - left) / (2 * half_track)]) / [2, 1]
 
@@ -384,7 +384,7 @@ def test_robot_with_slow_wheels_stays_on_its_path_with_delay(path):
 
 
 def test_recovered_wheels_are_used_again_within_a_second():
-    results, _, times = drive(load_trajectory("circle"), 9.0, base=wheels(max_speed=0.44, until=6.0))
+    results, _, times = drive(load_trajectory("circle"), 9.0, base=wheels(max_speed=0.44, end=6.0))
     progress = np.array([result.progress for result in results])
     assert progress[(times > 2.0) & (times < 6.0)].mean() < 0.8
     # The controller tries higher speeds after 1 s, and the rate rises within 0.5 s.

@@ -62,10 +62,10 @@ def run(clock, seconds, max_rate=FASTEST, start=0.0):
 def test_delay_decays_to_zero_and_rate_to_one(delay):
     clock = ReferenceClock(FASTEST, RAMP)
     clock.set(delay, 0.0)
-    times, delays_, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
+    times, delay_series, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
     assert (np.diff(times) >= -1e-12).all()
     assert np.diff(times).max() <= FASTEST * DT + 1e-12
-    assert delays_[-1] == 0.0
+    assert delay_series[-1] == 0.0
     assert rate[-1] == 1.0
     assert clock.on_time
 
@@ -100,9 +100,9 @@ def test_twist_equals_the_derivative_of_the_slowed_pose(rate, delay):
 def test_reference_stops_if_the_robot_is_stopped():
     clock = ReferenceClock(FASTEST, RAMP)
     run(clock, 2.0)
-    times, delays_, _ = run(clock, 1.0, max_rate=0.0, start=2.0)
+    times, delay_series, _ = run(clock, 1.0, max_rate=0.0, start=2.0)
     assert np.ptp(times[1:]) == pytest.approx(0.0, abs=1e-9)
-    assert delays_[-1] == pytest.approx(0.98, abs=1e-9)
+    assert delay_series[-1] == pytest.approx(0.98, abs=1e-9)
 
 
 def test_reference_waits_while_not_driving_but_not_before_the_start():
@@ -166,9 +166,9 @@ def test_switched_reference_starts_its_clock_and_finishes():
     for _ in range(60):
         plant.advance(controller.step(plant.time, plant.measure()).command)
     cane = load_trajectory("cane")
-    moved = MovedReference(cane, plant.true_pose - cane.sample([0.0]).pose[0])
-    controller.switch_reference(moved, plant.time)
-    assert controller.reference is moved
+    shifted = MovedReference(cane, plant.true_pose - cane.sample([0.0]).pose[0])
+    controller.switch_reference(shifted, plant.time)
+    assert controller.reference is shifted
     end = plant.time + cane.duration + 4.0
     while plant.time < end:
         step = controller.step(plant.time, plant.measure())

@@ -128,7 +128,7 @@ def test_each_goal_of_a_fast_burst_has_one_response_and_one_result(parts, goals,
         assert ends <= {
             (parts.CANCELED, "cancelled"),
             (parts.SUCCEEDED, ""),
-            *((parts.ABORTED, words) for words in REPLACED_MESSAGES),
+            *((parts.ABORTED, message) for message in REPLACED_MESSAGES),
         }
         assert not np.any(follow.base.commands[-1])
 

@@ -50,9 +50,9 @@ def stamped_points(frame="odom", last_frame="odom"):
     points = [
         SimpleNamespace(
             header=SimpleNamespace(stamp=time_message(10**12 + round(1e9 * t)), frame_id=frame),
-            pose=pose_message((ahead, 0.0, 0.0)),
+            pose=pose_message((position, 0.0, 0.0)),
         )
-        for t, ahead in zip(times, x, strict=True)
+        for t, position in zip(times, x, strict=True)
     ]
     points[-1].header.frame_id = last_frame
     return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
@@ -90,8 +90,8 @@ def test_estimate_is_published_with_frames_and_covariance():
 
 
 def twist_of_wheels(speeds, track):
-    left, right = RADIUS * speeds[0], RADIUS * speeds[1]
-    return 0.5 * (left + right), (right - left) / track
+    left_speed, right_speed = RADIUS * speeds[0], RADIUS * speeds[1]
+    return 0.5 * (left_speed + right_speed), (right_speed - left_speed) / track
 
 
 class WheelBase:
@@ -360,8 +360,8 @@ def test_closing_a_busy_side_process_ends_it():
 def detection_time(messages, series=None):
     """Return the time of detection of a second publisher [s], or None without detection."""
     series = series or MessageSeries()
-    for arrival, number, sent in sorted(messages, key=lambda message: message.arrival):
-        series.take(number, sent, arrival)
+    for arrival, number, stamp in sorted(messages, key=lambda message: message.arrival):
+        series.take(number, stamp, arrival)
         if series.is_shared:
             return arrival
     return None

@@ -140,8 +140,8 @@ def test_trajectory_starts_at_the_robot():
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
         np.testing.assert_allclose(s.loop.drive.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
-        moved = s.base.plant.true_pose - [2.0, -1.0, 2.0]
-        assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
+        displacement = s.base.plant.true_pose - [2.0, -1.0, 2.0]
+        assert math.cos(2.0) * displacement[0] + math.sin(2.0) * displacement[1] > 0.15
 
 
 def straight_path(frame="odom"):

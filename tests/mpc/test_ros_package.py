@@ -92,10 +92,10 @@ def launch_entities(monkeypatch, name):
 def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
     """The node publishes on the monitor's input topic; arguments of the monitor are options of its command line."""
     started_entities = launch_entities(monkeypatch, "monitored")
-    (node,) = [words for kind, _, words in started_entities if kind == "LifecycleNode"]
+    (node,) = [arguments for kind, _, arguments in started_entities if kind == "LifecycleNode"]
     assert node["remappings"] == [(CHECKED, UNCHECKED)]
-    commands = [words["cmd"] for kind, _, words in started_entities if kind == "ExecuteProcess"]
-    assert [words[1] for words in commands] == ["sim-robot", "monitor"]
+    commands = [arguments["cmd"] for kind, _, arguments in started_entities if kind == "ExecuteProcess"]
+    assert [arguments[1] for arguments in commands] == ["sim-robot", "monitor"]
     assert commands[1][:3] == ["diffdrive-mpc", "monitor", "--rules"]
     assert "rules" in inspect.signature(monitor).parameters
     # Parameters that depend on launch arguments are Python expressions.

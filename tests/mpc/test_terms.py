@@ -51,9 +51,9 @@ def commands(results):
 
 
 def check_limits(results):
-    commands_ = commands(results)
-    assert (np.abs(commands_) <= np.array([LIMITS.v, LIMITS.omega]) + 1e-9).all()
-    assert (np.abs(np.diff(commands_, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
+    sequence = commands(results)
+    assert (np.abs(sequence) <= np.array([LIMITS.v, LIMITS.omega]) + 1e-9).all()
+    assert (np.abs(np.diff(sequence, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
 
 
 # Distance from a moving point.

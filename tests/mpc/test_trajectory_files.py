@@ -102,9 +102,9 @@ def test_cubic_pieces_equal_cubic_pieces_of_scipy() -> None:
     sample_times = random.uniform(0.0, times[-1], 200)
     sampled = trajectory.sample(sample_times)
     assert sampled.pose == pytest.approx(expected(sample_times), abs=1e-12)
-    rates_ = expected(sample_times, 1)
-    forward = rates_[:, 0] * np.cos(sampled.pose[:, 2]) + rates_[:, 1] * np.sin(sampled.pose[:, 2])
-    assert sampled.twist == pytest.approx(np.column_stack([forward, rates_[:, 2]]), abs=1e-11)
+    derivative = expected(sample_times, 1)
+    forward = derivative[:, 0] * np.cos(sampled.pose[:, 2]) + derivative[:, 1] * np.sin(sampled.pose[:, 2])
+    assert sampled.twist == pytest.approx(np.column_stack([forward, derivative[:, 2]]), abs=1e-11)
 
 
 _LIMITS = TrajectoryLimits.of_robot()

@@ -257,9 +257,9 @@ def test_scaled_path_satisfies_limits_and_keeps_its_shape_for_any_robot(path, va
     assert slew[1] <= shares.slew_share * limits.omega_slew * (1 + 1e-6)
 
     # The command that a robot with this lag needs, from the inverse of its model.
-    needed = command[:-1] + lag * np.abs(np.diff(command, axis=0)) / dt
-    assert needed[:, 0].max() <= limits.v
-    assert needed[:, 1].max() <= limits.omega
+    required = command[:-1] + lag * np.abs(np.diff(command, axis=0)) / dt
+    assert required[:, 0].max() <= limits.v
+    assert required[:, 1].max() <= limits.omega
 
     scale = config.wheels.encoder_track / load_robot().track
     end, shipped = (reference.sample(np.array([reference.duration])) for reference in (scaled, original))

@@ -61,8 +61,8 @@ def judge_wirings(robots, folder, jobs=1):
     write_sensor_sets(folder)
     cases = [(wiring, robot) for wiring in WIRINGS for robot in robots]
     drives = run_tasks([partial(drive, *case, folder) for case in cases], jobs, lambda *_: None)
-    wrong = [case for case, (messages, _) in zip(cases, drives, strict=True) if not is_right(case[0], messages)]
-    return wrong, np.array([lateral for _, lateral in drives]), len(cases)
+    wrong_cases = [case for case, (messages, _) in zip(cases, drives, strict=True) if not is_right(case[0], messages)]
+    return wrong_cases, np.array([lateral for _, lateral in drives]), len(cases)
 
 
 def follows(robot):
@@ -80,8 +80,8 @@ def robots_that_follow():
 @pytest.mark.system
 def test_wirings_are_named_on_twenty_random_robots(tmp_path):
     robots = robots_that_follow()
-    wrong, lateral, count = judge_wirings(robots, tmp_path, jobs=2)
-    assert len(wrong) <= 0.03 * count, wrong
+    wrong_cases, lateral, count = judge_wirings(robots, tmp_path, jobs=2)
+    assert len(wrong_cases) <= 0.03 * count, wrong_cases
     assert np.median(lateral) < 0.1
 
 

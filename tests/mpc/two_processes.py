@@ -104,7 +104,7 @@ class Process:
     ----------
     name
         Name in messages.
-    words
+    arguments
         Command and options.
     environment
         Environment of the process.
@@ -112,11 +112,11 @@ class Process:
         Folder for its output.
     """
 
-    def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
+    def __init__(self, name: str, arguments: Sequence[str], environment: dict[str, str], folder: Path) -> None:
         self.name = name
         self._path = folder / name
         self._log = self._path.open("w", encoding="utf-8")
-        self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._log, stderr=self._log)
+        self.popen = subprocess.Popen([*_COMMAND, *arguments], env=environment, stdout=self._log, stderr=self._log)
 
     @property
     def output(self) -> str:
@@ -141,9 +141,9 @@ class Process:
 
 
 @contextmanager
-def running(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
+def running(name: str, arguments: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
     """Yield a process that ends with the context; parameters as for `Process`."""
-    process = Process(name, words, environment, folder)
+    process = Process(name, arguments, environment, folder)
     try:
         yield process
     finally:

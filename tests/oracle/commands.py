@@ -26,13 +26,13 @@ class PastCommands:
         """Append the command (2,) sent at this tick."""
         self._sent.append(np.array(command, dtype=float))
 
-    def correct_last(self, sent: FloatArray) -> None:
+    def correct_last(self, received: FloatArray) -> None:
         """Replace the newest command by the received command (2,)."""
-        self._sent[-1] = np.array(sent, dtype=float)
+        self._sent[-1] = np.array(received, dtype=float)
 
-    def overrule(self, sent: FloatArray) -> None:
+    def overrule(self, commands: FloatArray) -> None:
         """Replace the newest commands by commands (K, 2) of another sender, oldest first."""
-        self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
+        self._sent.extend([*list(self._sent)[: -len(commands)], *np.array(commands, dtype=float)])
 
     @property
     def memory(self) -> int:
@@ -57,5 +57,5 @@ class PastCommands:
     def acting(self, ticks_ago: int) -> FloatArray:
         """Return u[k - delay - i] (i, 2), i from 0 to spare + 2, for the interval of the command sent `ticks_ago`."""
         newest = len(self._sent) - 1 - ticks_ago - self.model.delay
-        back = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
-        return self.everything[back, [0, 1]]
+        indices = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
+        return self.everything[indices, [0, 1]]

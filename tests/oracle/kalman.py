@@ -35,9 +35,9 @@ class Belief(NamedTuple):
 
 def delay_commands(acting: FloatArray, samples: FloatArray) -> FloatArray:
     """Return the interpolated commands (2, ...) `samples` (2, ...) before the newest, the first of `acting` (m, 2)."""
-    whole = np.minimum(np.floor(np.real(samples)).astype(int), len(acting) - 2)
-    near, far = (np.stack([acting[whole[i] + step, i] for i in (0, 1)]) for step in (0, 1))
-    return near + (samples - whole) * (far - near)
+    whole_samples = np.minimum(np.floor(np.real(samples)).astype(int), len(acting) - 2)
+    near, far = (np.stack([acting[whole_samples[i] + step, i] for i in (0, 1)]) for step in (0, 1))
+    return near + (samples - whole_samples) * (far - near)
 
 
 class SlipFilter:
@@ -85,13 +85,13 @@ class SlipFilter:
         """
         n, x = self.model.order, self._next(z, acting)
         v, omega = self.twist(z, 0.5 * self.model.C @ (z[:n] + x))
-        moved = self._moved(z, v, omega, acceleration, self.model.dt)
-        return np.concatenate([x, z[self.slip_places], z[self.delay_places], moved])
+        next_pose = self._moved(z, v, omega, acceleration, self.model.dt)
+        return np.concatenate([x, z[self.slip_places], z[self.delay_places], next_pose])
 
     def acceleration(self, z: FloatArray, acting: FloatArray) -> float:
         """Compute the acceleration of the body's forward speed over the sample [m/s^2]."""
-        after = self.twist(z, self.model.C @ self._next(z, acting))
-        return float((after - self.twist(z))[0] / self.model.dt)
+        next_twist = self.twist(z, self.model.C @ self._next(z, acting))
+        return float((next_twist - self.twist(z))[0] / self.model.dt)
 
     def _next(self, z: FloatArray, acting: FloatArray) -> FloatArray:
         model, delay = self.model, z[self.delay_places] / self.model.dt
@@ -101,9 +101,9 @@ class SlipFilter:
     def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
         pose = z[self.pose_places]
         side_slip, turn_ahead, _, load_shift, *slide = z[self.slip_places[4:10]]
-        left = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
+        lateral_speed = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
         dx, dy = slid(pose[2], omega, dt, slide)
-        return pose + np.stack(arc(pose[2], v, omega, dt, left)) + np.stack([dx, dy, 0.0 * dx])
+        return pose + np.stack(arc(pose[2], v, omega, dt, lateral_speed)) + np.stack([dx, dy, 0.0 * dx])
 
     # Prediction of the sensors, with `change` (2,) [m/s, rad/s] added to the model's output.
 

@@ -52,16 +52,16 @@ def roll_out(
     Commands act `delay` (2,) samples later than in the model.
     """
     steps, _, k = plan.shape
-    sent = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
-    whole = np.zeros(2, dtype=int) if delay is None else np.floor(delay).astype(int)
-    rest = 0.0 if delay is None else (delay - whole)[:, None]
-    now = len(past) + np.arange(steps)[:, None] - model.delay - whole
+    commands = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
+    whole_samples = np.zeros(2, dtype=int) if delay is None else np.floor(delay).astype(int)
+    fraction = 0.0 if delay is None else (delay - whole_samples)[:, None]
+    indices = len(past) + np.arange(steps)[:, None] - model.delay - whole_samples
 
     def acting(index: FloatArray) -> FloatArray:
-        near, far = sent[index, [0, 1]], sent[np.maximum(index - 1, 0), [0, 1]]
-        return near + rest * (far - near)
+        near, far = commands[index, [0, 1]], commands[np.maximum(index - 1, 0), [0, 1]]
+        return near + fraction * (far - near)
 
-    recent, older = acting(now), acting(now - 1)
+    recent, older = acting(indices), acting(indices - 1)
     x = np.repeat(state[:, None], k, axis=1).astype(plan.dtype)
     outputs = [model.C @ x]
     for step in range(steps):

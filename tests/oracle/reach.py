@@ -67,13 +67,13 @@ class WheelReach:
         if self.on_spot != was_on_spot:
             self._drop()
             self.tried = math.inf
-        needed = float((np.abs(next_twists) @ [1.0, self.half_track / slip.yaw_gain]).max())
-        sent, wheel = commands.everything, None
+        required = float((np.abs(next_twists) @ [1.0, self.half_track / slip.yaw_gain]).max())
+        sent_commands, wheel = commands.everything, None
         is_checked = astray or (astray is not None and math.isfinite(self.attained))
-        if self.enabled and is_checked and len(sent) >= self.window and t - wheels.stamp < _FOR:
+        if self.enabled and is_checked and len(sent_commands) >= self.window and t - wheels.stamp < _FOR:
             by_reference = self._rims(target, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)[:, None]
-            twists = self.gain @ sent[-self.window :].T
+            twists = self.gain @ sent_commands[-self.window :].T
             # During other motion a saturated wheel is indistinguishable from a smaller gain.
             gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
             forward = sign * self._rims(twists * [[1.0], [0.0]], Slip())
@@ -82,20 +82,20 @@ class WheelReach:
             max_command = forward.max(axis=1) + turning.max(axis=1)
             demand = np.minimum(min_command, sign[:, 0] * by_reference)
             shortfall = demand - along
-            slower = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
-            steady = (np.abs(readings - self.actual) < _STEADY * demand) & (slower > _SLOWER * shortfall)
-            short = steady & (along > _HELD * demand) & (shortfall > np.maximum(_SHORT * demand, _LEAST))
-            if short.any() and (along <= max_command + _LEAST).all():
+            speed_deficit = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
+            steady = (np.abs(readings - self.actual) < _STEADY * demand) & (speed_deficit > _SLOWER * shortfall)
+            is_short = steady & (along > _HELD * demand) & (shortfall > np.maximum(_SHORT * demand, _LEAST))
+            if is_short.any() and (along <= max_command + _LEAST).all():
                 rank = shortfall + _LEAST * (np.arange(2) == self.short_wheel)
-                wheel = int(np.argmax(np.where(short, rank, -np.inf)))
+                wheel = int(np.argmax(np.where(is_short, rank, -np.inf)))
         if wheel is not None and self._is_saturated(wheel, float(min_command[wheel])):
             self.attained, self.slowed = abs(self.actual[wheel]), 0.0
-        elif needed > _SLOWED * self.allowed:
+        elif required > _SLOWED * self.allowed:
             self.slowed += self.dt
         growth = _REGAIN[0] * self.attained + _REGAIN[1]
         self.allowed = self.attained + (growth * (self.slowed - _RETRY) if self.slowed > _RETRY else 0.0)
         is_faster = abs(self.actual[self.short_wheel]) > self.attained * (1 + _SHORT) + _LEAST
-        if not self.enabled or is_faster or needed < _FAR_BELOW * self.attained or not self.attained < self.max_speed:
+        if not self.enabled or is_faster or required < _FAR_BELOW * self.attained or not self.attained < self.max_speed:
             self._drop()
 
     def _is_saturated(self, wheel: int, command: float) -> bool:

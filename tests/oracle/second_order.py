@@ -29,12 +29,12 @@ def response(parameters, command, first, dt):
     return gain * (drive + delay_line[0]) + offset
 
 
-def fit_second_order(commands, readings, fresh, dt, clip=False):
+def fit_second_order(commands, readings, valid, dt, clip=False):
     """Fit parameters (5,), or (6,) with `clip`, to lists of commands, readings and their validity of one channel."""
-    firsts = [y[np.argmax(f)] for y, f in zip(readings, fresh, strict=True)]
+    firsts = [y[np.argmax(f)] for y, f in zip(readings, valid, strict=True)]
 
     def errors(parameters):
-        runs = zip(commands, readings, fresh, firsts, strict=True)
+        runs = zip(commands, readings, valid, firsts, strict=True)
         return np.concatenate([(y - response(parameters, u, first, dt))[f] for u, y, f, first in runs])
 
     bounds = ([0.05, 0.01, 0.005, 0.0, -0.3], [5.0, 4.0, 2.0, 0.6, 0.3])

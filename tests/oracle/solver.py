@@ -45,13 +45,13 @@ def solve(qp: QuadraticProgram) -> Solution:
         return not_finite
     # Variables (e, x): e >= 0 is the excess of a soft row; the bounds e = 0 are initially active.
     n, hard, soft = len(qp.g), len(qp.lower), len(qp.soft_lower)
-    scale, unit, none = np.abs(qp.H).max(), np.eye(soft), np.full(soft, _NO_BOUND)
+    scale, unit, unbounded = np.abs(qp.H).max(), np.eye(soft), np.full(soft, _NO_BOUND)
     H = np.zeros((soft + n, soft + n))
     H[:soft, :soft], H[soft:, soft:] = qp.quadratic * unit, qp.H
     f = np.concatenate([np.full(soft, qp.price), qp.g])
     rows = np.block([[np.zeros((hard, soft)), qp.rows], [-unit, qp.soft_rows], [unit, qp.soft_rows]])
-    lower = np.concatenate([np.zeros(soft), qp.lower, -none, qp.soft_lower])
-    upper = np.concatenate([none, qp.upper, qp.soft_upper, none])
+    lower = np.concatenate([np.zeros(soft), qp.lower, -unbounded, qp.soft_lower])
+    upper = np.concatenate([unbounded, qp.upper, qp.soft_upper, unbounded])
     sense = np.repeat([_ACTIVE | _LOWER, 0], [soft, hard + 2 * soft]).astype(np.intc)
     model = daqp.Model()
     model.setup(H / scale, f / scale, rows, upper, lower, sense)

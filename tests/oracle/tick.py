@@ -73,8 +73,8 @@ def target_heading(poses: FloatArray, twist: FloatArray, acceleration: FloatArra
     """
     v, omega = twist.T
     share = v / (v * v + 0.01)
-    left = np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])]) @ [slip.slide_x, slip.slide_y]
-    slide = (np.sqrt(omega**2 + 0.05**2) - 0.05) * left
+    lateral_slide = np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])]) @ [slip.slide_x, slip.slide_y]
+    slide = (np.sqrt(omega**2 + 0.05**2) - 0.05) * lateral_slide
     ahead = slip.turn_ahead - slip.load_shift * acceleration
     return poses[:, 2] - np.arctan(-omega * slip.side_slip + (slide - omega * ahead) * share)
 

@@ -67,8 +67,8 @@ class Splines(_Resampled):
         x, y, theta, arc_length = a * tau**3 + b * tau**2 + c * tau + d
         x_rate, y_rate, omega, _ = 3 * a * tau**2 + 2 * b * tau + c
         v = x_rate * np.cos(theta) + y_rate * np.sin(theta)
-        inside = (times == t)[:, None]
-        twist = np.where(inside, np.column_stack([v, omega]), 0.0)
+        is_inside = (times == t)[:, None]
+        twist = np.where(is_inside, np.column_stack([v, omega]), 0.0)
         return ReferenceSample(np.column_stack([x, y, theta]), twist, arc_length)
 
 
