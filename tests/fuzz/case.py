@@ -19,7 +19,7 @@ class FaultError(AssertionError):
 
 
 class HangError(BaseException):
-    """Exceeded time limit of a case; not an Exception, so that the project does not catch it."""
+    """Exceeded time limit of a case; derived from BaseException, so that the project does not catch it."""
 
 
 class Fuzzer(Protocol):

@@ -118,7 +118,7 @@ class ControllerFuzzer:
     steps = late = 0
     """Number of steps of all checked cases, and number of steps that missed their deadline."""
     longest_step = 0.0
-    """Longest processor time of a step, in units of its sample time."""
+    """Maximum processor time of a step, in units of its sample time."""
 
     def draw(self, random: Random) -> Case:
         """Draw a configuration, references and events."""
@@ -186,7 +186,7 @@ class Session:
         self.hold_now: Hold | None = None
 
     def start(self, index: int, t0: float) -> None:
-        """Start a reference whose time 0 is `t0` [s] after the present."""
+        """Start a reference; its time 0 is `t0` [s] after the current time."""
         try:
             self.controller.start(self.references[index % len(self.references)], self.t + t0)
             self.started = True

@@ -1,4 +1,4 @@
-"""`make fuzz FUZZ=live`: attack a node over DDS and judge its commands.
+"""`make fuzz FUZZ=live`: attacks on a node over DDS, and checks of its commands.
 
 The actions of the attacker follow from its seed; their timing depends on DDS and the machine.
 """

@@ -12,7 +12,7 @@ from oracle.motion import arc, sideways, slid
 
 # Ratio of the yaw rate from encoders and geometric track to the yaw rate of the firmware.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
-# The encoders of this robot have no lag, unlike those that the shipped configurations describe.
+# Settings for encoders without lag; the shipped configurations describe encoders with a lag.
 PROMPT = {"sensors.wheels.lag": 0.0, "sensors.wheels.scale": 1.0}
 
 

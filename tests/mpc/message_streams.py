@@ -1,4 +1,4 @@
-"""Streams of numbered messages: two simultaneous publishers on a topic, or one that is restarted repeatedly."""
+"""Streams of numbered messages from two simultaneous publishers, or from a publisher that is restarted repeatedly."""
 
 from typing import NamedTuple
 

@@ -14,12 +14,12 @@ from diffdrive_mpc import Controller, ControllerConfig, Measurement, NonlinearMo
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
-# The controller assumes no slip, so that its target is the reference itself.
+# Without slip, the target of the controller equals the reference.
 NO_SLIP = {f"compensation.{name}": False for name in ("delay", "v_offset", "yaw_gain", "side_slip")}
 EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
 
 EachTick = Callable[[Controller, float], None]
-"""Callback that sets inputs of the controller before a tick, such as parameters."""
+"""Callback that sets inputs of the controller, such as parameters, before a tick."""
 
 
 @dataclass(frozen=True)

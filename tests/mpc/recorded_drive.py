@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
-# A gap between commands above this multiple of the sample time leaves the robot without a new command for one sample.
+# Maximum period between commands, as a multiple of the sample time, without a sample that lacks a new command.
 _MISSED = 1.5
 
 

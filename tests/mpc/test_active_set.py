@@ -418,7 +418,7 @@ def test_contradicting_hard_rows_are_reported_as_infeasible():
 
 @pytest.mark.parametrize(("row", "gap", "status"), [(4, 0.1, INFEASIBLE), (4, 1e-6, NOT_PROVEN), (5, 0.1, NOT_PROVEN)])
 def test_only_hard_rows_with_limits_crossed_beyond_the_slack_are_infeasible(row, gap, status):
-    """Row 4 is the last hard row, row 5 the first soft one, whose limits the caller must not cross."""
+    """Row 4 is the last hard row; row 5 is the first soft row, whose limits the caller must not cross."""
     p = Problem(np.eye(8), np.zeros(8), np.eye(8), -np.ones(8), np.ones(8), hard=5)
     p.lower[row] = p.upper[row] + gap
     solution = solve(p)

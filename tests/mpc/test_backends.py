@@ -162,7 +162,7 @@ def test_nan_in_a_program_is_reported(backend):
 
 @every_backend
 def test_backend_stops_at_its_iteration_limit(backend):
-    """OSQP needs more than 10 iterations to any useful tolerance; DAQP does if enough limits are active."""
+    """OSQP needs more than 10 iterations for useful tolerances; DAQP needs more if enough limits are active."""
     program = random_program(0, tightness=2.0)
     assert solve(program, backend).status is SolverStatus.SOLVED
     stopped = solve(program, backend, max_iterations=10)

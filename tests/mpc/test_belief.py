@@ -14,7 +14,7 @@ CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertaint
 
 
 def drive(overrides=None, ticks=120, model="ssm"):
-    """Return a controller after some ticks on grass, its plant, and its last step."""
+    """Return controller, plant and last step after `ticks` ticks on grass."""
     controller, plant = Controller(load_config(model, overrides or {})), make_plant("model:ssm", "p4_grass", seed=5)
     controller.start(load_trajectory("s"), 0.0)
     for _ in range(ticks):

@@ -151,7 +151,7 @@ def test_repeated_runs_and_runs_after_reset_are_bit_identical():
 
 
 def test_configured_dead_time_is_compensated():
-    """A robot with 150 ms more dead time is tracked as accurately if the configuration contains it."""
+    """A robot with 150 ms of extra dead time has small errors if the configuration contains the dead time."""
     reference, late_model = load_trajectory("s"), MODEL.with_extra_dead_time([0.15, 0.15])
     errors = {}
     for extra in (0.0, 0.15):
@@ -200,7 +200,7 @@ def test_reported_command_replaces_the_sent_command_in_the_estimate():
 
 
 def test_estimate_follows_commands_of_another_controller():
-    """Another controller drives the robot at 0.3 m/s with poses alone; the estimate follows its commands."""
+    """Another controller drives the robot at 0.3 m/s; the estimate follows its commands."""
     robot, observer = robot_for(load_trajectory("circle")), controller()
     observer.start(load_trajectory("circle"), robot.time)
     for _ in range(150):
@@ -287,7 +287,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 
 config, reference = load_config("ssm", {"horizon": 12}), load_trajectory("s")
 for order in range(2, 10):
-    # v through a chain of lags, omega through one lag.
+    # v has a chain of lags, omega a single lag.
     rates = np.linspace(30.0, 60.0, order)
     A = np.diag(-rates) + np.diag(np.append(rates[1:-1], 0.0), k=-1)
     B, C = np.zeros((order, 2)), np.zeros((2, order))

@@ -33,10 +33,10 @@ TWO_SIDED = {
 }
 SOFT = {"limits.predicted_v": 0.45, "limits.predicted_omega": 0.5, "limits.wheel_speed": 0.55, "limits.corridor": 0.01}
 PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
-# OSQP stops when its residuals, not the commands, are below its tolerance.
+# The tolerance of OSQP applies to its residuals, not to the commands.
 OSQP = {"solver.method": "osqp"} | {f"solver.osqp.{key}": value for key, value in PRECISE.items()}
 OSQP_ACCURACY = 1e-6
-# DAQP drops a row that hardly depends on any command, such as the corridor at the first steps.
+# DAQP drops rows with almost no effect of the commands, such as the corridor at the first steps.
 DAQP_ACCURACY = 1e-4
 
 

@@ -92,7 +92,7 @@ def load_result():
 
 
 def compile_into_cache():
-    """Compile the core into the cache without loading it, like another process."""
+    """Compile the core into the cache without loading it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library.cffi.FFI, "dlopen", lambda self, name: None)
         library.load_core()

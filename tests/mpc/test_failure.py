@@ -304,7 +304,7 @@ def test_lasting_solver_failure_leads_through_every_mode_and_recovers(monkeypatc
 
 
 @every_backend
-def test_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
+def test_nonfinite_plan_is_not_executed(monkeypatch, backend):
     solver = FailingSolver(monkeypatch, "solved", garbage=math.nan)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 3.0, change=solver.during({100}))
     assert results[100].mode is Mode.REUSED_PLAN
@@ -327,7 +327,7 @@ TEN_ITERATIONS = {
 
 
 @every_backend
-def test_plan_stopped_at_the_iteration_limit_is_not_driven(backend):
+def test_plan_stopped_at_the_iteration_limit_is_not_executed(backend):
     limited = controller(**BACKENDS[backend] | TEN_ITERATIONS[backend])
     results, _, _ = drive(limited, robot(), REFERENCE, 1.0)
     failed = [r for r in results if r.solver.status is SolverStatus.MAX_ITERATIONS]
@@ -335,7 +335,7 @@ def test_plan_stopped_at_the_iteration_limit_is_not_driven(backend):
     assert not any(r.mode is Mode.TRACKING for r in failed)
 
 
-def test_problem_that_is_not_finite_is_reported_and_not_solved():
+def test_nonfinite_problem_is_reported_and_not_solved():
     reference = CorruptedReference(REFERENCE)
 
     def corrupt(k, m):

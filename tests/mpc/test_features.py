@@ -45,7 +45,7 @@ def test_feature_holds_the_robot_and_changes_the_result():
         ("rehearsal", "'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
-def test_feature_that_is_not_attached_raises_config_error(name, message):
+def test_missing_feature_raises_config_error(name, message):
     with pytest.raises(ConfigError, match=message):
         Controller("sm").feature(name)
 
@@ -73,7 +73,7 @@ def test_group_of_a_feature_is_read_written_and_compared(tmp_path):
         ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
-def test_mistake_in_a_feature_gives_one_line_with_place_and_remedy(overrides, message):
+def test_mistake_in_a_feature_raises_error_with_key_and_remedy(overrides, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_config("sm", overrides)
     assert "\n" not in str(error.value)

@@ -26,7 +26,7 @@ TICKS = 370
 SEEDS = (1, 3)
 SENSORS = ("sensors.wheels", "sensors.yaw_rate", "sensors.pose")
 GROUPS = ("weights", "limits", "wheels", "estimator", "failure", "reentry", "finish", *SENSORS)
-# Ranges for fields where a multiple of the default would have no effect on these drives.
+# Ranges of fields for which a multiple of the default has no effect on these drives.
 RANGES = {
     "limits.v": (0.55, 0.7),
     "limits.omega": (1.2, 1.5),
@@ -58,7 +58,7 @@ RANGES = {
 }
 # Orders 2, 4 and 8, with a different dead time in each channel.
 MODELS = {"ssm": (0.013, 0.027), "sm": (0.055, 0.021), "mbm": (0.0, 0.0606)}
-# DAQP drops a row that hardly depends on any command, such as the corridor at the first steps.
+# DAQP drops rows with almost no effect of the commands, such as the corridor at the first steps.
 DAQP_ACCURACY = 1e-4
 # Slip on a different surface, with a different load.
 OTHER_SLIP = Slip(

@@ -17,7 +17,7 @@ CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 
 
 class Loop:
-    """Control loop of a robot at rest that records the calls that it receives."""
+    """Stub of the control loop of a robot at rest that records its calls."""
 
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
@@ -126,7 +126,7 @@ def test_newer_goal_aborts_a_goal_that_has_not_started(parts):
     following.take(first)
     following.take(second)
     assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
-    # The path of the first goal arrives too late.
+    # The path of the first goal arrives after the second goal.
     side.respond()
     assert loop.calls == []
     side.respond()

@@ -43,7 +43,7 @@ def test_learned_delays_halve_the_tracking_error():
     assert with_delays < 0.5 * without_delays
 
 
-# A model without provenance: its yaw gain is estimated without prior knowledge from `wheels`.
+# The yaw gain of a model without provenance is estimated without prior knowledge from `wheels`.
 
 
 LAG = 0.18

@@ -139,7 +139,7 @@ def regulator(model, weights, state, past, last, error, twists, fed):
         F[n + m, -1] = -dt * twists[k]
         F[n + m + 1, -1] = -fed[k + 1]
         P[n + m, n + m] += weights.along * (weights.terminal if k == STEPS - 1 else 1.0)
-        # The deviation d = u - fed has the weight weights.v, and its change the weight weights.v_increment.
+        # The deviation d = u - fed has the weight weights.v; its change has the weight weights.v_increment.
         change = F[n + m + 1] - np.eye(size)[n + m + 1]
         R = B @ P @ B + weights.v + weights.v_increment
         S = B @ P @ F + weights.v * F[n + m + 1] + weights.v_increment * change

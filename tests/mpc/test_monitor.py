@@ -98,7 +98,7 @@ def corrupt_sensor(field, value):
 
 
 def fail_encoder(wheels, _):
-    """Return the twist if one of the two left wheels reads zero: the left side has half its speed."""
+    """Return the twist if one of the two left wheels reads zero: the speed of the left side is halved."""
     right, left = wheels[0] + 0.5 * TRACK * wheels[1], wheels[0] - 0.5 * TRACK * wheels[1]
     return np.array([0.5 * (right + 0.5 * left), (right - 0.5 * left) / TRACK])
 

@@ -103,7 +103,7 @@ class StubNode:
         return SimpleNamespace(warning=self.warnings.append)
 
 
-def test_parameters_of_a_named_part_are_declared_and_read(parts):
+def test_parameters_of_a_configured_part_are_declared_and_read(parts):
     node = StubNode(parts__probe__current=2.5)
     settings = name_parts(node, NodeSettings(), ())
     declare(node, settings)
@@ -123,7 +123,7 @@ def test_part_of_a_configured_feature_is_loaded_and_unnamed_parts_are_not(parts)
     assert name_parts(StubNode(), settings, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
 
 
-def test_missing_package_of_a_part_is_named_in_one_line(parts):
+def test_error_for_a_missing_part_contains_its_package(parts):
     with pytest.raises(MissingPackageError, match=r"^node part 'energy' is in the package diffdrive-mpc-extras: pip "):
         name_parts(StubNode(parts__energy__use_battery=True), NodeSettings(), ())
     with pytest.raises(MissingPackageError, match=r"^node part 'mine': no installed package has it"):

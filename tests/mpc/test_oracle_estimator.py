@@ -81,7 +81,7 @@ def test_gains_and_their_variances_stay_constant_at_rest():
 
 @given(means, st.floats(0, 0.9 * DT))
 def test_pose_correction_equals_the_textbook_filter(mean, ahead):
-    """Mean and covariance of an extended Kalman filter whose gradient comes from finite differences."""
+    """Mean and covariance equal those of an extended Kalman filter with gradients from finite differences."""
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(1)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))

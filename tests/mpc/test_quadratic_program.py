@@ -68,7 +68,7 @@ def test_osqp_daqp_and_the_product_agree_on_the_program_of_a_tick(path, limits):
     assert "active_set" in methods
 
 
-def test_rows_and_variables_are_named_by_kind_and_step():
+def test_names_of_rows_and_variables_contain_kind_and_step():
     config = load_config("ssm", {"horizon": 8, "limits.min_turn_radius": 0.3, "limits.v": 0.7})
     pose = ca.SX.sym("pose", 3)
     near = Term("near", ca.Function("near", [pose], [pose[0]], ["pose"], ["value"]), "soft", upper=1.0)

@@ -101,7 +101,7 @@ def test_only_the_command_is_limited_without_reentry():
 
 
 @pytest.mark.parametrize("limit", [0.0, -0.1, math.nan, math.inf])
-def test_invalid_speed_limit_is_refused(limit):
+def test_invalid_speed_limit_raises_error(limit):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="give a positive number"):
         controller.limit_speed(limit)

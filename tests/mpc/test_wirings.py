@@ -78,7 +78,7 @@ def robots_that_follow():
 
 
 @pytest.mark.system
-def test_wirings_are_named_on_twenty_random_robots(tmp_path):
+def test_messages_name_wrong_wirings_on_twenty_random_robots(tmp_path):
     robots = robots_that_follow()
     wrong_cases, lateral, count = judge_wirings(robots, tmp_path, jobs=2)
     assert len(wrong_cases) <= 0.03 * count, wrong_cases
@@ -108,7 +108,7 @@ def lateral_square_with_remedy(wiring, robot, folder):
 
 
 @pytest.mark.long
-def test_setting_named_in_a_message_restores_tracking(tmp_path):
+def test_setting_from_a_message_restores_tracking(tmp_path):
     """Errors of robots with correctable wirings are compared with errors of the same robots with correct wiring."""
     robots = robots_that_follow()
     wirings = [
