@@ -110,7 +110,7 @@ class UserReference:
 
 
 class ControllerFuzzer:
-    """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
+    """Fuzzer of sequences of events, with random configurations, models and references."""
 
     name, time_limit, count = "controller", 60.0, 150
     extras: Sequence[Overrides] = EXTRAS

@@ -67,7 +67,7 @@ def corrupt_solutions(random: Random) -> None:
 
 
 class CoreFuzzer:
-    """Drives of the controller in a process with the sanitized core: memory and commands stay within their bounds."""
+    """Fuzzer of the sanitized core in a separate process: memory and commands must stay within their bounds."""
 
     name, time_limit, count, is_reducible = "core", 300.0, 1, False
 

@@ -22,7 +22,7 @@ BASES = ("own.csv", "own.mcap", "mapped.csv", "bag.db3", "bag.mcap", "metadata.y
 
 
 class LogFuzzer:
-    """CSV, drive logs and bags."""
+    """Fuzzer of CSV files, drive logs and bags."""
 
     name, time_limit, count = "logs", 60.0, 200
 
@@ -43,7 +43,7 @@ class LogFuzzer:
 
 
 class ReplayFuzzer:
-    """The files of `LogFuzzer` as input of `log replay`."""
+    """Fuzzer of `log replay` with the files of `LogFuzzer`."""
 
     name, time_limit, count = "replay", 60.0, 80
 

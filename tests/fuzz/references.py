@@ -15,7 +15,7 @@ from fuzz.promises import refused_or
 
 
 class ReferenceFuzzer:
-    """Files of references; accepted references must be finite, continuous and within the limits."""
+    """Fuzzer of reference files; accepted references must be finite, continuous and within the limits."""
 
     name, time_limit, count = "references", 20.0, 300
 

@@ -32,7 +32,7 @@ _SEEDS = {"base": "sim/ros/base.yaml", "experiment": "../../studies/tracking/qui
 
 
 class YamlFuzzer:
-    """Changed files of every kind that the root package reads."""
+    """Fuzzer of changed files of every kind that the root package reads."""
 
     name, time_limit, count = "yaml", 20.0, 500
 

@@ -10,7 +10,7 @@ import osqp
 
 from diffdrive_mpc.mpc import load_config
 
-# A soft limit is active at every tick of a drive at 0.5 m/s, so the backend is called each time.
+# A soft limit is active at every tick of a drive at 0.5 m/s, so every tick calls the backend.
 ACTIVE_LIMIT = {"limits.predicted_v": 0.4, "solver.method": "daqp"}
 BACKENDS = {name: ACTIVE_LIMIT | {"solver.method": name} for name in ("osqp", "daqp")}
 
@@ -35,7 +35,7 @@ class FailingSolver:
         monkeypatch.setattr(daqp, "Model", type("Model", (daqp.Model,), {"solve": solve}))
 
     def during(self, ticks, change=lambda k, m: m):
-        """Return a change for `ideal_robot.drive` that makes these ticks fail."""
+        """Return a change for `ideal_robot.drive` that makes the solves of `ticks` fail."""
 
         def change_during(k, measurement):
             self.failing = k in ticks

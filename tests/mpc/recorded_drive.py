@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
-# Maximum period between commands, as a multiple of the sample time, without a sample that lacks a new command.
+# Period between commands above which a sample lacks a new command, as a multiple of the sample time.
 _MISSED = 1.5
 
 

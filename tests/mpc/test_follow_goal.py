@@ -177,8 +177,8 @@ def test_goal_without_pose_ends_after_the_follow_patience(parts):
 
 
 def test_path_limits_stay_below_the_limits_of_the_robot():
-    half = np.diag([0.5, 2.0])
-    bounds = path_limits(CONFIG, half, SETTINGS)
+    gain = np.diag([0.5, 2.0])
+    bounds = path_limits(CONFIG, gain, SETTINGS)
     assert bounds.v == pytest.approx(SETTINGS.follow_speed_share * 0.5 * CONFIG.limits.v)
     assert bounds.omega == pytest.approx(SETTINGS.follow_speed_share * CONFIG.limits.omega)
     assert bounds.v_acceleration < CONFIG.limits.v_slew and bounds.omega_acceleration < CONFIG.limits.omega_slew

@@ -67,8 +67,8 @@ def test_configured_weights_replace_the_weights_of_the_margin():
 def test_update_keeps_the_weights_of_the_start(monkeypatch):
     controller = Controller("sm")
     monkeypatch.setattr(margin, "_increment_weights", None)
-    weights = controller.config.weights
-    assert controller.update(weights={"across": 1200.0}).weights == weights.model_copy(update={"across": 1200.0})
+    initial = controller.config.weights
+    assert controller.update(weights={"across": 1200.0}).weights == initial.model_copy(update={"across": 1200.0})
     assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
 
 
@@ -121,8 +121,8 @@ def regulator(model, weights, state, past, last, error, twists, fed):
     size = n + m + 3
     A, B = np.zeros((size, size)), np.zeros(size)
     A[:n, :n] = model.A
-    column_of_delay = n + m - 1 - int(model.delay[0])
-    for matrix, column in ((model.B0, column_of_delay + 1), (model.B1, column_of_delay)):
+    column_before = n + m - 1 - int(model.delay[0])
+    for matrix, column in ((model.B0, column_before + 1), (model.B1, column_before)):
         if column == n + m:
             B[:n] += matrix[:, 0]
         else:

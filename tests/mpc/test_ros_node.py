@@ -1,4 +1,4 @@
-"""Lifecycle, services, references by topic and published messages of the node, over DDS."""
+"""Lifecycle, services, references from topics, and published messages of the node over DDS."""
 
 import itertools
 import math
@@ -29,7 +29,7 @@ def state(s):
     return s.call(GetState, "/diffdrive_mpc/get_state", GetState.Request()).current_state.id
 
 
-def test_commands_in_lock_step_equal_those_of_the_simulation():
+def test_commands_in_lock_step_equal_commands_of_the_simulation():
     reference = load_trajectory("s")
     ticks = 150
     with stack(trajectory="s", drive=True) as s:

@@ -160,7 +160,7 @@ class SlipFilter:
         return np.sqrt(np.maximum(np.diag(T @ belief.covariance @ T.T), 0.0))
 
     def weighed(self, belief: Belief) -> FloatArray:
-        """Return the mean (n + 16,) for the controller: differences from the prior are reduced by their noise."""
+        """Return the mean (n + 16,) for the controller, without differences from the prior that noise can explain."""
         s, n, mean = self.settings, self.model.order, belief.mean.copy()
         for group, noise, model_error in (
             ([n + 5, n + 6, n + 8, n + 9], s.slide_evidence, 0.0),
