@@ -124,7 +124,7 @@ def solve(p, warm=None, number="double", slack=1e-6, max_iterations=2000, max_ac
         array = np.ascontiguousarray(array, dtype=dtype)
         return array, ffi.cast("real *", array.ctypes.data)
 
-    arrays = [
+    inputs = [
         as_c_array(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])
     ]
     # The solver must not read these initial values.
@@ -133,7 +133,7 @@ def solve(p, warm=None, number="double", slack=1e-6, max_iterations=2000, max_ac
     multipliers, at_multipliers = as_c_array(np.zeros(m) if warm is None else warm.copy())
     plan, at_plan = as_c_array(np.zeros(n))
     result = functions.solve_dense(
-        n, m, p.hard, *(pointer for _, pointer in arrays), max_iterations, max_active, at_reals,
+        n, m, p.hard, *(pointer for _, pointer in inputs), max_iterations, max_active, at_reals,
         ffi.cast("int *", ints.ctypes.data), at_multipliers, at_plan,
     )  # fmt: skip
     return Solution(
@@ -155,9 +155,9 @@ def cost(p, plan):
 def assert_optimal(p, solution, tolerance=1e-6):
     """Check all optimality conditions of a convex program."""
     values, multipliers = p.A @ solution.plan, solution.multipliers
-    violation = excess(p, solution.plan)
+    excesses = excess(p, solution.plan)
     # Hard limits are satisfied; rows are active only at their bounds, with the correct sign.
-    assert violation[: p.hard].max(initial=0.0) <= tolerance
+    assert excesses[: p.hard].max(initial=0.0) <= tolerance
     at_upper, at_lower = multipliers > 0, multipliers < 0
     slack = np.zeros(len(multipliers))
     soft = np.arange(len(multipliers)) >= p.hard
@@ -166,9 +166,9 @@ def assert_optimal(p, solution, tolerance=1e-6):
     assert values[at_upper] == pytest.approx((p.upper + slack)[at_upper], abs=tolerance)
     assert values[at_lower] == pytest.approx((p.lower - slack)[at_lower], abs=tolerance)
     # The multiplier of an exceeded soft limit is its marginal cost.
-    exceeded = soft & (violation > tolerance)
+    exceeded = soft & (excesses > tolerance)
     assert np.abs(multipliers[exceeded]) == pytest.approx(
-        p.price + p.slope * violation[exceeded], abs=p.slope * tolerance
+        p.price + p.slope * excesses[exceeded], abs=p.slope * tolerance
     )
     gradient = p.H @ solution.plan + p.g + multipliers @ p.A
     scale = 1 + np.abs(multipliers[:, None] * p.A).max(initial=0.0) + np.abs(p.H).max() * np.abs(solution.plan).max()
@@ -267,10 +267,10 @@ def two_sided_residuals(seed, steps=30):
 
 def test_programs_with_two_sided_limits_are_solved_exactly():
     # The multipliers of the last program are so large that their rounding alone would leave a gap of 4e-8.
-    residuals_of_seeds = np.array([two_sided_residuals(seed) for seed in [*range(40), 1033372]])
-    assert (residuals_of_seeds[:, :3] < 1e-9).all()
-    assert (residuals_of_seeds[:, 3] < 1e-7).all()
-    assert (residuals_of_seeds[:, 4] > 3).mean() > 0.5
+    rows = np.array([two_sided_residuals(seed) for seed in [*range(40), 1033372]])
+    assert (rows[:, :3] < 1e-9).all()
+    assert (rows[:, 3] < 1e-7).all()
+    assert (rows[:, 4] > 3).mean() > 0.5
 
 
 def solve_with_daqp(p):

@@ -96,9 +96,9 @@ def straight_path(frame, start, length=2.0, speed=0.4, stamp=0):
     path = Path()
     path.header.frame_id, path.header.stamp = frame, time_message(stamp)
     duration = 1.5 * length / speed
-    for progress in np.linspace(0.0, 1.0, 31):
-        pose = compose(start, (length * (3 * progress**2 - 2 * progress**3), 0.0, 0.0))
-        path.poses.append(stamped_pose_message(pose, 10**9 + round(progress * duration * 1e9), frame))
+    for share in np.linspace(0.0, 1.0, 31):
+        pose = compose(start, (length * (3 * share**2 - 2 * share**3), 0.0, 0.0))
+        path.poses.append(stamped_pose_message(pose, 10**9 + round(share * duration * 1e9), frame))
     return path
 
 

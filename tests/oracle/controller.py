@@ -271,18 +271,18 @@ class OracleController:
         settings, estimate = self.config.reentry, self.estimator.estimate
         x, y, theta = estimate.pose - pose
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        along, across, heading_error = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
+        along, lateral, heading_error = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
         v, omega = twist
         ahead = math.copysign(along, along * v)
         is_near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
         # Uncertainty of the pose must not start re-entry.
         band = self.turn_tolerance + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
-        outside = abs(across) > band or abs(heading_error) > settings.heading_band or not is_near
+        outside = abs(lateral) > band or abs(heading_error) > settings.heading_band or not is_near
         if abs(v) > STANDING:
             return Deviation(outside, -ahead / settings.wait)
         # While the reference rests or turns on the spot, the delay is the time to reach it.
         turning = -math.copysign(1.0, omega) * heading_error if abs(omega) > TURNING else 0.0
-        distance = max(math.hypot(along, across) - self.turn_tolerance, 0.0)
+        distance = max(math.hypot(along, lateral) - self.turn_tolerance, 0.0)
         return Deviation(outside, max(distance / settings.wait, turning / settings.heading_wait))
 
     def _update_turn_tolerance(self, slip: Slip) -> None:
@@ -297,9 +297,9 @@ class OracleController:
         """Return True if the robot is late or off the path."""
         pose, twist = self.target_pose, self.next_twists[1]
         x, y, _ = self.estimator.estimate.pose - pose
-        across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
+        lateral = np.cos(pose[2]) * y - np.sin(pose[2]) * x
         deviation = self._deviation(pose, twist)
-        return bool(deviation.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or deviation.outside)
+        return bool(deviation.late > ASTRAY or abs(lateral) > BESIDE * self.config.reentry.band or deviation.outside)
 
     def _restart(self) -> bool:
         """Restart the estimate at the position of the consistent rejected poses if the commands have been zero."""

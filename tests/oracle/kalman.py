@@ -51,7 +51,7 @@ class SlipFilter:
     ) -> None:
         self.model, self.settings, self.wheel_yaw_ratio = model, settings, wheel_yaw_ratio
         n, s, use = model.order, settings, compensation
-        self.slip_places, self.delay_places, self.pose_places = (
+        self.slip_index, self.delay_index, self.pose_index = (
             n + np.arange(11),
             n + 11 + np.arange(2),
             n + 13 + np.arange(3),
@@ -73,8 +73,8 @@ class SlipFilter:
     def twist(self, z: FloatArray, output: FloatArray | None = None) -> FloatArray:
         """Compute v, omega (2, ...) of the body from the model's `output` (2, ...), by default that of the state."""
         v, omega = self.model.C @ z[: self.model.order] if output is None else output
-        v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_places[:4]]
-        turn_left = z[self.slip_places[6]]
+        v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_index[:4]]
+        turn_left = z[self.slip_index[6]]
         turning = omega_gain * yaw_gain * omega
         return np.stack([longitudinal_gain * (v + v_offset) + turn_left * turning, turning])
 
@@ -86,7 +86,7 @@ class SlipFilter:
         n, x = self.model.order, self._next(z, acting)
         v, omega = self.twist(z, 0.5 * self.model.C @ (z[:n] + x))
         next_pose = self._moved(z, v, omega, acceleration, self.model.dt)
-        return np.concatenate([x, z[self.slip_places], z[self.delay_places], next_pose])
+        return np.concatenate([x, z[self.slip_index], z[self.delay_index], next_pose])
 
     def acceleration(self, z: FloatArray, acting: FloatArray) -> float:
         """Compute the acceleration of the body's forward speed over the sample [m/s^2]."""
@@ -94,16 +94,16 @@ class SlipFilter:
         return float((next_twist - self.twist(z))[0] / self.model.dt)
 
     def _next(self, z: FloatArray, acting: FloatArray) -> FloatArray:
-        model, delay = self.model, z[self.delay_places] / self.model.dt
+        model, delay = self.model, z[self.delay_index] / self.model.dt
         recent, older = delay_commands(acting, delay), delay_commands(acting, delay + 1)
         return model.A @ z[: model.order] + model.B0 @ recent + model.B1 @ older
 
     def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
-        pose = z[self.pose_places]
-        side_slip, turn_ahead, _, load_shift, *slide = z[self.slip_places[4:10]]
-        lateral_speed = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
+        pose = z[self.pose_index]
+        side_slip, turn_ahead, _, load_shift, *slide = z[self.slip_index[4:10]]
+        lateral = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
         dx, dy = slid(pose[2], omega, dt, slide)
-        return pose + np.stack(arc(pose[2], v, omega, dt, lateral_speed)) + np.stack([dx, dy, 0.0 * dx])
+        return pose + np.stack(arc(pose[2], v, omega, dt, lateral)) + np.stack([dx, dy, 0.0 * dx])
 
     # Prediction of the sensors, with `change` (2,) [m/s, rad/s] added to the model's output.
 
@@ -112,15 +112,15 @@ class SlipFilter:
 
     def wheel_speed(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Compute the forward speed of the wheels [m/s]."""
-        return self._output(z, change)[0] + z[self.slip_places[0]]
+        return self._output(z, change)[0] + z[self.slip_index[0]]
 
     def wheel_yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Compute the yaw rate from encoders and geometric track [rad/s]."""
-        return self.wheel_yaw_ratio * z[self.slip_places[1]] * self._output(z, change)[1]
+        return self.wheel_yaw_ratio * z[self.slip_index[1]] * self._output(z, change)[1]
 
     def yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Compute the yaw rate of the gyro [rad/s]."""
-        return self.twist(z, self._output(z, change))[1] + z[self.slip_places[10]]
+        return self.twist(z, self._output(z, change))[1] + z[self.slip_index[10]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
         """Compute the pose (3, ...) `ahead` seconds later, at constant twist."""
@@ -138,21 +138,21 @@ class SlipFilter:
         settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
         P = np.zeros((n + 16, n + 16))
         P[:n, :n] = settled @ np.diag((model.C @ x) ** 2) @ settled.T
-        P[self.slip_places, self.slip_places] = self.uncertainty**2
-        P[self.delay_places, self.delay_places] = (self.spare > 0) * self.settings.delay_uncertainty**2
+        P[self.slip_index, self.slip_index] = self.uncertainty**2
+        P[self.delay_index, self.delay_index] = (self.spare > 0) * self.settings.delay_uncertainty**2
         return Belief(np.concatenate([x, self.expected, np.zeros(5)]), P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
         """Return the state of `motion` at another `pose` (3,) with the covariance (3, 3)."""
-        mean, P, places = motion.mean.copy(), motion.covariance.copy(), self.pose_places
-        mean[places] = pose
-        P[places, :] = P[:, places] = 0.0
-        P[np.ix_(places, places)] = covariance
+        mean, P, index = motion.mean.copy(), motion.covariance.copy(), self.pose_index
+        mean[index] = pose
+        P[index, :] = P[:, index] = 0.0
+        P[np.ix_(index, index)] = covariance
         return Belief(mean, P, rate=motion.rate)
 
     def slip(self, z: FloatArray) -> Slip:
         """Return the slip in a state."""
-        return Slip(*z[self.slip_places[:10]].tolist())
+        return Slip(*z[self.slip_index[:10]].tolist())
 
     def twist_deviation(self, belief: Belief) -> FloatArray:
         """Return the standard deviations (2,) of v [m/s] and omega [rad/s]."""
@@ -165,7 +165,7 @@ class SlipFilter:
         for group, noise, model_error in (
             ([n + 5, n + 6, n + 8, n + 9], s.slide_evidence, 0.0),
             ([n + 1], s.gain_evidence, s.gain_doubt),
-            *(([place], s.delay_evidence, s.delay_doubt) for place in self.delay_places),
+            *(([index], s.delay_evidence, s.delay_doubt) for index in self.delay_index),
         ):
             P = belief.covariance[np.ix_(group, group)]
             difference = belief.mean[group] - np.array([*self.expected, 0.0, 0.0])[np.array(group) - n]
@@ -179,7 +179,7 @@ class SlipFilter:
     def bounded(self, mean: FloatArray) -> FloatArray:
         """Limit gains and delays to their bounds."""
         mean[self.gains] = np.clip(mean[self.gains], self.settings.min_gain, self.settings.max_gain)
-        mean[self.delay_places] = np.clip(mean[self.delay_places], 0.0, self.spare * self.model.dt)
+        mean[self.delay_index] = np.clip(mean[self.delay_index], 0.0, self.spare * self.model.dt)
         return mean
 
     def predict(self, belief: Belief, acting: FloatArray) -> Belief:
@@ -196,12 +196,12 @@ class SlipFilter:
         driving, turning = v >= s.min_speed, omega >= s.min_yaw_rate
         cornering = driving and turning
         moving = [True, turning, driving, turning, cornering, turning, turning, cornering, turning, turning, True]
-        Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
-        Q[self.delay_places, self.delay_places] = (
+        Q[self.slip_index, self.slip_index] = self.drift**2 * model.dt * moving
+        Q[self.delay_index, self.delay_index] = (
             (self.spare > 0) * s.delay_drift**2 * model.dt * np.array([driving, turning])
         )
         walk = np.array([s.position_drift, s.position_drift, s.heading_drift])
-        Q[self.pose_places, self.pose_places] = walk**2 * model.dt
+        Q[self.pose_index, self.pose_index] = walk**2 * model.dt
         counts = tuple(count + (count > 0) for count in belief.surprised)
         rate = model.C @ (mean[:n] - z[:n]) / model.dt
         return Belief(mean, F @ belief.covariance @ F.T + Q, counts, rate)
@@ -229,7 +229,7 @@ class SlipFilter:
         innovation = value - self.pose(belief.mean, ahead)
         innovation[2] = wrap(innovation[2])
         push = np.zeros_like(belief.covariance)
-        push[self.pose_places, self.pose_places] = innovation**2
+        push[self.pose_index, self.pose_index] = innovation**2
         return self._correct(belief, "pose", H, innovation, covariance, push)
 
     def _correct(
@@ -246,9 +246,9 @@ class SlipFilter:
         S = H @ P @ H.T + R
         K = np.linalg.solve(S, H @ P).T
         if pushed:
-            K[self.slip_places] = K[self.delay_places] = 0.0
+            K[self.slip_index] = K[self.delay_index] = 0.0
         elif abs(self.twist(z)[1]) < s.min_yaw_rate:
-            K[self.gains[[0, 2]]] = K[self.delay_places[1]] = 0.0
+            K[self.gains[[0, 2]]] = K[self.delay_index[1]] = 0.0
         mean = self.bounded(z + K @ innovation)
         # Joseph's form holds for any gain.
         I_KH = np.eye(len(z)) - K @ H

@@ -72,9 +72,9 @@ def roll_out(
 
 def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
     """Return bounds (steps, 2); a bound below the last command is approached at the slew limit."""
-    braking = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
+    slew = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
     (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
-    return np.minimum(last_command + braking, [-reverse, -right]), np.maximum(last_command - braking, [forward, left])
+    return np.minimum(last_command + slew, [-reverse, -right]), np.maximum(last_command - slew, [forward, left])
 
 
 def reachable_commands(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -147,8 +147,8 @@ class TrackingProblem:
         """
         v, omega = twist.swapaxes(0, 1)
         wheels_v, wheels_omega = (v - tick.slip.turn_left * omega) / tick.slip.gains[0], omega / tick.slip.gains[1]
-        wheel_difference = 0.5 * self.config.wheels.track * wheels_omega
-        return np.stack([v, omega, wheels_v + wheel_difference, wheels_v - wheel_difference, errors[:, 1]])
+        half_difference = 0.5 * self.config.wheels.track * wheels_omega
+        return np.stack([v, omega, wheels_v + half_difference, wheels_v - half_difference, errors[:, 1]])
 
     def outcome(self, tick: Tick, plan: FloatArray, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the residuals (m, k) and soft values (5, N + 1, k) of a plan (N, 2, k)."""
