@@ -56,7 +56,7 @@ def test_belief_matches_the_estimate(settings):
     assert np.abs(belief.polynomial_covariance - np.diag(np.diag(belief.polynomial_covariance))).max() > 1e-6
 
 
-def test_known_slip_lowers_the_pose_covariance():
+def test_known_slip_reduces_the_pose_covariance():
     """The covariance of unknown slip increases the covariance of the pose; exactly known slip does not."""
     controller, _, _ = drive()
     belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))

@@ -266,7 +266,7 @@ def test_rejected_update_changes_nothing(change):
 
 
 @pytest.mark.parametrize("steps", [1.8, 2.0])
-def test_horizon_within_the_dead_time_raises_error_with_the_minimum(steps):
+def test_error_for_a_horizon_within_the_dead_time_contains_the_minimum(steps):
     dead_time = {"extra_dead_time.v": steps * DT}
     message = (
         "horizon = 2: the horizon ends within the dead time of the model, 2 steps of 0.0202 s; set horizon to 3 or more"

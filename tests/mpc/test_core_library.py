@@ -264,7 +264,7 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
 # The compiler.
 
 
-def test_missing_compiler_error_names_the_wheel(no_compiler):
+def test_error_for_a_missing_compiler_contains_the_wheel(no_compiler):
     with pytest.raises(NotCompiledError) as caught:
         library.load_core()
     message = str(caught.value)

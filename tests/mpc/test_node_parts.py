@@ -153,7 +153,7 @@ def test_hooks_are_called_in_the_order_of_the_lifecycle(parts, tmp_path):
 
 
 @pytest.mark.parametrize("hook", ["refuse", "refuse_activation"])
-def test_part_refuses_a_transition_and_the_node_recovers(parts, hook):
+def test_node_recovers_after_a_transition_that_a_part_rejects(parts, hook):
     with stack(autostart=False, **{f"parts.probe.{hook}": True}) as s:
         s.node.trigger_configure()
         if hook == "refuse_activation":

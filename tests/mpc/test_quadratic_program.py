@@ -101,7 +101,7 @@ def drive(config, model=None, ticks=155):
 
 
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
-def test_cost_and_limits_equal_cost_and_limits_of_the_oracle(name):
+def test_cost_and_limits_equal_those_of_the_oracle(name):
     rng, (oracle_problem, tick) = np.random.default_rng(0), setting(name)
     tick = replace(tick, past=rng.normal(size=(20, 2)))
     problem = casadi_problem(oracle_problem.config, load_model(name).with_extra_dead_time(EXTRA))

@@ -219,7 +219,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_start_error_names_the_expected_shape(change):
+def test_start_error_contains_the_expected_shape(change):
     with pytest.raises(ValueError, match=r"reference 'own': (pose|twist) of sample\(times\) has shape .*; expected \("):
         Controller(CONFIG).start(UserReference(change), 0.0)
 

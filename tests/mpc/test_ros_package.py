@@ -89,7 +89,7 @@ def launch_entities(monkeypatch, name):
     return started
 
 
-def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
+def test_monitored_launch_connects_the_base_to_the_monitor_only(monkeypatch):
     """The node publishes on the monitor's input topic; arguments of the monitor are options of its command line."""
     started_entities = launch_entities(monkeypatch, "monitored")
     (node,) = [arguments for kind, _, arguments in started_entities if kind == "LifecycleNode"]

@@ -72,7 +72,7 @@ def end_with(base, process, *numbers, ticks=True):
 
 @pytest.mark.parametrize("moving_base", [20.0], indirect=True)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_node_brakes_by_its_ramp_and_sends_zero_last(moving_base, number):
+def test_interrupted_node_brakes_at_its_limits_and_sends_zero_last(moving_base, number):
     commands = end_with(*moving_base, number)
     braking = np.array([CONFIG.limits.v_braking, CONFIG.limits.omega_braking]) * DT
     assert (np.abs(np.diff(commands, axis=0)) <= braking * 1.001).all()
@@ -168,7 +168,7 @@ def test_each_robot_follows_its_own_path(alternating_drives, name):
     assert all(np.hypot(*(reference_at_end(name)[:2] - end[:2])) > 0.1 for end in other_ends)
 
 
-def test_diagnostics_name_each_robot(alternating_drives):
+def test_diagnostics_contain_the_name_of_each_robot(alternating_drives):
     _, statuses, _ = alternating_drives
     assert {status.name for status in statuses} == NAMES
     assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}

@@ -154,7 +154,7 @@ def displaced_robot():
 # Terms together with shipped limits.
 
 
-def test_shipped_soft_limits_hold_together_with_terms():
+def test_shipped_soft_limits_are_satisfied_together_with_terms():
     corridor = {"limits.corridor": 0.05, "weights.soft": 500.0}
     max_offsets = []
     for overrides in (WITHOUT_REENTRY, WITHOUT_REENTRY | corridor):

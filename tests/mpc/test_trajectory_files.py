@@ -93,7 +93,7 @@ def test_arc_length_never_decreases_within_a_piece_with_two_sign_changes() -> No
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
 
 
-def test_cubic_pieces_equal_cubic_pieces_of_scipy() -> None:
+def test_cubic_pieces_equal_the_pieces_of_scipy() -> None:
     random = np.random.default_rng(3)
     times, (poses, rates) = np.append(0.0, np.cumsum(random.uniform(0.02, 0.7, 40))), random.normal(size=(2, 41, 3))
     trajectory = SplineTrajectory.through("test", times, poses, rates)
