@@ -25,9 +25,8 @@ def growth(channel, share):
     """Return the growth of an oscillation over 6 s with `share` of the margin of SM as unknown delay in a channel."""
     controller = Controller(load_config("sm", IDEAL | {"margin.v": 0.29, "margin.omega": 0.16}))
     margins = controller.config.margin
-    delay = np.eye(2)[channel] * share * [margins.v, margins.omega]
-    late_model = controller.model.with_extra_dead_time(delay).discretise(controller.sample_time)
-    robot = IdealRobot(late_model, [0.0, 0.02, 0.0])
+    lags = np.eye(2)[channel] * share * [margins.v, margins.omega]
+    robot = IdealRobot(controller.model.with_extra_dead_time(lags).discretise(controller.sample_time), [0.0, 0.02, 0.0])
     t, zeros = np.linspace(0.0, 20.0, 201), np.zeros(201)
     path = np.column_stack([margin.SPEED * t, zeros, zeros]), np.column_stack([margin.SPEED + zeros, zeros, zeros])
     controller.start(SplineTrajectory.through("line", t, *path), 0.0)

@@ -262,12 +262,11 @@ def test_recovered_sensor_is_used_again(name, field):
 @pytest.mark.parametrize(("ticks", "has_gyro"), [(1, True), (3, True), (10, True), (5, False), (10, False)])
 @pytest.mark.parametrize("trajectory", ["s", "square", "k_turn"])
 def test_poses_later_than_their_stamps_are_reported_within_5_s_and_used(trajectory, ticks, has_gyro):
-    poses = []
+    past = []
 
     def change(k, m):
-        poses.append(m.pose.value)
-        pose = Stamped(poses[max(0, k - ticks)], m.pose.time)
-        return replace(m, pose=pose, yaw_rate=m.yaw_rate if has_gyro else None)
+        past.append(m.pose.value)
+        return replace(m, pose=Stamped(past[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None)
 
     results, _ = run(change, trajectory, seconds=7.0)
     assert unused_sensors(results) == set()
