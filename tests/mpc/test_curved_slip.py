@@ -48,7 +48,7 @@ def curved_model(curves):
     twist = body_twist(ca.mtimes(model.C, x), ca.DM([getattr(slip, name) for name in SLIPS]))
     step = model.A @ x + model.B0 @ window[2:] + model.B1 @ window[:2]
     return NonlinearModel(
-        "curved",
+        "bent",
         ca.Function("step", [x, window], [step], ["x", "window"], ["x_next"]),
         ca.Function("output", [x], [twist], ["x"], ["y"]),
         DT,
