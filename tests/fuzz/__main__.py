@@ -44,39 +44,39 @@ def main() -> None:
         sys.exit(f"error: unknown fuzzer '{min(unknown)}': give short, long, or some of {', '.join(FUZZERS)}")
     # One thread for matrices, as in the node: the matrices are too small for more threads.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    chosen = [FUZZERS[name] for name in FUZZERS if name in arguments.what] or list(FUZZERS.values())
+    fuzzers = [FUZZERS[name] for name in FUZZERS if name in arguments.what] or list(FUZZERS.values())
     length = "long" if "long" in arguments.what else "short"
-    sys.exit(int(any([_run_fuzzer(fuzzer, length, arguments) for fuzzer in chosen])))  # noqa: C419 - every fuzzer runs
+    sys.exit(int(any([_run_fuzzer(fuzzer, length, arguments) for fuzzer in fuzzers])))  # noqa: C419 - every fuzzer runs
 
 
 def _run_fuzzer(fuzzer: Fuzzer, length: str, arguments: argparse.Namespace) -> bool:
-    """Search in successive processes, with the same origins on every machine; return True after a finding."""
+    """Search in successive processes, with origins that do not depend on the machine; return True after a finding."""
     count = fuzzer.count * (_LONG_FACTOR if length == "long" else 1) if arguments.count is None else arguments.count
     limit, steps = _SECONDS[length], math.inf
     if arguments.steps is not None:
         count, limit, steps = 10**9, _STEPS_TIME_LIMIT, arguments.steps
-    start, ran, part = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
+    start, totals, index = time.monotonic(), {"cases": 0, "steps": 0, "late": 0, "longest_step": 0.0}, 0
     end, code = start + (limit if arguments.seconds is None else arguments.seconds), 0
-    while not code and ran["cases"] < count and ran["steps"] < steps and time.monotonic() < end:
+    while not code and totals["cases"] < count and totals["steps"] < steps and time.monotonic() < end:
         with TemporaryDirectory() as scratch:
-            order = f"{fuzzer.name}/{arguments.seed}/{part}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
+            bounds = f"{fuzzer.name}/{arguments.seed}/{index}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
             process = get_context("spawn").Process(
-                target=run_search, args=(fuzzer.name, *order, arguments.keep, scratch)
+                target=run_search, args=(fuzzer.name, *bounds, arguments.keep, scratch)
             )
             process.start()
             process.join()
-            code, part = process.exitcode or 0, part + 1
+            code, index = process.exitcode or 0, index + 1
             statistics, case = Path(scratch, "statistics.json"), Path(scratch, "case.json")
             for key, value in json.loads(statistics.read_text()).items() if statistics.exists() else ():
-                ran[key] = max(ran[key], value) if key == "longest_step" else ran[key] + value
+                totals[key] = max(totals[key], value) if key == "longest_step" else totals[key] + value
             if code not in (0, 1) and case.exists():
                 reason = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
                 path = save(fuzzer.name, reason, json.loads(case.read_text()), arguments.keep)
                 print(f"  - process {reason}\n    {path}")
-        steps_text = "{steps} steps of at most {longest_step:.2f} sample times, {late} late, ".format(**ran)
+        steps_text = "{steps} steps of at most {longest_step:.2f} sample times, {late} late, ".format(**totals)
         print(
-            f"{fuzzer.name:12s} seed {arguments.seed}: {ran['cases']} cases in {time.monotonic() - start:.0f} s, "
-            f"{steps_text if ran['steps'] else ''}{'with findings' if code else 'no finding'}",
+            f"{fuzzer.name:12s} seed {arguments.seed}: {totals['cases']} cases in {time.monotonic() - start:.0f} s, "
+            f"{steps_text if totals['steps'] else ''}{'with findings' if code else 'no finding'}",
             flush=True,
         )
     return bool(code)

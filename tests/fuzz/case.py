@@ -15,11 +15,11 @@ Case = Any
 
 
 class FaultError(AssertionError):
-    """Violation of a guarantee of the project, which the message names before the colon."""
+    """Violation of a guarantee of the project; the message starts with the name of the guarantee and a colon."""
 
 
 class HangError(BaseException):
-    """Exceeded time limit of a case; not an Exception, so that the project does not catch it."""
+    """Exceeded time limit of a case; derived from BaseException, so that the project does not catch it."""
 
 
 class Fuzzer(Protocol):

@@ -1,4 +1,4 @@
-"""Configurations that the schema allows, at its edges; drawn from the schema, so that new fields are in at once."""
+"""Random configurations near the bounds of the schema, drawn from its fields, so that new fields are included."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Overrides = dict[str, Any]
 
 
 def fields(schema: type[BaseModel], prefix: str = "") -> list[tuple[str, FieldInfo]]:
-    """Return the fields with one value by dotted key."""
+    """Return the fields with a single value, with their dotted keys."""
     values = []
     for name, field in schema.model_fields.items():
         kind = field.annotation
@@ -32,27 +32,27 @@ def fields(schema: type[BaseModel], prefix: str = "") -> list[tuple[str, FieldIn
 
 FIELDS = [(key, field) for key, field in fields(ControllerConfig) if key not in ("model", "extra_dead_time.provenance")]
 _HEAVY = {"horizon": (1, 60)}
-"""Usual range of fields that make a case slow."""
+"""Usual ranges of fields with a strong effect on the run time of a case."""
 
 
-def draw_overrides(random: Random, most: int = 12) -> Overrides:
-    """Draw values that the schema mostly allows for some fields."""
-    chosen = random.sample(FIELDS, random.choice((0, 1, 2, 3, random.randint(0, most))))
-    values = {key: draw_value(random, field) for key, field in chosen}
+def draw_overrides(random: Random, max_count: int = 12) -> Overrides:
+    """Draw values of some fields; the schema allows most of them."""
+    selected = random.sample(FIELDS, random.choice((0, 1, 2, 3, random.randint(0, max_count))))
+    values = {key: draw_value(random, field) for key, field in selected}
     if "horizon" in values or random.random() < 0.5:
         values["horizon"] = random.choice((1, 2, 3, 5, 15, 30, 30, random.randint(*_HEAVY["horizon"])))
         if random.random() < 0.02:
             values["horizon"] = 200
     if random.random() < 0.15:
         values["solver.method"] = random.choice(("osqp", "daqp"))
-    # As many iterations as can be asked for would only cost time.
+    # More iterations would only increase the run time.
     if "solver.max_iterations" in values:
         values["solver.max_iterations"] = min(values["solver.max_iterations"], 2000)
     return values
 
 
 def draw_value(random: Random, field: FieldInfo) -> Any:
-    """Draw a value that the field mostly allows."""
+    """Draw a value of a field; most values are allowed."""
     kinds = get_args(field.annotation) or (field.annotation,)
     if get_origin(field.annotation) is Literal:
         return random.choice(kinds)

@@ -52,7 +52,7 @@ _REFUSED = (ConfigError, ModelError, ValueError)
 _SHARE_OF_TICK = 0.5
 """Deadline of a step, as in the node, as a share of the sample time [-]."""
 _ITERATION = 5e-3
-"""Maximum processor time of an iteration of a solver with 200 steps, by which a step may exceed its sample time [s]."""
+"""Maximum time by which a step may exceed its sample time: one iteration of a solver with 200 steps [s]."""
 
 _POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
 _DISTANCE = ca.sqrt(ca.sumsqr(_POSE[:2] - _POINT) + 1e-6)
@@ -80,7 +80,7 @@ TERMS = {
 
 @cache
 def user_model(name: str) -> NonlinearModel | None:
-    """Return a model that is not shipped; None if `name` is that of a configuration."""
+    """Return a nonlinear model, or None if `name` is the name of a configuration."""
     from nonlinear_program import saturating, windowed
 
     models = {"nonlinear": saturating, "windowed": windowed}
@@ -89,7 +89,7 @@ def user_model(name: str) -> NonlinearModel | None:
 
 @dataclass
 class UserReference:
-    """Reference defined by a user, whose poses need not agree with its twist."""
+    """User-defined reference; its poses may contradict its twist."""
 
     name: str = "own"
     duration: float = 5.0
@@ -99,18 +99,18 @@ class UserReference:
     spoils: dict[int, float] = field(default_factory=dict)
 
     def sample(self, times: Any) -> ReferenceSample:
-        """Return samples on a straight line; `spoils` contains values of x by the number of the call."""
-        t = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
-        pose = np.asarray(self.pose) + t[:, None] * np.asarray(self.velocity)
-        twist = np.tile(np.asarray(self.twist, dtype=float), (len(t), 1))
+        """Return samples on a straight line; `spoils` maps the number of a call to its first coordinate."""
+        clipped = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
+        pose = np.asarray(self.pose) + clipped[:, None] * np.asarray(self.velocity)
+        twist = np.tile(np.asarray(self.twist, dtype=float), (len(clipped), 1))
         self._calls = getattr(self, "_calls", 0) + 1
         if self._calls in self.spoils:
             pose[:, 0] = self.spoils[self._calls]
-        return ReferenceSample(pose, twist, t * abs(self.twist[0]))
+        return ReferenceSample(pose, twist, clipped * abs(self.twist[0]))
 
 
 class ControllerFuzzer:
-    """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
+    """Fuzzer of sequences of events, with random configurations, models and references."""
 
     name, time_limit, count = "controller", 60.0, 150
     extras: Sequence[Overrides] = EXTRAS
@@ -118,7 +118,7 @@ class ControllerFuzzer:
     steps = late = 0
     """Number of steps of all checked cases, and number of steps that missed their deadline."""
     longest_step = 0.0
-    """Longest processor time of a step, in units of its sample time."""
+    """Maximum processor time of a step, in units of its sample time."""
 
     def draw(self, random: Random) -> Case:
         """Draw a configuration, references and events."""
@@ -186,7 +186,7 @@ class Session:
         self.hold_now: Hold | None = None
 
     def start(self, index: int, t0: float) -> None:
-        """Start a reference whose time 0 is `t0` [s] after the present."""
+        """Start a reference; its time 0 is `t0` [s] after the current time."""
         try:
             self.controller.start(self.references[index % len(self.references)], self.t + t0)
             self.started = True
@@ -229,13 +229,13 @@ class Session:
         except _REFUSED as error:
             one_line(error)
 
-    def hold(self, words: str | None, failure: bool = False) -> None:
+    def hold(self, reason: str | None, failure: bool = False) -> None:
         """Hold the robot from the next step on; None ends the hold."""
-        self.hold_now = None if words is None else Hold(words, failure=failure)
+        self.hold_now = None if reason is None else Hold(reason, failure=failure)
 
-    def bound(self, most_iterations: int | None, seconds: float | None) -> None:
+    def bound(self, max_iterations: int | None, seconds: float | None) -> None:
         """Limit iterations and time from the next step on."""
-        self.bounds = most_iterations, seconds
+        self.bounds = max_iterations, seconds
 
     def again(self) -> None:
         """Pickle and unpickle the controller."""
@@ -261,13 +261,13 @@ class Session:
         for _ in range(count):
             self.tick(self.controller.config.sample_time)
 
-    def tick(self, dt: float, spoilt: dict[str, Any] | None = None) -> None:
-        """Run a tick `dt` [s] after the last one, with a measurement that `spoilt` changes."""
+    def tick(self, dt: float, changes: dict[str, Any] | None = None) -> None:
+        """Run a tick `dt` [s] after the last tick, with `changes` of the measurement."""
         if not self.started:
             return
         t = self.t + dt
         step = dt if math.isfinite(dt) and 0.0 < dt < 1.0 else 0.0
-        # A clock that jumps far or is not a number is corrected afterwards.
+        # A large or invalid clock jump lasts one tick only.
         if math.isfinite(t) and abs(t) < 1e12:
             self.t = t
         self.twist = self.twist + min(1.0, step / 0.1) * (np.clip(self.last, -1e3, 1e3) - self.twist)
@@ -277,10 +277,10 @@ class Session:
         with warnings.catch_warnings():
             # Python code must not cause numerical warnings.
             warnings.simplefilter("error", RuntimeWarning)
-            most, seconds = self.bounds
-            measurement, sample_time = self.measured(spoilt or {}), self.controller.sample_time
+            bound, seconds = self.bounds
+            measurement, sample_time = self.measured(changes or {}), self.controller.sample_time
             limit = _SHARE_OF_TICK * sample_time
-            # Exclude garbage collection, from which the node excludes existing objects at activation.
+            # Disable garbage collection, because the node excludes existing objects from it at activation.
             gc.disable()
             # Use thread time, because the computer runs other processes.
             start = time.thread_time()
@@ -289,7 +289,7 @@ class Session:
                 measurement,
                 self.hold_now,
                 deadline=time.monotonic() + (seconds if seconds is not None and seconds < limit else limit),
-                most_iterations=most,
+                most_iterations=bound,
             )
             duration = time.thread_time() - start
             gc.enable()
@@ -298,21 +298,21 @@ class Session:
         if duration > sample_time + _ITERATION:
             raise FaultError(f"deadline: a step of {1e3 * duration:.1f} ms in a sample of {1e3 * sample_time:g} ms")
         # A repeated tick has the report of the previous tick.
-        fresh = "its command is repeated" not in result.message
-        if fresh and most and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > most:
-            raise FaultError(f"iterations: {result.solver.iterations} of at most {most}")
+        is_new = "its command is repeated" not in result.message
+        if is_new and bound and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > bound:
+            raise FaultError(f"iterations: {result.solver.iterations} of at most {bound}")
         if result.solver.operations > self.controller.operations_bound:
             raise FaultError(f"operations: {result.solver.operations} of {self.controller.operations_bound} at most")
         check_step(result, self.controller.config, self.last, held=self.hold_now is not None)
         self.last = np.array(result.command)
 
-    def measured(self, spoilt: dict[str, Any]) -> Measurement:
-        """Return the measurement; with "repeat" the last one."""
-        if "repeat" in spoilt:
+    def measured(self, changes: dict[str, Any]) -> Measurement:
+        """Return the measurement with changes, or the last measurement for "repeat"."""
+        if "repeat" in changes:
             return self.measurement
         ordinary = {"pose": self.pose.copy(), "wheel_twist": self.twist.copy(), "yaw_rate": float(self.twist[1])}
         values: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
-        for name, change in spoilt.items():
+        for name, change in changes.items():
             if name == "sent":
                 values["sent"] = tuple(change) if isinstance(change, list) else change
             elif change is None:
@@ -325,7 +325,7 @@ class Session:
 
 
 def stamp_of(change: dict[str, Any], t: float) -> Any:
-    """Return the stamp of a spoilt message."""
+    """Return the stamp of a changed message."""
     return change["stamp"] if "stamp" in change else t + change.get("later", 0.0)
 
 
@@ -347,21 +347,21 @@ def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> Non
         if command.any():
             raise FaultError(f"stopped: and moves: {text}")
         return
-    brakes = result.mode in ("BRAKING", "FINISHED")
+    is_braking = result.mode in ("BRAKING", "FINISHED")
     if held and result.mode not in ("BRAKING", "FINISHED"):
         raise FaultError(f"held: and drives: {text}")
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
-    rates = (limits.v_braking, limits.omega_braking) if brakes else (limits.v_slew, limits.omega_slew)
-    grows, falls = np.transpose([sides_of(rate) for rate in rates]) * dt
+    rates = (limits.v_braking, limits.omega_braking) if is_braking else (limits.v_slew, limits.omega_slew)
+    rise, fall = np.transpose([sides_of(rate) for rate in rates]) * dt
     size, sign, rounding = np.abs(last), np.where(last < 0.0, -1.0, 1.0), 1e-9 + 1e-9 * np.abs(last)
     # After the sign change, the command grows for the rest of the tick.
-    smallest = np.where(size > falls, size - falls, -grows * (1.0 - size / falls))
+    min_size = np.where(size > fall, size - fall, -rise * (1.0 - size / fall))
     ahead, behind = np.where(sign > 0.0, upper, lower), np.where(sign > 0.0, lower, upper)
-    if (sign * command > np.maximum(ahead, smallest) + rounding).any() or (sign * command < -behind - rounding).any():
+    if (sign * command > np.maximum(ahead, min_size) + rounding).any() or (sign * command < -behind - rounding).any():
         raise FaultError(f"limits: outside {(-lower).tolist()} to {upper.tolist()}: {text}")
-    if (sign * command > size + grows + rounding).any() or (sign * command < smallest - rounding).any():
-        raise FaultError(f"slew: grows by more than {grows.tolist()} or falls by {falls.tolist()} in a tick: {text}")
-    if brakes and (np.abs(command) > np.abs(last)).any():
+    if (sign * command > size + rise + rounding).any() or (sign * command < min_size - rounding).any():
+        raise FaultError(f"slew: grows by more than {rise.tolist()} or falls by {fall.tolist()} in a tick: {text}")
+    if is_braking and (np.abs(command) > np.abs(last)).any():
         raise FaultError(f"brakes: and speeds up: {text}")
     if result.mode == "TRACKING":
         if not result.solver.status.usable:
@@ -411,14 +411,14 @@ def draw_reference(random: Random) -> Case:
 
 
 def draw_speed(random: Random, scale: float) -> float:
-    """Draw a number of this scale, sometimes an extreme one."""
+    """Draw a number of this scale, sometimes an extreme number."""
     if random.random() < 0.08:
         return odd.number(random)
     return random.choice((0.0, scale, -scale, random.gauss(0.0, scale), random.gauss(0.0, 1e-3 * scale)))
 
 
 def make_reference(spec: Case) -> Any:
-    """Make the reference of a case; raises ValueError if it is refused."""
+    """Return the reference of a case; raise ValueError if it is invalid."""
     limits = TrajectoryLimits.of_robot()
     if spec["kind"] == "named":
         return load_trajectory(spec["name"])
@@ -427,14 +427,14 @@ def make_reference(spec: Case) -> Any:
     if spec["kind"] == "segments":
         try:
             segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in spec["segments"]]
-        except ValueError as error:  # as files are refused, in a line of theirs
+        except ValueError as error:  # pydantic's message has several lines
             raise ValueError("no such segment") from error
         lay = {"stop": lay_segments, "commanded": lay_commanded, "smooth": lay_smooth}[spec["way"]]
         return checked_reference(lay(segments, limits, name="segments"), limits)
     if spec["kind"] == "waypoints":
         points = [tuple(point) for point in spec["points"]]
         if not all(abs(value) <= 1e6 for point in points for value in point):
-            raise ValueError("what the schema of the file refuses")
+            raise ValueError("the schema of trajectory files rejects these points")
         return checked_reference(lay_waypoints(points, limits, name="waypoints", timing=spec["way"]), limits)
     return UserReference(
         duration=spec["duration"],
@@ -449,17 +449,17 @@ def checked_reference(reference: Any, limits: TrajectoryLimits) -> Any:
     """Return an accepted reference; raise FaultError unless it is finite, continuous and within the limits."""
     if not (math.isfinite(reference.duration) and reference.duration >= 0.0):
         raise FaultError(f"duration: {reference.duration}")
-    longest = min(reference.duration, 3600.0)
-    times = np.linspace(-0.1, longest + 0.1, 2000)
+    horizon = min(reference.duration, 3600.0)
+    times = np.linspace(-0.1, horizon + 0.1, 2000)
     sample = reference.sample(times)
     for name, values in (("pose", sample.pose), ("twist", sample.twist), ("arc length", sample.arc_length)):
         if not np.isfinite(values).all():
             raise FaultError(f"reference: its {name} is not finite")
-    fastest = np.abs(sample.twist).max(axis=0)
-    if (fastest > 1.01 * np.array([limits.v, limits.omega]) + 1e-9).any():
-        raise FaultError(f"reference: it is as fast as {fastest.tolist()}")
-    moved = np.hypot(*np.diff(sample.pose[:, :2], axis=0).T)
-    if (moved > 1.02 * limits.v * np.diff(times) + 1e-9 * (1.0 + np.abs(sample.pose[1:, :2]).max())).any():
+    max_twist = np.abs(sample.twist).max(axis=0)
+    if (max_twist > 1.01 * np.array([limits.v, limits.omega]) + 1e-9).any():
+        raise FaultError(f"reference: it is as fast as {max_twist.tolist()}")
+    distances = np.hypot(*np.diff(sample.pose[:, :2], axis=0).T)
+    if (distances > 1.02 * limits.v * np.diff(times) + 1e-9 * (1.0 + np.abs(sample.pose[1:, :2]).max())).any():
         raise FaultError("reference: its poses jump")
     if (np.diff(sample.arc_length) < -1e-9 * (1.0 + np.abs(sample.arc_length[1:]))).any():
         raise FaultError("reference: its arc length goes back")
@@ -470,12 +470,12 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
     """Draw an event between ticks, or an odd tick."""
     kind = random.choice(_KINDS_OF_EVENTS)
     if kind == "tick":
-        return ["tick", 0.0202, draw_spoilt(random)]
+        return ["tick", 0.0202, draw_changes(random)]
     if kind == "clock":
         dt = random.choice(
             (0.0, 1e-9, 0.003, 0.0101, -0.0202, -1e-6, -1.0, 0.1, 0.35, 0.45, 3.0, 100.0, 1e9, odd.number(random))
         )
-        return ["tick", dt, draw_spoilt(random) if random.random() < 0.5 else {}]
+        return ["tick", dt, draw_changes(random) if random.random() < 0.5 else {}]
     if kind == "start":
         return [
             "start",
@@ -483,9 +483,9 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
             random.choice((0.0, 0.0, -3.0, 1.0, -1e6, 1e6, odd.number(random))),
         ]
     if kind == "update":
-        chosen = random.sample(_CHANGEABLE, random.choice((1, 1, 2, 5)))
+        selected = random.sample(_CHANGEABLE, random.choice((1, 1, 2, 5)))
         groups: dict[str, dict[str, Any]] = {"weights": {}, "limits": {}}
-        for key, field_info in chosen:
+        for key, field_info in selected:
             group, _, name = key.partition(".")
             groups[group][name] = draw_value(random, field_info)
         return ["update", groups["weights"], groups["limits"]]
@@ -512,17 +512,17 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
     return ["reset"] if kind in ("reset", "parameters") else ["again"] if random.random() < 0.2 else ["reset"]
 
 
-def draw_spoilt(random: Random) -> dict[str, Any]:
+def draw_changes(random: Random) -> dict[str, Any]:
     """Draw changes of a measurement."""
-    spoilt: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
+    changes: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
     for name, size in (("pose", 3), ("wheel_twist", 2), ("yaw_rate", 1)):
         if random.random() < 0.4:
-            spoilt[name] = draw_message(random, size)
+            changes[name] = draw_message(random, size)
     if random.random() < 0.2:
-        spoilt["sent"] = random.choice(
+        changes["sent"] = random.choice(
             ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], [1e160, -1e300], "rubbish", [1.0])
         )
-    return spoilt
+    return changes
 
 
 def draw_message(random: Random, size: int) -> Any:

@@ -1,7 +1,7 @@
 """Check the commands of a live node against the guarantees of docs/safety.md, without ROS.
 
-Each command is a tick. Between ticks it changes by at most slew, or braking, times the sample time. It may become
-zero at once if the node reports STOPPED, FAULT or IDLE, or by request.
+Each command is a tick. Between ticks it changes by at most the larger of slew and braking limit times the
+sample time. It may become zero immediately if the node reports STOPPED, FAULT, IDLE or FINISHED, or on request.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ CONFIG = load_config("ssm")
 SLACK = 0.35
 """Maximum difference of the times of an event in two processes, due to scheduling, discovery and delivery [s]."""
 _ROUNDING = 1e-6
-_AT_ONCE = ("STOPPED", "FAULT", "IDLE", "FINISHED")
+_STOPPED_MODES = ("STOPPED", "FAULT", "IDLE", "FINISHED")
 
 
 @dataclass(frozen=True)
 class ReceivedCommand:
-    """Received command."""
+    """Command with its time of arrival [s] and its sequence number."""
 
     time: float
     v: float
@@ -37,7 +37,7 @@ class EventLog:
     commands: list[ReceivedCommand] = field(default_factory=list)
     modes: list[tuple[float, str]] = field(default_factory=list)
     requested: list[float] = field(default_factory=list)
-    """Times at which the command may become zero at once by request."""
+    """Times at which the command may become zero immediately because of a request."""
     zero: list[tuple[float, float, str]] = field(default_factory=list)
     """Start and end of intervals in which the command is zero, and the reason."""
 
@@ -54,24 +54,24 @@ def faults(events: EventLog) -> list[str]:
     return lines
 
 
-def _faults_of_step(events: EventLog, before: ReceivedCommand, after: ReceivedCommand) -> list[str]:
+def _faults_of_step(events: EventLog, first: ReceivedCommand, second: ReceivedCommand) -> list[str]:
     limits, dt, lines = CONFIG.limits, CONFIG.sample_time, []
-    ticks = max((after.number or 0) - (before.number or 0), 1)
+    ticks = max((second.number or 0) - (first.number or 0), 1)
     rates = max(limits.v_slew, limits.v_braking), max(limits.omega_slew, limits.omega_braking)
     for name, limit, rate in (("v", limits.v, rates[0]), ("omega", limits.omega, rates[1])):
-        previous, current = getattr(before, name), getattr(after, name)
+        previous, current = getattr(first, name), getattr(second, name)
         if abs(current) > max(limit * (1 + _ROUNDING), abs(previous)):
-            lines.append(f"limits: {name} = {current:.6g} at {after.time:.3f}, the limit is {limit:g}")
+            lines.append(f"limits: {name} = {current:.6g} at {second.time:.3f}, the limit is {limit:g}")
         change = ticks * rate * dt * (1 + _ROUNDING) + _ROUNDING
-        if abs(current - previous) > change and not (current == 0.0 and _may_stop(events, after.time)):
-            lines.append(f"slew: {name} from {previous:.6g} to {current:.6g} in {ticks} ticks at {after.time:.3f}")
+        if abs(current - previous) > change and not (current == 0.0 and _may_stop(events, second.time)):
+            lines.append(f"slew: {name} from {previous:.6g} to {current:.6g} in {ticks} ticks at {second.time:.3f}")
     return lines
 
 
 def _may_stop(events: EventLog, now: float) -> bool:
     """Return True if the reported mode or a request permits an immediate zero command."""
     times = [time for time, _ in events.modes]
-    near = events.modes[bisect_left(times, now - SLACK) : bisect_right(times, now + SLACK)]
+    near_modes = events.modes[bisect_left(times, now - SLACK) : bisect_right(times, now + SLACK)]
     return any(abs(time - now) <= SLACK for time in events.requested) or any(
-        mode.startswith(_AT_ONCE) for _, mode in near
+        mode.startswith(_STOPPED_MODES) for _, mode in near_modes
     )

@@ -1,4 +1,4 @@
-"""`make fuzz FUZZ=live`: attack a node over DDS and judge its commands.
+"""`make fuzz FUZZ=live`: attacks on a node over DDS, and checks of its commands.
 
 The actions of the attacker follow from its seed; their timing depends on DDS and the machine.
 """
@@ -60,15 +60,15 @@ CHANGES = (*DISABLING, "huge", "noisy", "a little ahead", "latest stamp", "no or
 
 
 def change_message(name: str, message: Any, random: Random) -> list[Any]:
-    """Return the messages that replace a correct one."""
+    """Return the messages that replace a correct message."""
     if name in VALUES or name == "noisy":
-        value = VALUES.get(name, odd.near(0.1, random))
+        new_value = VALUES.get(name, odd.near(0.1, random))
         if hasattr(message, "pose"):
-            message.pose.pose.position.x = value
+            message.pose.pose.position.x = new_value
         if hasattr(message, "twist"):
-            message.twist.twist.linear.x = value
+            message.twist.twist.linear.x = new_value
         if hasattr(message, "angular_velocity"):
-            message.angular_velocity.z = value
+            message.angular_velocity.z = new_value
     elif name in SHIFTS:
         stamp = nanoseconds(message.header.stamp) + int(1e9 * SHIFTS[name])
         message.header.stamp = time_message(min(max(stamp, 0), (2**31 - 1) * 10**9))
@@ -86,11 +86,11 @@ def change_message(name: str, message: Any, random: Random) -> list[Any]:
 def corrupt_message(message: Any, random: Random) -> bytes:
     """Return the serialised message, truncated, with wrong bytes, or with a wrong sequence length."""
     content = bytearray(serialize_message(message))
-    kind, place = random.randrange(3), random.randrange(len(content))
+    kind, index = random.randrange(3), random.randrange(len(content))
     if kind == 0:
-        return bytes(content[:place])
-    size, wrong = random.choice(((1, random.randbytes(1)), (4, b"\xff\xff\xff\x7f"), (4, b"\x00\x00\x00\x10")))
-    content[place // size * size : place // size * size + size] = wrong
+        return bytes(content[:index])
+    size, replacement = random.choice(((1, random.randbytes(1)), (4, b"\xff\xff\xff\x7f"), (4, b"\x00\x00\x00\x10")))
+    content[index // size * size : index // size * size + size] = replacement
     return bytes(content)
 
 
@@ -140,8 +140,8 @@ class Attacker:
         target = self.command if now - self._last_command_time < COMMAND_TIMEOUT and not self.is_blocked else [0.0, 0.0]
         self.twist = [value + PERIOD / LAG * (goal - value) for value, goal in zip(self.twist, target, strict=True)]
         heading = self.pose[2] + 0.5 * PERIOD * self.twist[1]
-        moved = PERIOD * self.twist[0] * math.cos(heading), PERIOD * self.twist[0] * math.sin(heading)
-        self.pose = [value + d for value, d in zip(self.pose, (*moved, PERIOD * self.twist[1]), strict=True)]
+        displacement = PERIOD * self.twist[0] * math.cos(heading), PERIOD * self.twist[0] * math.sin(heading)
+        self.pose = [value + d for value, d in zip(self.pose, (*displacement, PERIOD * self.twist[1]), strict=True)]
         messages = {"odom": Odometry(child_frame_id="base_link"), "imu": Imu(), "pose": PoseWithCovarianceStamped()}
         for (name, message), frame in zip(messages.items(), ("odom", "base_link", "map"), strict=True):
             message.header.stamp, message.header.frame_id = time_message(time.time_ns()), frame
@@ -150,15 +150,15 @@ class Attacker:
         messages["odom"].twist.twist.linear.x, messages["odom"].twist.twist.angular.z = self.twist
         messages["imu"].angular_velocity.z = self.twist[1]
         for name, message in messages.items():
-            for sent in change_message(self.changes.get(name, ""), message, self.random):
-                self._publishers[name].publish(sent)
+            for changed in change_message(self.changes.get(name, ""), message, self.random):
+                self._publishers[name].publish(changed)
 
     def spin(self, seconds: float) -> None:
         """Run the executor and the base for `seconds`."""
         end = time.monotonic() + seconds
-        while (rest := end - time.monotonic()) > 0.0:
+        while (remaining := end - time.monotonic()) > 0.0:
             self._tick_if_due()
-            self.executor.spin_once(timeout_sec=min(rest, 0.5 * PERIOD))
+            self.executor.spin_once(timeout_sec=min(remaining, 0.5 * PERIOD))
 
     def wait(self, condition: Callable[[], bool], subject: str, timeout: float = _TIMEOUT) -> None:
         """Run until the condition is true; raise LostError after a timeout."""
@@ -171,7 +171,7 @@ class Attacker:
             self.spin(0.01)
 
     def call(self, kind: Any, name: str, *, timeout: float = _TIMEOUT, **fields: object) -> Any:
-        """Call a service of the node and return its response; until then, an immediate zero command is permitted."""
+        """Call a service of the node and return its response; meanwhile, immediate zero commands are permitted."""
         start = time.monotonic()
         client = self.clients.setdefault(name, None) or self.node.create_client(kind, f"{NODE}/{name}")
         self.clients[name] = client
@@ -254,7 +254,7 @@ ACTIONS: dict[str, Callable[[Attacker, Random], object]] = {
 }
 
 
-def _storm(attacker: Attacker, random: Random) -> list[str]:
+def _perform_random_actions(attacker: Attacker, random: Random) -> list[str]:
     """Perform many actions in any order."""
     names = random.choices(("tamper", "tamper", "reference", *ACTIONS), k=random.choice((5, 10, 20)))
     for name in names:
@@ -263,8 +263,8 @@ def _storm(attacker: Attacker, random: Random) -> list[str]:
     return names
 
 
-def _named_fault(attacker: Attacker, random: Random) -> list[str]:
-    """Start a fault during a drive, after which the command must become zero within the documented time."""
+def _inject_fault(attacker: Attacker, random: Random) -> list[str]:
+    """Start a fault during a drive; the command must become zero within the documented time."""
     limits = CONFIG.limits
     braking = 0.1 + max(limits.v / limits.v_braking, limits.omega / limits.omega_braking)
     timeouts = {"odom": NodeSettings().odom_timeout}
@@ -300,7 +300,7 @@ def _run_node(numbers: range, seed: int, folder: Path, end: float, counts: Count
             if findings or time.monotonic() > end:
                 break
             random = attacker.random = Random(f"live/{seed}/{number}")
-            actions = (_named_fault, _storm)[number % 2](attacker, random)
+            actions = (_inject_fault, _perform_random_actions)[number % 2](attacker, random)
             counts.update(actions)
             attacker.drive()
             findings += [f"campaign {number} of seed {seed}, {actions}: {line}" for line in attacker.judge()]

@@ -1,4 +1,4 @@
-"""Fuzzers of logs and of their replay: changed bytes, cells, rows and messages are read or refused with one line."""
+"""Fuzzers of logs and replay: logs with changed bytes, cells, rows and messages are read or rejected in one line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BASES = ("own.csv", "own.mcap", "mapped.csv", "bag.db3", "bag.mcap", "metadata.y
 
 
 class LogFuzzer:
-    """CSV, drive logs and bags."""
+    """Fuzzer of CSV files, drive logs and bags."""
 
     name, time_limit, count = "logs", 60.0, 200
 
@@ -34,7 +34,7 @@ class LogFuzzer:
     def check(self, case: Case) -> None:
         """Read the changed file."""
         with tempfile.TemporaryDirectory() as folder:
-            path, mapping = changed_file(case, Path(folder))
+            path, mapping = write_changed_log(case, Path(folder))
             log = refused_or(lambda: read_log(path, mapping))
             if log is not None:
                 for record in log.records:
@@ -43,21 +43,21 @@ class LogFuzzer:
 
 
 class ReplayFuzzer:
-    """The same files, as `log replay` reads them."""
+    """Fuzzer of `log replay` with the files of `LogFuzzer`."""
 
     name, time_limit, count = "replay", 60.0, 80
 
     draw = LogFuzzer.draw
 
     def check(self, case: Case) -> None:
-        """Read the ticks; replay them after a single change."""
-        # Packages whose tests fuzz other readers are installed without this one.
+        """Read the ticks; replay them if the file has a single change."""
+        # Imported here, because this package may be missing in tests of other packages.
         from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
         from diffdrive_mpc_extras.replay.own_log import read_recording
         from diffdrive_mpc_extras.replay.replay import replay
 
         with tempfile.TemporaryDirectory() as folder:
-            path, _ = changed_file(case, Path(folder))
+            path, _ = write_changed_log(case, Path(folder))
             scratch = Path(folder, "scratch")
             scratch.mkdir()
             recording = refused_or(lambda: read_recording(path, LoggedConfigs(path, scratch)))
@@ -69,25 +69,25 @@ class ReplayFuzzer:
 
 
 def draw_messages(random: Random) -> list[list[object]]:
-    """Draw changes of messages of a bag: place as a share, and change of the bytes."""
+    """Draw changes of messages of a bag: index as a share of the count, and change of the bytes."""
     if random.random() < 0.5:
         return []
     return [[random.random(), mutation.draw_bytes_edit(random)] for _ in range(random.choice((1, 3, 10)))]
 
 
-def changed_file(case: Case, folder: Path) -> tuple[Path, Path | None]:
-    """Write the log of a case to `folder`; return it and its mapping."""
+def write_changed_log(case: Case, folder: Path) -> tuple[Path, Path | None]:
+    """Write the log of a case to `folder`; return the paths of log and mapping."""
     base, originals = case["base"], base_files()
     mapping = originals / "mapping.yaml" if base == "mapped.csv" else None
     if base in ("bag.db3", "metadata.yaml", "bag.mcap"):
-        whole = folder / "bag"
-        shutil.copytree(originals / ("mcap_bag" if base == "bag.mcap" else "bag"), whole)
-        target = next(whole.glob("*.mcap" if base == "bag.mcap" else "*.db3" if base == "bag.db3" else "metadata.yaml"))
+        bag = folder / "bag"
+        shutil.copytree(originals / ("mcap_bag" if base == "bag.mcap" else "bag"), bag)
+        target = next(bag.glob("*.mcap" if base == "bag.mcap" else "*.db3" if base == "bag.db3" else "metadata.yaml"))
         if base == "bag.db3" and case["messages"]:
             _change_rows(target, case["messages"])
         else:
             target.write_bytes(mutation.edited_bytes(target.read_bytes(), case["edits"]))
-        return whole, None
+        return bag, None
     path = folder / base
     path.write_bytes(mutation.edited_bytes((originals / base).read_bytes(), case["edits"]))
     return path, mapping
@@ -115,7 +115,7 @@ def _change_rows(file: Path, changes: list[list[object]]) -> None:
 
 @cache
 def base_files() -> Path:
-    """Make a folder with logs of all kinds, once per process."""
+    """Return a folder with logs of all kinds, written once per process."""
     from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv
 
     folder = Path(tempfile.mkdtemp(prefix="fuzz-logs-"))
@@ -125,11 +125,11 @@ def base_files() -> Path:
     (folder / "mapping.yaml").write_text(MAPPING)
     write_bag(folder / "bag", bag_topics(columns))
     write_bag(folder / "mcap_bag", bag_topics(columns), "mcap")
-    _own_logs(folder)
+    _write_drive_logs(folder)
     return folder
 
 
-def _own_logs(folder: Path) -> None:
+def _write_drive_logs(folder: Path) -> None:
     """Write logs of `simulate --log` as CSV and as MCAP."""
     from commands import invoke
     from diffdrive_mpc.app.cli import app
@@ -137,6 +137,6 @@ def _own_logs(folder: Path) -> None:
     (folder / "short.yaml").write_text(
         "segments: [{v: 0.4, omega: 0.3, duration: 2.0}, {v: 0.3, omega: -0.6, duration: 2.0}]\n"
     )
-    words = ["simulate", "--trajectory", folder / "short.yaml", "--plant", "model:ssm"]
+    arguments = ["simulate", "--trajectory", folder / "short.yaml", "--plant", "model:ssm"]
     for name in ("own.csv", "own.mcap"):
-        invoke(app, *words, "--log", folder / name)
+        invoke(app, *arguments, "--log", folder / name)

@@ -1,4 +1,4 @@
-"""Changes of texts, trees of values and bytes, as plain values, so that a case can be made smaller change by change."""
+"""Edits of bytes and of trees of values, as JSON values, so that Hypothesis can reduce a case edit by edit."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ TREE_EDITS += ("longer", "swap")
 
 
 def draw_tree_edit(random: Random) -> Edit:
-    """Draw a change of a tree of values; places are numbers modulo the number of places."""
+    """Draw an edit of a tree of values; positions are numbers modulo the number of entries."""
     kind = random.choice(TREE_EDITS)
-    place, source = random.randrange(10**6), random.randrange(10**6)
+    position, source = random.randrange(10**6), random.randrange(10**6)
     argument: Any = None
     if kind == "number":
         argument = odd.number(random) if random.random() < 0.7 else random.choice(odd.INTEGERS)
@@ -30,57 +30,57 @@ def draw_tree_edit(random: Random) -> Edit:
         argument = random.choice((2, 10, 1000))
     elif kind == "nest":
         argument = random.choice((1, 5, 100))
-    return [kind, place, source, argument]
+    return [kind, position, source, argument]
 
 
 def edited_tree(tree: Any, edits: list[Edit]) -> Any:
-    """Return the tree after all changes."""
+    """Return the tree after all edits."""
     tree = copy.deepcopy(tree)
     for edit in edits:
-        tree = _edited(tree, *edit)
+        tree = _apply_edit(tree, *edit)
     return tree
 
 
-def _edited(tree: Any, kind: str, place: int, source: int, argument: Any) -> Any:
-    places = list(_places(tree))
-    if not places:
+def _apply_edit(tree: Any, kind: str, position: int, source: int, argument: Any) -> Any:
+    entries = list(_entries(tree))
+    if not entries:
         return argument
     if kind in ("number", "scale"):
-        numbers = [(holder, key) for holder, key in places if _is_number(holder[key])]
-        places = numbers or places
-    holder, key = places[place % len(places)]
-    from_holder, from_key = places[source % len(places)]
-    value = holder[key]
+        numbers = [(container, key) for container, key in entries if _is_number(container[key])]
+        entries = numbers or entries
+    container, key = entries[position % len(entries)]
+    source_container, source_key = entries[source % len(entries)]
+    value = container[key]
     if kind in ("number", "word", "type"):
-        holder[key] = copy.deepcopy(argument)
+        container[key] = copy.deepcopy(argument)
     elif kind == "scale":
-        holder[key] = value * argument if _is_number(value) else argument
+        container[key] = value * argument if _is_number(value) else argument
     elif kind == "remove":
-        del holder[key]
-    elif kind == "rename" and isinstance(holder, dict):
-        holder[f"{key}x"] = holder.pop(key)
-    elif kind == "double" and isinstance(holder, list):
-        holder.insert(key, copy.deepcopy(value))
+        del container[key]
+    elif kind == "rename" and isinstance(container, dict):
+        container[f"{key}x"] = container.pop(key)
+    elif kind == "double" and isinstance(container, list):
+        container.insert(key, copy.deepcopy(value))
     elif kind == "nest":
         for _ in range(argument):
             value = [value]
-        holder[key] = value
+        container[key] = value
     elif kind == "copy":
-        holder[key] = copy.deepcopy(from_holder[from_key])
+        container[key] = copy.deepcopy(source_container[source_key])
     elif kind == "swap":
-        holder[key], from_holder[from_key] = copy.deepcopy(from_holder[from_key]), copy.deepcopy(value)
+        container[key], source_container[source_key] = copy.deepcopy(source_container[source_key]), copy.deepcopy(value)
     elif kind == "longer" and isinstance(value, list | str):
-        holder[key] = value * argument
+        container[key] = value * argument
     else:
-        holder[key] = None
+        container[key] = None
     return tree
 
 
-def _places(tree: Any) -> Any:
+def _entries(tree: Any) -> Any:
     items = enumerate(tree) if isinstance(tree, list) else tree.items() if isinstance(tree, dict) else ()
     for key, value in list(items):
         yield tree, key
-        yield from _places(value)
+        yield from _entries(value)
 
 
 def _is_number(value: object) -> bool:
@@ -96,7 +96,7 @@ _TOKENS = (
 
 
 def draw_bytes_edit(random: Random) -> Edit:
-    """Draw a change of bytes; places are shares of the length."""
+    """Draw an edit of bytes; positions are shares of the length."""
     kind = random.choice(("flip", "flip", "token", "token", "cut", "end", "repeat", "length", "line", "cell", "cell"))
     share = random.random()
     if kind == "flip":
@@ -113,29 +113,29 @@ def draw_bytes_edit(random: Random) -> Edit:
 
 
 def edited_bytes(content: bytes, edits: list[Edit]) -> bytes:
-    """Return the bytes after all changes."""
+    """Return the bytes after all edits."""
     data = bytearray(content)
     for kind, share, argument in edits:
-        place = int(share * len(data))
+        position = int(share * len(data))
         if kind == "flip" and data:
-            data[place] = argument
+            data[position] = argument
         elif kind == "token":
-            data[place:place] = argument.encode("latin-1")
+            data[position:position] = argument.encode("latin-1")
         elif kind == "cut":
-            del data[place : place + argument]
+            del data[position : position + argument]
         elif kind == "repeat":
-            data[place:place] = data[place : place + argument] * 20
+            data[position:position] = data[position : position + argument] * 20
         elif kind == "end":
-            del data[place:]
+            del data[position:]
         elif kind == "length":
-            data[place : place + 4] = int(argument).to_bytes(4, "little")
+            data[position : position + 4] = int(argument).to_bytes(4, "little")
         elif kind == "line":
             lines = data.split(b"\n")
             line = lines.pop(int(share * len(lines)))
             lines.insert(argument * len(lines) // 100, line)
             data = bytearray(b"\n".join(lines))
         elif kind == "cell":
-            start = max(data.rfind(b",", 0, place), data.rfind(b"\n", 0, place)) + 1
-            ends = [end for end in (data.find(b",", place), data.find(b"\n", place)) if end >= 0]
+            start = max(data.rfind(b",", 0, position), data.rfind(b"\n", 0, position)) + 1
+            ends = [end for end in (data.find(b",", position), data.find(b"\n", position)) if end >= 0]
             data[start : min(ends, default=len(data))] = argument.encode("utf-8", "surrogatepass")
     return bytes(data)

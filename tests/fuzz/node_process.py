@@ -18,13 +18,13 @@ class NodeProcess:
     """`diffdrive-mpc node` with parameters; its output goes to a file."""
 
     def __init__(self, log: Path, parameters: dict[str, object]) -> None:
-        words = ["node", "--ros-args", "--log-level", "info"]
+        arguments = ["node", "--ros-args", "--log-level", "info"]
         for name, value in parameters.items():
-            words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+            arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.log = log
         with log.open("w") as out:
             self.process = subprocess.Popen(
-                [sys.executable, "-X", "faulthandler", "-c", _CODE, *words],
+                [sys.executable, "-X", "faulthandler", "-c", _CODE, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
@@ -53,12 +53,12 @@ class NodeProcess:
         status = dict(re.findall(r"^(VmRSS|Threads):\s+(\d+)", text, re.MULTILINE))
         return int(status.get("VmRSS", 0)) / 1000, int(status.get("Threads", 0))
 
-    def end(self, number: int = signal.SIGTERM, patience: float = 20.0) -> int | None:
+    def end(self, number: int = signal.SIGTERM, timeout: float = 20.0) -> int | None:
         """Send a signal and wait; return the exit code, or None if the process had to be killed."""
         if self.alive:
             self.process.send_signal(number)
         try:
-            return self.process.wait(patience)
+            return self.process.wait(timeout)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()

@@ -9,7 +9,7 @@ from random import Random
 LARGE = (math.inf, sys.float_info.max, 1e300, 1e154, 1e30, 2.0**63, 1e15, 1e9, 1e6)
 SMALL = (1.0, 1e-3, 1e-6, 1e-100, 5e-324, 0.0, math.pi)
 NUMBERS = (math.nan, *LARGE, *(-value for value in LARGE), *SMALL, *(-value for value in SMALL), 4e3, 100.0, -50.0)
-"""Numbers that break arithmetic."""
+"""Numbers for which arithmetic may overflow, underflow or give NaN."""
 
 INTEGERS = (0, 1, -1, 2, 10, 127, 256, 1000, 65536, 2**31 - 1, 2**31, -(2**31), 2**53 + 1, 2**63, 10**30)
 

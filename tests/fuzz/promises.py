@@ -1,4 +1,4 @@
-"""Guarantee for unusable input: the project refuses it with one line."""
+"""Guarantee for unusable input: the project raises an error with a message of one line."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import TypeVar
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from fuzz.case import FaultError
 
-Found = TypeVar("Found")
-_LONGEST = 4000
+T = TypeVar("T")
+_MAX_LENGTH = 4000
 _TESTS = str(Path(__file__).parents[1])
 
 
-def refused_or(read: Callable[[], Found]) -> Found | None:
-    """Return the result of `read`; None if it raises an expected error. Other errors are propagated."""
+def refused_or(function: Callable[[], T]) -> T | None:
+    """Return the result of `function`; None if it raises an expected error. Other errors are propagated."""
     try:
-        return read()
+        return function()
     except (DiffdriveMpcError, ValueError, OSError) as error:
         check_refusal(error)
         return None
@@ -28,16 +28,16 @@ def check_refusal(error: Exception) -> None:
     """Raise FaultError if the message is not a short line, or the error itself if a library raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     innermost = frames[-1].filename
-    ours = "diffdrive_mpc" in innermost or (
+    is_own = "diffdrive_mpc" in innermost or (
         innermost.startswith("/")
         and any(f"/{room}/" in innermost for room in ("models", "mpc", "sim", "bench", "app", "studies"))
         and "site-packages" not in innermost
         and not innermost.startswith(_TESTS)
     )
-    if not isinstance(error, OSError) and not ours and not isinstance(error, DiffdriveMpcError):
+    if not isinstance(error, OSError) and not is_own and not isinstance(error, DiffdriveMpcError):
         raise error
     text = str(error)
     if not text.strip() or "\n" in text:
         raise FaultError(f"message: not one line: {text[:300]!r}")
-    if len(text) > _LONGEST:
+    if len(text) > _MAX_LENGTH:
         raise FaultError(f"long message: {len(text)} characters: {text[:200]!r}")

@@ -1,4 +1,4 @@
-"""References from segments, waypoints and timed poses, odd in their geometry rather than in their syntax."""
+"""Fuzzer of references from segments, waypoints and timed poses with unusual geometry and valid syntax."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fuzz.promises import refused_or
 
 
 class ReferenceFuzzer:
-    """Files of references: accepted ones are finite, continuous and within the limits."""
+    """Fuzzer of reference files; accepted references must be finite, continuous and within the limits."""
 
     name, time_limit, count = "references", 20.0, 300
 
@@ -41,11 +41,11 @@ class ReferenceFuzzer:
             if random.random() < 0.3:
                 scale = 10.0 ** random.uniform(-8, 5)
                 rows = [[scale * x, scale * y] for x, y in rows]
-            more = {"timing": random.choice(("stop", "commanded", "smooth"))}
+            options = {"timing": random.choice(("stop", "commanded", "smooth"))}
             return {
                 "kind": kind,
                 "rows": rows,
-                "more": more | ({"speed": abs(draw_speed(random, 0.4))} if random.random() < 0.5 else {}),
+                "more": options | ({"speed": abs(draw_speed(random, 0.4))} if random.random() < 0.5 else {}),
             }
         t, x, y, theta, rows = 0.0, 0.0, 0.0, 0.0, []
         for _ in range(random.choice((1, 2, 3, 10, 100))):
@@ -64,7 +64,7 @@ class ReferenceFuzzer:
                 lines = ["t,x,y,theta", *(",".join(map(repr, row)) for row in case["rows"])]
                 path.write_text("\n".join(lines) + "\n")
             else:
-                # JSON is YAML but for numbers that are none.
+                # YAML has other names for NaN and infinity than JSON.
                 path = Path(folder, "reference.yaml")
                 text = json.dumps({case["kind"]: case["rows"], **case["more"]})
                 path.write_text(text.replace("-Infinity", "-.inf").replace("Infinity", ".inf").replace("NaN", ".nan"))

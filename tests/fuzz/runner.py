@@ -54,11 +54,11 @@ def search(
             on_fault(case, error)
             raise
 
-    drawn = st.randoms(use_true_random=False).map(fuzzer.draw)
+    cases = st.randoms(use_true_random=False).map(fuzzer.draw)
     if not getattr(fuzzer, "is_reducible", True):
         # Hypothesis starts with the simplest case, which is the same for every origin.
-        drawn = st.integers(0).map(lambda index: draw(fuzzer, origin, index))
-    check = given(drawn)(check)
+        cases = st.integers(0).map(lambda index: draw(fuzzer, origin, index))
+    check = given(cases)(check)
     for (name, _), case in saved_findings().items():
         if name == fuzzer.name:
             check = example(case)(check)
@@ -108,15 +108,15 @@ def find_fault(fuzzer: Fuzzer, case: Case) -> str | None:
 
 def check_within_bounds(fuzzer: Fuzzer, case: Case) -> None:
     """Check a case with limits of time and memory; raise FaultError or an error of the project."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    previous = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with _bounded(fuzzer.time_limit):
             fuzzer.check(case)
     except HangError:
         raise FaultError(f"hangs: the case takes longer than {fuzzer.time_limit:g} s") from None
-    except SystemExit as error:  # of a library
+    except SystemExit as error:  # raised by a library
         raise FaultError(f"exit: {error}") from error
-    growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    growth = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - previous
     if growth > _MAX_MEMORY_GROWTH:
         raise FaultError(f"memory: the case takes {growth // 1000} MB")
 
@@ -131,12 +131,12 @@ def _bounded(seconds: float) -> Iterator[None]:
     if not hasattr(signal, "SIGALRM"):
         yield
         return
-    before = signal.signal(signal.SIGALRM, hang)
+    handler = signal.signal(signal.SIGALRM, hang)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     faulthandler.dump_traceback_later(2 * seconds + 30.0, exit=True, file=sys.__stderr__ or 2)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, handler)
         faulthandler.cancel_dump_traceback_later()

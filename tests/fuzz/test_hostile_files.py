@@ -1,4 +1,4 @@
-"""Malicious files are read or refused within limits of processor time and memory."""
+"""Malicious files are read or rejected within limits of processor time and memory."""
 
 import os
 import resource
@@ -49,8 +49,8 @@ def test_malicious_file_is_handled_within_the_limits(kind, attack, tmp_path):
     (tmp_path / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
     child = os.fork()
     if child == 0:
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        seconds = int(used.ru_utime + used.ru_stime) + SECONDS + 1
+        usage_before = resource.getrusage(resource.RUSAGE_SELF)
+        seconds = int(usage_before.ru_utime + usage_before.ru_stime) + SECONDS + 1
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
         code = 1
         try:

@@ -1,4 +1,4 @@
-"""Fuzzer of YAML files: changed files of every kind are refused with one line or used without a fault."""
+"""Fuzzer of YAML files: changed files of every kind are rejected in one line or used without a fault."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from fuzz.controller import Session, checked_reference
 from fuzz.promises import refused_or
 
 _SEEDS = {"base": "sim/ros/base.yaml", "experiment": "../../studies/tracking/quick.yaml"}
-"""Shipped files that are changed for kinds whose names no shell completes."""
+"""Shipped files of the kinds that `file_kinds.KINDS` does not contain."""
 
 
 class YamlFuzzer:
-    """Changed files of every kind that the root package reads."""
+    """Fuzzer of changed files of every kind that the root package reads."""
 
     name, time_limit, count = "yaml", 20.0, 500
 
@@ -68,7 +68,7 @@ class YamlFuzzer:
 
 @cache
 def seeds(kind: str) -> dict[str, str]:
-    """Return the texts of a kind by name."""
+    """Return the texts of the files of a kind by file name."""
     if kind in KINDS:
         return KINDS[kind].texts
     return {path.stem: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.glob(_SEEDS[kind]))}
@@ -92,7 +92,7 @@ def _model(path: Path) -> None:
         discrete = model.discretise(0.0202)
         for values in (discrete.A, discrete.B0, discrete.B1, discrete.C):
             if not np.isfinite(values).all():
-                raise FaultError("model: discretised, it is not finite")
+                raise FaultError("model: the discrete model is not finite")
     session = Session(Controller(load_config("ssm", {"horizon": 10}), model=model), [load_trajectory("circle")])
     session.start(0, 0.0)
     session.drive(5)
@@ -103,8 +103,8 @@ def _plant(name: str, **options: Any) -> None:
     plant.reset((0.0, 0.0, 0.0))
     for k in range(5):
         plant.advance((0.3, 0.5 * math.sin(k)))
-        measured = plant.measure()
-        if measured.wheel_twist is not None and not np.isfinite(measured.wheel_twist.value).all():
+        measurement = plant.measure()
+        if measurement.wheel_twist is not None and not np.isfinite(measurement.wheel_twist.value).all():
             raise FaultError("plant: its encoders are not finite")
     if not np.isfinite(plant.true_pose).all():
         raise FaultError("plant: its pose is not finite")

@@ -1,4 +1,4 @@
-"""Failing solves, as reported by the solvers' packages, and references for which no plan exists."""
+"""Failing solves as reported by the packages of the solvers, and references without a plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import osqp
 
 from diffdrive_mpc.mpc import load_config
 
-# A soft limit is active at every tick of a drive at 0.5 m/s, so the backend is called each time.
+# A soft limit is active at every tick of a drive at 0.5 m/s, so every tick calls the backend.
 ACTIVE_LIMIT = {"limits.predicted_v": 0.4, "solver.method": "daqp"}
 BACKENDS = {name: ACTIVE_LIMIT | {"solver.method": name} for name in ("osqp", "daqp")}
 
@@ -23,9 +23,9 @@ _FLAGS = {
 
 
 class FailingSolver:
-    """Return `outcome` from every solve of both packages while `failing`, with `garbage` as plan and multipliers.
+    """Patch of both packages: while `failing`, solves return `outcome` with `garbage` as plan and multipliers.
 
-    The garbage is also stored as the next warm start. `solves` counts all solves, failing or not.
+    The garbage is stored as the next warm start as well. `solves` counts all solves.
     """
 
     def __init__(self, monkeypatch, outcome="iteration limit", garbage=2.1e9):
@@ -35,7 +35,7 @@ class FailingSolver:
         monkeypatch.setattr(daqp, "Model", type("Model", (daqp.Model,), {"solve": solve}))
 
     def during(self, ticks, change=lambda k, m: m):
-        """Return a change for `ideal_robot.drive` that makes these ticks fail."""
+        """Return a change for `ideal_robot.drive` that makes the solves of `ticks` fail."""
 
         def change_during(k, measurement):
             self.failing = k in ticks
@@ -70,9 +70,9 @@ class FailingSolver:
 
 
 class CorruptedReference:
-    """Reference that becomes NaN from the next tick on while `is_corrupted`: no problem can be built from it.
+    """Reference with NaN from the next tick on while `is_corrupted`, so that no problem can be built.
 
-    Only samples one tick apart, as used for a plan, are corrupted; the search for a return path gets valid samples.
+    Only samples one tick apart, as used for a plan, are corrupted; samples for the search of a return path are valid.
     """
 
     def __init__(self, original):

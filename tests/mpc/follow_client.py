@@ -1,8 +1,8 @@
 """Client of follow_path in a separate process: reads commands and writes events as lines of JSON.
 
-In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. {"burst": id, "goals":
-[{"poses": .., ..}, ..], "times": count, "rate": Hz} sends these goals in turn, as "id 0", "id 1", ...
-Out: {"id": .., "event": .., ..}.
+Input: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. {"burst": id,
+"goals": [{"poses": .., ..}, ..], "times": count, "rate": Hz} sends these goals in turn, as "id 0", "id 1", ...
+Output: {"id": .., "event": .., ..}.
 """
 
 import json
@@ -40,7 +40,7 @@ class Client:
     def __init__(self):
         rclpy.init(args=[])
         self.node = rclpy.create_node("planner_of_the_test")
-        # A client on a busy computer is slow and would lose events beyond the default queue size of services, 10.
+        # On a busy computer, the client would lose events beyond the default queue size of services, 10.
         queue = QoSProfile(depth=1000)
         self.action = ActionClient(
             self.node, FollowPath, "follow_path", goal_service_qos_profile=queue, result_service_qos_profile=queue

@@ -21,12 +21,12 @@ FOLDER = Path(__file__).parent
 
 
 def random_path(rng, start):
-    """Return one or two arcs from the robot's pose, one in four driven backwards, with a random goal heading."""
+    """Return poses (n, 3) of one or two arcs from `start`; a quarter of the arcs is driven backwards."""
     pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
     for _ in range(rng.integers(1, 3)):
-        sense, length, bend = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
+        direction, length, curvature = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
         for _ in range(round(length / 0.05)):
-            pose = pose + 0.05 * np.array([sense * math.cos(pose[2]), sense * math.sin(pose[2]), bend])
+            pose = pose + 0.05 * np.array([direction * math.cos(pose[2]), direction * math.sin(pose[2]), curvature])
             poses.append(pose.copy())
     path = np.array(poses)
     if rng.random() < 0.5:
@@ -44,7 +44,7 @@ def run(goals, seed):
     settings = {"autostart": True, "use_sim_time": True, "start_at_robot": False}
     node = NodeProcess(Path(tempfile.mkdtemp(), "node.log"), settings)
     base, client = FakeBase(lambda: time.sleep(0.0005)), Client()
-    reached, errors, used = 0, [], []
+    reached, errors, usages = 0, [], []
 
     def tick(pace=0.2 * DT):
         start = time.monotonic()
@@ -52,13 +52,13 @@ def run(goals, seed):
         while time.monotonic() - start < pace:
             base.spin()
 
-    def alive():
+    def has_commands():
         assert node.alive, node.log.read_text()[-2000:]
         base.silent(1)
         return bool(base.commands)
 
     try:
-        base.until(alive, "the node")
+        base.until(has_commands, "the node")
         while not any(event["event"] == "ready" for event in client.events):
             tick()
         for number in range(goals):
@@ -66,21 +66,21 @@ def run(goals, seed):
             client.send(name, path)
             while client.result(name) is None:
                 tick()
-            result, gap = client.result(name), np.asarray(base.plant.true_pose) - path[-1]
+            result, error = client.result(name), np.asarray(base.plant.true_pose) - path[-1]
             reached += result["status"] == SUCCEEDED
-            errors.append((math.hypot(gap[0], gap[1]), abs(math.remainder(gap[2], math.tau))))
-            used.append(node.used())
+            errors.append((math.hypot(error[0], error[1]), abs(math.remainder(error[2], math.tau))))
+            usages.append(node.used())
             client.events.clear()
             if result["status"] != SUCCEEDED or number % 10 == 9:
-                print(number + 1, result["status"], result["words"], used[-1], flush=True)
+                print(number + 1, result["status"], result["words"], usages[-1], flush=True)
     finally:
         client.close()
         node.end()
         base.close()
-    place, heading = np.array(errors).T
-    settled = used[min(9, goals - 1)]
-    memory, threads = np.array(used).T
-    place_m, heading_rad = ({"median": float(np.median(part)), "max": float(part.max())} for part in (place, heading))
+    position, heading = np.array(errors).T
+    settled = usages[min(9, goals - 1)]
+    memory, threads = np.array(usages).T
+    place_m, heading_rad = ({"median": float(np.median(x)), "max": float(x.max())} for x in (position, heading))
     memory_mb = {str(i): round(float(memory[i]), 1) for i in sorted({0, 9, 19, 49, goals - 1}) if i < goals}
     summary = {"goals": goals, "seed": seed, "succeeded": int(reached), "place_m": place_m, "heading_rad": heading_rad}
     summary |= {"memory_mb": memory_mb, "threads": {"first": int(threads[0]), "last": int(threads[-1])}}

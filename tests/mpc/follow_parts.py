@@ -15,7 +15,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
 class Client:
-    """Client process; `events` holds its messages."""
+    """Client process; `events` contains its messages."""
 
     def __init__(self):
         self.process = subprocess.Popen(
@@ -83,8 +83,8 @@ class Follow:
             "the robot drives",
         )
 
-    def wait_for_end(self, name, **how):
-        self.until(lambda: self.client.result(name) is not None, f"the end of {name}", **how)
+    def wait_for_end(self, name, **options):
+        self.until(lambda: self.client.result(name) is not None, f"the end of {name}", **options)
         return self.client.result(name)
 
 

@@ -3,8 +3,8 @@
     python tests/mpc/hard_ticks.py [DRIVE...] [--horizons N,..] [--methods auto,osqp,daqp] [--bounds SHARE,..]
 
 Report the processor time of `Controller.step`, and how the ticks were solved, as a Markdown table: on drives of robots
-that can hardly or not at all follow, and on one that can. Drives are those in `DRIVES`. `--bounds` compiles the core
-with these shares of the operations after which a solve is stopped. Set OMP_NUM_THREADS=1.
+that can hardly follow, cannot follow, and can follow their reference; `DRIVES` defines the drives. `--bounds` compiles
+the core with these shares of the operations after which a solve is stopped. Set OMP_NUM_THREADS=1.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ HEAD = ("drive", "N", "method", "bound", "ticks", "p50 [ms]", "p99 [ms]", "worst
 HEAD += ("stopped", "RMSE [m]", "by")
 
 
-class Timed(Controller):
-    """Stores the processor time [ms] and the operations of each step."""
+class TimedController(Controller):
+    """Controller that stores the processor time [ms] and the operations of each step."""
 
     def step(self, *args: Any, **bounds: Any) -> Any:
         start = time.process_time()
@@ -47,7 +47,7 @@ class Timed(Controller):
 
 
 def lower_bound(share: float) -> None:
-    """Let new controllers use a core that stops a solve after this share of its operations."""
+    """Make new controllers use a core that stops a solve after this share of its operations."""
     texts, origin = CORE_TEXTS(), CORE_ORIGIN()
     if texts["active_set.c"].count(BOUND_LINE) != 1:
         raise SystemExit("mpc/core/active_set.c does not contain the expected line of the bound; update BOUND_LINE")
@@ -66,14 +66,14 @@ def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]
     """Drive once; return the table row with the columns of HEAD."""
     model, trajectory, changes = DRIVES[drive]
     config = load_config(model, changes | {"solver.method": method} | ({"horizon": horizon} if horizon else {}))
-    controller = Timed(config)
+    controller = TimedController(config)
     run = simulate(controller, make_plant("model:ssm", seed=1), load_trajectory(trajectory))
-    stored = vars(controller)
+    records = vars(controller)
     methods = ", ".join(f"{name} {count}" for name, count in Counter(run.solver_methods).most_common())
-    durations = [f"{value:.2f}" for value in np.percentile(stored["times"], (50, 99, 100))]
-    share_used = f"{max(stored['operations']) / controller.operations_bound:.3f}"
+    durations = [f"{value:.2f}" for value in np.percentile(records["times"], (50, 99, 100))]
+    share_used = f"{max(records['operations']) / controller.operations_bound:.3f}"
     cells = [drive, config.horizon, method, f"{share:g}", len(run.solver_methods), *durations]
-    cells += [f"{np.nanmax(run.solver_iterations):.0f}", share_used, sum(stored["stopped"])]
+    cells += [f"{np.nanmax(run.solver_iterations):.0f}", share_used, sum(records["stopped"])]
     return [str(cell) for cell in (*cells, f"{run.metrics.position_rmse_m:.4f}", methods)]
 
 

@@ -1,4 +1,4 @@
-"""Robot for tests of the controller that obeys a discrete model exactly; sensor errors are added on top."""
+"""Simulated robot for tests of the controller: exact motion of a discrete model, with optional sensor errors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from oracle.motion import arc, sideways, slid
 
 # Ratio of the yaw rate from encoders and geometric track to the yaw rate of the firmware.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
-# The encoders of this robot have no lag, unlike those that the shipped configurations describe.
+# Settings for encoders without lag; the shipped configurations describe encoders with a lag.
 PROMPT = {"sensors.wheels.lag": 0.0, "sensors.wheels.scale": 1.0}
 
 
 class IdealRobot:
-    """Advances a discrete model; measurements are exact except for the errors given as arguments.
+    """Robot with the motion of a discrete model; measurements are exact except for the errors in the arguments.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class IdealRobot:
     pose
         Initial pose.
     late
-        Samples by which poses arrive late.
+        Delay of the poses in samples.
     slip
         Slip that maps the model's twist to the body's.
     gyro_bias
@@ -63,7 +63,7 @@ class IdealRobot:
 
     @property
     def wheels(self) -> FloatArray:
-        """v and omega of the wheels, as on a surface without slip."""
+        """v [m/s] and omega [rad/s] of the wheels, as on a surface without slip."""
         moving = any(command.any() for command in self.line)
         return (self.model.C @ self.state + (self.slip.offset if moving else 0.0)) * [1.0, self.slip.omega_gain]
 
@@ -88,22 +88,22 @@ class IdealRobot:
         before = self.twist
         self.line.append(np.array(command))
         recent = [self.line[-1 - self.model.delay[j]][j] for j in (0, 1)]
-        older = [self.line[-2 - self.model.delay[j]][j] for j in (0, 1)]
-        self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
+        previous = [self.line[-2 - self.model.delay[j]][j] for j in (0, 1)]
+        self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ previous
         self.poses.append(self.pose + self.moved(self.pose[2], before, self.twist))
         self.k += 1
 
-    def moved(self, theta: float, before: FloatArray, after: FloatArray) -> FloatArray:
-        """Return the displacement (3,) over a sample from the heading `theta`, with the mean twist of its ends."""
-        (v, omega), dt, slip = 0.5 * (before + after), self.model.dt, self.slip
-        ahead = slip.turn_ahead - slip.load_shift * (after - before)[0] / dt
+    def moved(self, theta: float, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return the displacement (3,) over a sample from the heading `theta`, with the mean twist of start and end."""
+        (v, omega), dt, slip = 0.5 * (start + end), self.model.dt, self.slip
+        ahead = slip.turn_ahead - slip.load_shift * (end - start)[0] / dt
         move = np.array(arc(theta, v, omega, dt, sideways(v, omega, slip.side_slip, ahead)))
         move[:2] += slid(theta, omega, dt, (slip.slide_x, slip.slide_y))
         return move
 
 
 class NoisyRobot(IdealRobot):
-    """Robot with slip, process noise and measurement noise drawn as the filter with these `settings` assumes."""
+    """Robot with random slip, process noise and measurement noise of the distributions in `settings`."""
 
     def __init__(self, model: DiscreteModel, settings: Estimator, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -141,7 +141,7 @@ class NoisyRobot(IdealRobot):
 
 
 def drive(controller, robot, reference, seconds, t0=0.0, change=None):
-    """Run the loop; `change(k, measurement)` may spoil measurements. Returns (results, true poses, times)."""
+    """Return results, true poses and times of a closed loop; `change(k, measurement)` may replace measurements."""
     controller.start(reference, t0)
     results, poses, times = [], [], []
     for k in range(round(seconds / robot.model.dt)):

@@ -1,13 +1,13 @@
-"""Streams of numbered messages: two simultaneous publishers on a topic, or one that is restarted repeatedly."""
+"""Streams of numbered messages from two simultaneous publishers, or from a publisher that is restarted repeatedly."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 RESERVED = 7_000_000
-"""Start of the seeds that were not used to choose a threshold."""
+"""First of the seeds that were not used to choose a threshold."""
 BOUND = 0.3
-"""Time in which a second publisher is detected, unless its third message comes later [s]."""
+"""Time within which a second publisher is detected, unless its third message arrives later [s]."""
 
 
 class Message(NamedTuple):
@@ -49,14 +49,14 @@ def without_numbers(messages, kind):
 
 
 def twins(seed):
-    """Return the messages of a driver and those of a second driver, which begins 2 to 4 s later."""
+    """Return the messages of a driver and of a second driver, which starts 2 to 4 s later."""
     draw = np.random.default_rng(seed)
     offset = 0.0 if draw.random() < 0.5 else draw.choice([-1.0, 1.0]) * 10.0 ** draw.uniform(-3.0, 3.0)
-    ours, theirs = Driver(draw), Driver(draw, clock_offset=offset)
+    first, second = Driver(draw), Driver(draw, clock_offset=offset)
     start = 2.0 + draw.uniform(0.0, 2.0)
     # The second driver numbers from 1, from nearly the number of the first driver, or from a random number.
-    number = int(draw.choice([1, start / ours.period + draw.integers(-5, 6), draw.integers(1, 100_000)]))
-    return ours.messages(0.0, 8.0), theirs.messages(start, 8.0, max(1, number))
+    number = int(draw.choice([1, start / first.period + draw.integers(-5, 6), draw.integers(1, 100_000)]))
+    return first.messages(0.0, 8.0), second.messages(start, 8.0, max(1, number))
 
 
 def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
@@ -65,9 +65,9 @@ def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
     messages, start = [], 0.0
     driver = Driver(draw)
     driver.overtaken *= not is_ordered
-    life = 10.0 ** draw.uniform(-0.5, 0.7)
+    mean_duration = 10.0 ** draw.uniform(-0.5, 0.7)
     for _ in range(count + 1):
-        end = start + max(min_life, life * draw.uniform(0.5, 1.5))
+        end = start + max(min_life, mean_duration * draw.uniform(0.5, 1.5))
         driver.loss = draw.choice([0.0, 0.01, 0.1])
         # The reader misses messages that are sent before discovery.
         messages += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
@@ -75,12 +75,12 @@ def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
     return messages
 
 
-def delay_of(detected, seed):
+def delay_of(detect, seed):
     """Return the time from the bound to the detection [s], negative within the bound; infinite without detection.
 
-    `detected` returns the time at which it detects a second publisher in a stream of messages, or None.
+    `detect` returns the time at which it detects a second publisher in a stream of messages, or None.
     """
-    ours, theirs = twins(seed)
-    theirs.sort()
-    time = detected(ours + theirs)
-    return np.inf if time is None else time - max(theirs[0].arrival + BOUND, theirs[2].arrival)
+    first, second = twins(seed)
+    second.sort()
+    time = detect(first + second)
+    return np.inf if time is None else time - max(second[0].arrival + BOUND, second[2].arrival)

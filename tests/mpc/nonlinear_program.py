@@ -1,4 +1,4 @@
-"""The tick's nonlinear program solved by IPOPT, and the real-time iteration repeated until it no longer changes."""
+"""The nonlinear program of a tick solved by IPOPT, and the real-time iteration repeated until convergence."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from diffdrive_mpc import Controller, ControllerConfig, Measurement, NonlinearMo
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
-# The controller assumes no slip, so that its target is the reference itself.
+# Without slip, the target of the controller equals the reference.
 NO_SLIP = {f"compensation.{name}": False for name in ("delay", "v_offset", "yaw_gain", "side_slip")}
 EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
 
 EachTick = Callable[[Controller, float], None]
-"""Callback that sets inputs of the controller before a tick, such as parameters."""
+"""Callback that sets inputs of the controller, such as parameters, before a tick."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,9 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
     dt, model = controller.config.sample_time, controller.model
     target = np.empty((controller.config.horizon + 1, 2))
     for channel, lag in enumerate(model.lag):
-        instants = np.arange(-1, controller.config.horizon) + lag / dt
-        grid = np.arange(int(instants[-1]) + 2)
-        target[:, channel] = np.interp(instants, grid, reference.sample(t + dt * grid).twist[:, channel])
+        steps = np.arange(-1, controller.config.horizon) + lag / dt
+        grid = np.arange(int(steps[-1]) + 2)
+        target[:, channel] = np.interp(steps, grid, reference.sample(t + dt * grid).twist[:, channel])
     if not isinstance(model, NonlinearModel):
         return np.asarray(target @ np.linalg.inv(model.dc_gain).T)
     # Many samples usually have the same twist.
@@ -105,7 +105,7 @@ def solve_with_ipopt(
     model: NonlinearModel | None = None,
     terms: Sequence[Term] = (),
 ) -> FloatArray:
-    """Return IPOPT's plan (N, 2) at the controller's last tick, without the terms beyond `terms`."""
+    """Return IPOPT's plan (N, 2) at the controller's last tick, with `terms` as the only terms."""
     problem, inputs = casadi_problem(config or controller.config, model, terms), controller.problem_inputs()
     inputs["parameters"] = inputs["parameters"][: problem.horizon.size1_in("parameters")]
     kinds = 4 + problem.horizon.size1_out("soft")
@@ -122,18 +122,18 @@ LAG = np.array([0.12, 0.09])
 
 
 def saturating(max_rate=(0.9, 1.8), delay=2, dt=DT):
-    """Return a model of v' = r tanh((v_ref - v) / (lag r)), r = `max_rate`, `delay` samples late (Runge-Kutta step)."""
+    """Return a Runge-Kutta model of v' = r tanh((v_ref - v) / (lag r)), r = `max_rate`, after `delay` samples."""
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 2 * (delay + 1))
     max_rate = np.array(max_rate)
 
     def rate(state):
         return max_rate * ca.tanh((window[:2] - state) / (LAG * max_rate))
 
-    a = rate(x)
-    b = rate(x + dt / 2 * a)
-    c = rate(x + dt / 2 * b)
-    d = rate(x + dt * c)
-    step = ca.Function("step", [x, window], [x + dt / 6 * (a + 2 * b + 2 * c + d)], ["x", "window"], ["after"])
+    k1 = rate(x)
+    k2 = rate(x + dt / 2 * k1)
+    k3 = rate(x + dt / 2 * k2)
+    k4 = rate(x + dt * k3)
+    step = ca.Function("step", [x, window], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], ["x", "window"], ["after"])
     return NonlinearModel("saturating", step, ca.Function("output", [x], [x], ["x"], ["y"]), dt, memory=delay)
 
 
@@ -143,6 +143,6 @@ def windowed(taps=6):
     weights = np.exp(-0.5 * np.arange(taps)[::-1])
     weights /= weights.sum()
     commands = ca.reshape(window[: 2 * taps], 2, taps)
-    after = 1.5 * ca.tanh(commands @ weights / 1.5)
-    step = ca.Function("step", [x, window], [after], ["x", "window"], ["after"])
+    output = 1.5 * ca.tanh(commands @ weights / 1.5)
+    step = ca.Function("step", [x, window], [output], ["x", "window"], ["after"])
     return NonlinearModel("window", step, ca.Function("output", [x], [x], ["x"], ["y"]), DT, memory=taps)

@@ -1,4 +1,4 @@
-"""Read a bag of the simulated robot: the drive as a run with its metrics, and missed samples."""
+"""Conversion of a bag of the simulated robot to a run, and the number of missed samples."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
-# A gap between commands above this multiple of the sample time leaves the robot without a new command for one sample.
+# Period between commands above which a sample lacks a new command, as a multiple of the sample time.
 _MISSED = 1.5
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     """Return the part of a recorded drive in which `reference` was tracked.
 
-    The reference starts at the first command that is not zero. Step times, modes and measurements are not in the bag:
-    the times are NaN, the others empty.
+    The reference starts at the first nonzero command. The bag does not contain step times (NaN in the run), modes and
+    measurements (empty in the run).
 
     Parameters
     ----------
@@ -32,7 +32,10 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     sample_time
         Sample time of the control loop [s].
 
-    Raises ConfigError if the bag cannot be read.
+    Raises
+    ------
+    ConfigError
+        If the bag cannot be read.
     """
     with opened(bag) as reader:
         twist = {"geometry_msgs/msg/TwistStamped": _body_twist}
@@ -45,7 +48,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     moving = np.flatnonzero(commands.value.any(axis=1))
     assert moving.size, f"{bag}: every command is zero"
     start = int(command_times(commands)[moving[0]])
-    # The time base is that of the plant, from the tick with the first command.
+    # The times are those of the plant, starting at the tick with the first command.
     first = int(np.searchsorted(poses.stamped, start, side="right")) - 1
     time = 1e-9 * (poses.stamped[first:] - poses.stamped[first])
     count = int(np.ceil((reference.duration - TIME_TOLERANCE) / sample_time)) + 1
@@ -73,7 +76,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
 
 
 def command_times(commands: TopicRows) -> FloatArray:
-    """Return the times (n,) of the commands [ns]: their stamps, or the times of receipt if they have none."""
+    """Return the times (n,) of the commands [ns]: their stamps, or the times of receipt without stamps."""
     return np.asarray(commands.stamped if commands.has_stamps else commands.received)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 # Other programs may use the ports of domains above 101.
 _DOMAINS = 101
-# Fast DDS 2.14 may deadlock if several participants of one process leave at once; this disables intra-process delivery.
+# Without intra-process delivery, because Fast DDS 2.14 may deadlock if several participants of a process are deleted.
 # https://github.com/eProsima/Fast-DDS/issues/6193
 _PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><library_settings>
 <intraprocess_delivery>OFF</intraprocess_delivery></library_settings></dds>"""
@@ -16,7 +16,7 @@ _PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 @cache
 def own_domain() -> str:
-    """Return the number of a domain reserved for this process until it ends, and set its profile of Fast DDS."""
+    """Reserve a domain for this process, set its profile of Fast DDS, and return the number of the domain."""
     folder = Path(tempfile.gettempdir(), f"diffdrive-mpc-ros-domains-{os.getuid()}")
     folder.mkdir(exist_ok=True)
     for number in range(_DOMAINS):

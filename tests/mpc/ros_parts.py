@@ -35,30 +35,30 @@ CONFIG = load_config("ssm")
 DT = CONFIG.sample_time
 PERIOD = round(DT * 1e9)
 START = 10**9
-# Timeout of a step of a test, which is reached only after a fault [s].
+# Timeout of a step of a test; only faults exceed it [s].
 PATIENCE = 60.0
-# Time limit for a participant to discover a service, which normally takes some hundredths of a second [s].
+# Time limit of the discovery of a service, which usually takes less than 0.1 s [s].
 DISCOVERY = 20.0
 
 
 class KeptProcess(SideProcess):
-    """Side process that is reused by the next node, so that the next test does not start Python again."""
+    """Side process that the next node reuses, so that the next test does not start Python again."""
 
     _spare = None
     _busy = False
 
     def _begin(self):
-        spare, KeptProcess._spare = KeptProcess._spare, None
-        if spare is None or spare[0].poll() is not None:
+        process_and_link, KeptProcess._spare = KeptProcess._spare, None
+        if process_and_link is None or process_and_link[0].poll() is not None:
             return super()._begin()
-        self._process, self._link = spare
+        self._process, self._link = process_and_link
         return self._link
 
     def _ask(self, job):
         self._busy = True
-        reply = super()._ask(job)
+        response = super()._ask(job)
         self._busy = False
-        return reply
+        return response
 
     def close(self):
         with self._changed:
@@ -117,26 +117,26 @@ class FakeBase:
         self.spin_node()
 
     def until(self, condition, awaited):
-        end = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < end, f"timed out waiting for {awaited}"
+            assert time.monotonic() < deadline, f"timed out waiting for {awaited}"
             self.spin()
 
     def publish_sensors(self):
-        measured = self.plant.measure()
+        measurement = self.plant.measure()
         odometry = Odometry(child_frame_id=f"{self.frames}base_link")
         odometry.header.stamp, odometry.header.frame_id = time_message(self.now + self.ahead), f"{self.frames}odom"
-        odometry.pose.pose = pose_message(measured.pose.value)
-        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = map(float, measured.wheel_twist.value)
+        odometry.pose.pose = pose_message(measurement.pose.value)
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = map(float, measurement.wheel_twist.value)
         odometry = self.tamper(odometry)
         if odometry is not None:
             self.odom.publish(odometry)
         if self.gyro:
-            self.publish_imu(measured.yaw_rate.value)
+            self.publish_imu(measurement.yaw_rate.value)
         if self.pose_topic:
             pose = PoseWithCovarianceStamped()
             pose.header.stamp, pose.header.frame_id = time_message(self.now + self.ahead), "map"
-            pose.pose.pose = pose_message(measured.pose.value)
+            pose.pose.pose = pose_message(measurement.pose.value)
             self.pose.publish(pose)
 
     def publish_imu(self, yaw_rate):
@@ -180,7 +180,7 @@ class FakeBase:
 
 
 class WallClockBase(FakeBase):
-    """Base in approximately real time: it does not wait for commands and publishes no clock."""
+    """Base in approximately real time, which does not wait for commands and publishes no clock."""
 
     @property
     def now(self):
@@ -199,7 +199,7 @@ class WallClockBase(FakeBase):
 
 
 class Stack:
-    """Node in a separate context, and the base that it drives; with `drive` it has just received `start`."""
+    """Node in a separate context and its base; with `drive`, the node has accepted a call of `start`."""
 
     def __init__(
         self,
@@ -214,10 +214,10 @@ class Stack:
         **parameters,
     ):
         parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
-        # The domain is exclusive to this process: waiting for discovery of other nodes is not needed.
+        # The domain is exclusive to this process, so discovery of other nodes is not needed.
         parameters = {"discovery_wait": 0.0, **parameters}
-        # Files first: if two rules match a node, the later one applies.
-        file_arguments = [word for file in files for word in ("--params-file", str(file))]
+        # The files come first: if two rules match a node, the later rule applies.
+        file_arguments = [argument for file in files for argument in ("--params-file", str(file))]
         arguments = [
             "--ros-args",
             *file_arguments,
@@ -287,11 +287,11 @@ class Stack:
                 node = stack.enter_context(self.new_participant())
         raise AssertionError(f"timed out waiting for {name}")
 
-    def wait_for(self, condition, patience):
-        """Wait for a condition; return False after `patience` [s]."""
-        end = time.monotonic() + patience
+    def wait_for(self, condition, timeout):
+        """Wait for a condition; return False after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
         while not condition():
-            if time.monotonic() > end:
+            if time.monotonic() > deadline:
                 return False
             self.base.spin()
         return True
@@ -320,11 +320,11 @@ class Stack:
 
     def change(self, number):
         """Request a transition of the lifecycle; return True if it succeeded."""
-        before = self.state
+        previous = self.state
         request = ChangeState.Request(transition=Transition(id=number))
         success = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
         # If the first response was lost, the second request is refused because the transition is done.
-        return success or self.state != before
+        return success or self.state != previous
 
     @property
     def state(self):
@@ -340,10 +340,10 @@ class Stack:
         """Create a publisher of the base and wait until both sides have discovered each other."""
         name = self.base.node.resolve_topic_name(topic)
         (reader,) = [item for item in self.node.subscriptions if item.topic_name == name]
-        before = reader.get_publisher_count()
+        count = reader.get_publisher_count()
         publisher = self.base.node.create_publisher(kind, topic, qos)
         self.base.until(lambda: publisher.get_subscription_count() > 0, "the node's subscription")
-        self.base.until(lambda: reader.get_publisher_count() > before, "the publisher")
+        self.base.until(lambda: reader.get_publisher_count() > count, "the publisher")
         return publisher
 
     def close(self):

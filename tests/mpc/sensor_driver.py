@@ -17,7 +17,7 @@ FRAMES = {"odom": "odom", "imu": "base_link", "pose": "map"}
 
 
 def message_of(topic, stamp):
-    """Return a message of the robot at the origin."""
+    """Return a message of `topic` for a robot at rest at the origin."""
     message = KINDS[topic]()
     message.header.stamp, message.header.frame_id = stamp, FRAMES[topic]
     if topic == "odom":

@@ -1,4 +1,4 @@
-"""The product's controller and the oracle at the same measurements, tick by tick, with all results compared."""
+"""Comparison of the product's controller with the oracle, tick by tick, for the same measurements."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from oracle.controller import OracleController
 EXACT = 1e-9
 """Rounding error between two exact evaluations of the same formulas [m/s, rad/s, m, rad]."""
 
-# A solver with exact results when it ends: only rounding separates it from the oracle.
+# A solver whose results equal those of the oracle up to rounding.
 # The oracle has no monitor; test_monitor.py checks that a monitor without findings changes no command.
 ACTIVE_SET = {"solver.tolerance": 1e-9, "monitor.enabled": False}
 
 
-def assert_same(got, expected, accuracy=EXACT):
+def assert_same(result, expected, accuracy=EXACT):
     """Compare two step results; `accuracy` is that of the solver and does not affect the estimate."""
     # Messages of the oracle do not name limits.
-    message = re.sub("; at [^;]+", "", got.message)
-    assert (got.mode, message, got.solver.status) == (expected.mode, expected.message, expected.solver.status)
-    assert_close(got.command, expected.command, accuracy)
+    message = re.sub("; at [^;]+", "", result.message)
+    assert (result.mode, message, result.solver.status) == (expected.mode, expected.message, expected.solver.status)
+    assert_close(result.command, expected.command, accuracy)
     for name in ("plan", "planned_commands", "reference"):
-        value, wanted = getattr(got, name), getattr(expected, name)
-        assert (value is None) == (wanted is None), name
-        if wanted is not None:
-            assert_close(value, wanted, accuracy, name)
+        value, expected_value = getattr(result, name), getattr(expected, name)
+        assert (value is None) == (expected_value is None), name
+        if expected_value is not None:
+            assert_close(value, expected_value, accuracy, name)
     for name in ("progress", "reference_delay", "blocked_for"):
-        assert getattr(got, name) == pytest.approx(getattr(expected, name), abs=accuracy), name
-    assert (got.estimate is None) == (expected.estimate is None)
+        assert getattr(result, name) == pytest.approx(getattr(expected, name), abs=accuracy), name
+    assert (result.estimate is None) == (expected.estimate is None)
     if expected.estimate is not None:
-        assert_close(estimate_values(got.estimate), estimate_values(expected.estimate))
+        assert_close(estimate_values(result.estimate), estimate_values(expected.estimate))
 
 
-def assert_close(value, wanted, accuracy=EXACT, name=""):
-    """Compare arrays within `accuracy` or rounding, the larger of the two; much quicker than pytest's approx."""
-    value, wanted = np.asarray(value), np.asarray(wanted)
-    assert value.shape == wanted.shape, name
-    # Written as a negation because NaN must not pass.
-    beyond = ~(np.abs(value - wanted) <= np.maximum(accuracy, EXACT * np.abs(wanted)))
-    assert not beyond.any(), (name, value[beyond], wanted[beyond])
+def assert_close(value, expected, accuracy=EXACT, name=""):
+    """Compare arrays within the larger of `accuracy` and rounding; much faster than pytest's approx."""
+    value, expected = np.asarray(value), np.asarray(expected)
+    assert value.shape == expected.shape, name
+    # The negation rejects NaN.
+    is_wrong = ~(np.abs(value - expected) <= np.maximum(accuracy, EXACT * np.abs(expected)))
+    assert not is_wrong.any(), (name, value[is_wrong], expected[is_wrong])
 
 
 def estimate_values(estimate):
@@ -58,7 +58,7 @@ def estimate_values(estimate):
 
 
 class Pair:
-    """Both controllers behind the product's methods; `results` are the product's."""
+    """Product and oracle with the methods of the product; `results` contains the results of the product."""
 
     def __init__(self, config, model=None, accuracy=EXACT):
         self.both = (Controller(config, model), OracleController(config, model))
@@ -85,10 +85,10 @@ class Pair:
             controller.set_applied_commands(commands)
 
     def step(self, t, measurement, hold=None):
-        got, expected = (controller.step(t, measurement, hold) for controller in self.both)
-        assert_same(got, expected, self.accuracy)
-        self.results.append(got)
-        return got
+        result, expected = (controller.step(t, measurement, hold) for controller in self.both)
+        assert_same(result, expected, self.accuracy)
+        self.results.append(result)
+        return result
 
     def drive(self, plant, reference, ticks, event=None):
         """Drive `plant` with the product's commands, from the start of `reference`.

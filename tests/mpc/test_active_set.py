@@ -1,4 +1,4 @@
-"""The active-set method in C (`mpc/core/active_set.c`) against conditions of optimality and another solver."""
+"""The active-set method in C (`mpc/core/active_set.c`) against optimality conditions and DAQP."""
 
 import subprocess
 from dataclasses import dataclass, replace
@@ -58,7 +58,7 @@ ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, con
     return ddmpc_solve_limited(&problem, &memory, multipliers, plan);
 }
 """
-DECLARED = """
+DECLARATIONS = """
 typedef {real} real;
 typedef struct {{
     int status, iterations, late, active;
@@ -81,12 +81,12 @@ def library(number="double"):
     folder = Path(mkdtemp())
     (folder / "ddmpc_sizes.h").write_text("#define DDMPC_FLOAT\n" if number == "float" else "")
     (folder / "dense.c").write_text(DENSE)
-    built = folder / "library.so"
+    path = folder / "library.so"
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-I{folder}", f"-I{CORE}"]
-    subprocess.run(["gcc", *flags, str(folder / "dense.c"), *SOURCES, "-o", str(built), "-lm"], check=True)
+    subprocess.run(["gcc", *flags, str(folder / "dense.c"), *SOURCES, "-o", str(path), "-lm"], check=True)
     ffi = cffi.FFI()
-    ffi.cdef(DECLARED.format(real=number))
-    return ffi, ffi.dlopen(str(built)), {"double": np.float64, "float": np.float32}[number]
+    ffi.cdef(DECLARATIONS.format(real=number))
+    return ffi, ffi.dlopen(str(path)), {"double": np.float64, "float": np.float32}[number]
 
 
 @dataclass
@@ -114,24 +114,26 @@ class Solution:
 
 
 def solve(p, warm=None, number="double", slack=1e-6, max_iterations=2000, max_active=None, late=False, bounded=False):
-    ffi, functions, kind = library(number)
+    ffi, functions, dtype = library(number)
     m, n = p.A.shape
     max_active = max_active or n + m
     factor = np.linalg.cholesky(p.H).T if np.isfinite(p.H).all() else p.H
     minimiser = -np.linalg.solve(p.H, p.g) if np.isfinite(p.H).all() else p.g
 
     def as_c_array(array):
-        array = np.ascontiguousarray(array, dtype=kind)
+        array = np.ascontiguousarray(array, dtype=dtype)
         return array, ffi.cast("real *", array.ctypes.data)
 
-    held = [as_c_array(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])]
-    # Garbage that must not be read.
+    inputs = [
+        as_c_array(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])
+    ]
+    # The solver must not read these initial values.
     _reals, at_reals = as_c_array(np.full(functions.ddmpc_limited_reals(n, m, max_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, max_active), 2**30, dtype=np.intc)
     multipliers, at_multipliers = as_c_array(np.zeros(m) if warm is None else warm.copy())
     plan, at_plan = as_c_array(np.zeros(n))
     result = functions.solve_dense(
-        n, m, p.hard, *(pointer for _, pointer in held), max_iterations, max_active, at_reals,
+        n, m, p.hard, *(pointer for _, pointer in inputs), max_iterations, max_active, at_reals,
         ffi.cast("int *", ints.ctypes.data), at_multipliers, at_plan,
     )  # fmt: skip
     return Solution(
@@ -146,26 +148,28 @@ def excess(p, plan):
 
 
 def cost(p, plan):
-    beyond = np.maximum(excess(p, plan)[p.hard :], 0)
-    return plan @ p.H @ plan / 2 + p.g @ plan + (p.price * beyond + p.slope * beyond**2 / 2).sum()
+    violation = np.maximum(excess(p, plan)[p.hard :], 0)
+    return plan @ p.H @ plan / 2 + p.g @ plan + (p.price * violation + p.slope * violation**2 / 2).sum()
 
 
 def assert_optimal(p, solution, tolerance=1e-6):
     """Check all optimality conditions of a convex program."""
     values, multipliers = p.A @ solution.plan, solution.multipliers
-    beyond = excess(p, solution.plan)
-    # Hard limits are satisfied, rows are active only at their bounds, and with the correct sign.
-    assert beyond[: p.hard].max(initial=0.0) <= tolerance
-    upper, lower = multipliers > 0, multipliers < 0
-    reach = np.zeros(len(multipliers))
+    excesses = excess(p, solution.plan)
+    # Hard limits are satisfied; rows are active only at their bounds, with the correct sign.
+    assert excesses[: p.hard].max(initial=0.0) <= tolerance
+    at_upper, at_lower = multipliers > 0, multipliers < 0
+    slack = np.zeros(len(multipliers))
     soft = np.arange(len(multipliers)) >= p.hard
     over = soft & (np.abs(multipliers) > p.price)
-    reach[over] = (np.abs(multipliers[over]) - p.price) / p.slope
-    assert values[upper] == pytest.approx((p.upper + reach)[upper], abs=tolerance)
-    assert values[lower] == pytest.approx((p.lower - reach)[lower], abs=tolerance)
-    # An exceeded soft limit costs its price.
-    exceeded = soft & (beyond > tolerance)
-    assert np.abs(multipliers[exceeded]) == pytest.approx(p.price + p.slope * beyond[exceeded], abs=p.slope * tolerance)
+    slack[over] = (np.abs(multipliers[over]) - p.price) / p.slope
+    assert values[at_upper] == pytest.approx((p.upper + slack)[at_upper], abs=tolerance)
+    assert values[at_lower] == pytest.approx((p.lower - slack)[at_lower], abs=tolerance)
+    # The multiplier of an exceeded soft limit is its marginal cost.
+    exceeded = soft & (excesses > tolerance)
+    assert np.abs(multipliers[exceeded]) == pytest.approx(
+        p.price + p.slope * excesses[exceeded], abs=p.slope * tolerance
+    )
     gradient = p.H @ solution.plan + p.g + multipliers @ p.A
     scale = 1 + np.abs(multipliers[:, None] * p.A).max(initial=0.0) + np.abs(p.H).max() * np.abs(solution.plan).max()
     assert np.abs(gradient).max() <= tolerance * scale
@@ -199,13 +203,13 @@ def robot_problem(rng, steps, extra=0, tight=1.0):
     omega[:, 0::2] = 0.05 * responses[0]
     heading = np.cumsum(omega, axis=0) * 0.05
     across = np.cumsum(heading * rng.uniform(0.2, 1), axis=0) * 0.05
-    along = np.cumsum(v, axis=0) * 0.05
+    progress = np.cumsum(v, axis=0) * 0.05
     unit = np.eye(n)
     difference = unit - np.eye(n, k=-2)
-    users = [np.tril(rng.normal(size=(N, N))) @ (v + omega) * 0.1 for _ in range(extra)]
-    soft = [v, omega, v + 0.3 * omega, v - 0.3 * omega, across, *users]
+    user_rows = [np.tril(rng.normal(size=(N, N))) @ (v + omega) * 0.1 for _ in range(extra)]
+    soft = [v, omega, v + 0.3 * omega, v - 0.3 * omega, across, *user_rows]
     A = np.concatenate([unit[0::2], unit[1::2], difference[0::2], difference[1::2], *soft])
-    stack = np.concatenate([10 * along, 10 * across, 2 * heading])
+    stack = np.concatenate([10 * progress, 10 * across, 2 * heading])
     H = stack.T @ stack + 0.05 * unit + 0.3 * difference.T @ difference
     target = np.repeat(rng.normal(size=(N // 10 + 1, 2)) * [1.0, 1.5], 10, axis=0)[:N].ravel()
     g = -H @ target + 0.1 * rng.normal(size=n)
@@ -219,25 +223,25 @@ def robot_problem(rng, steps, extra=0, tight=1.0):
 
 
 def with_two_sided_limits(p, rng, steps, tight=1.0):
-    """Return a robot's problem with two-sided ranges and separate limits on growing and falling commands."""
+    """Return a robot problem with two-sided ranges and separate limits of acceleration and braking."""
     N, lower, upper = steps, p.lower.copy(), p.upper.copy()
     for channel in (0, 1):
-        above, below = rng.uniform(0.2, 1.0, 2) * tight
-        grows, falls = rng.uniform(0.02, 0.3, 2) * tight
-        last = rng.uniform(-below, above)
-        # A command that crosses zero grows for the rest of the sample; later rows have the sign of a shifted plan.
-        smallest = abs(last) - falls if abs(last) > falls else -grows * (1 - abs(last) / falls)
-        first = sorted([np.copysign(1, last) * smallest, np.copysign(1, last) * (abs(last) + grows)])
+        max_forward, max_reverse = rng.uniform(0.2, 1.0, 2) * tight
+        rise, fall = rng.uniform(0.02, 0.3, 2) * tight
+        last = rng.uniform(-max_reverse, max_forward)
+        # A command that crosses zero accelerates for the rest of the sample; later rows use the signs of a plan.
+        min_size = abs(last) - fall if abs(last) > fall else -rise * (1 - abs(last) / fall)
+        first = sorted([np.copysign(1, last) * min_size, np.copysign(1, last) * (abs(last) + rise)])
         sign = np.repeat(rng.integers(-1, 2, N // 5 + 1), 5)[: N - 1]
-        upper[channel * N : (channel + 1) * N], lower[channel * N : (channel + 1) * N] = above, -below
+        upper[channel * N : (channel + 1) * N], lower[channel * N : (channel + 1) * N] = max_forward, -max_reverse
         rows = slice((2 + channel) * N, (3 + channel) * N)
-        lower[rows] = [first[0], *np.where(sign > 0, -falls, -grows)]
-        upper[rows] = [first[1], *np.where(sign < 0, falls, grows)]
+        lower[rows] = [first[0], *np.where(sign > 0, -fall, -rise)]
+        upper[rows] = [first[1], *np.where(sign < 0, fall, rise)]
     return replace(p, lower=lower, upper=upper)
 
 
 def residuals(p, solution):
-    """Return the residuals: limit violation, gradient of the Lagrangian over its size, complementarity gap."""
+    """Return limit violation, scaled gradient of the Lagrangian, and complementarity gap."""
     plan, force = solution.plan, solution.multipliers
     values, soft = p.A @ plan, np.arange(len(force)) >= p.hard
     over = np.where(soft, np.maximum(np.abs(force) - p.price, 0.0) / p.slope, 0.0)
@@ -263,10 +267,10 @@ def two_sided_residuals(seed, steps=30):
 
 def test_programs_with_two_sided_limits_are_solved_exactly():
     # The multipliers of the last program are so large that their rounding alone would leave a gap of 4e-8.
-    figures = np.array([two_sided_residuals(seed) for seed in [*range(40), 1033372]])
-    assert (figures[:, :3] < 1e-9).all()
-    assert (figures[:, 3] < 1e-7).all()
-    assert (figures[:, 4] > 3).mean() > 0.5
+    rows = np.array([two_sided_residuals(seed) for seed in [*range(40), 1033372]])
+    assert (rows[:, :3] < 1e-9).all()
+    assert (rows[:, 3] < 1e-7).all()
+    assert (rows[:, 4] > 3).mean() > 0.5
 
 
 def solve_with_daqp(p):
@@ -283,7 +287,7 @@ def solve_with_daqp(p):
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 90), st.floats(0, 1), st.floats(-2, 1))
-def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
+def test_random_problems_are_solved_optimally(seed, n, m, hard_share, tightness):
     p = random_problem(np.random.default_rng(seed), n, m, hard_share, 10**tightness)
     result = solve(p)
     assert result.status == PROVEN
@@ -295,7 +299,7 @@ def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 30), st.integers(0, 3), st.floats(0.4, 1.5))
-def test_robot_like_problems_are_solved(seed, steps, extra, tight):
+def test_robot_problems_are_solved_optimally(seed, steps, extra, tight):
     """Linearly dependent bounds and increments, and more soft rows than inputs."""
     p = robot_problem(np.random.default_rng(seed), steps, extra, tight)
     result, (x, flag, _) = solve(p), solve_with_daqp(p)
@@ -314,7 +318,7 @@ def constrained_problem(seed, steps=20):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_warm_start_at_the_solution_ends_at_once(seed):
+def test_warm_start_at_the_solution_takes_two_iterations_at_most(seed):
     p, cold = constrained_problem(seed)
     warm = solve(p, cold.multipliers)
     assert cold.active > 10
@@ -336,7 +340,7 @@ def test_multipliers_of_a_similar_problem_save_iterations(seed):
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 15.0])
 def test_step_of_the_multipliers_ends_at_the_maximum(factor):
-    """Each command is far beyond its own limit: one step finds the multipliers from any start.
+    """Each unconstrained command is far beyond its limit: one step finds the multipliers from any start.
 
     From 15 times the solution, a step of 15/14 would reach zero and release the row.
     """
@@ -348,7 +352,7 @@ def test_step_of_the_multipliers_ends_at_the_maximum(factor):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1e3, np.nan, np.inf]))
-def test_wrong_start_costs_only_iterations(seed, size):
+def test_wrong_warm_start_does_not_change_the_solution(seed, size):
     rng = np.random.default_rng(seed)
     p = robot_problem(rng, 10)
     result = solve(p, size * rng.normal(size=len(p.A)))
@@ -360,20 +364,20 @@ def test_wrong_start_costs_only_iterations(seed, size):
 @pytest.mark.parametrize("seed", range(3))
 def test_stopped_solve_returns_the_plan_of_its_multipliers_and_can_be_continued(seed):
     p, result = constrained_problem(seed)
-    needed = result.iterations
-    for stopped, limit in [(solve(p, max_iterations=limit), limit) for limit in (1, needed - 1)] + [
+    total = result.iterations
+    for stopped, limit in [(solve(p, max_iterations=limit), limit) for limit in (1, total - 1)] + [
         (solve(p, late=True), 1)
     ]:
         assert (stopped.status, stopped.iterations) == (UNFINISHED, limit)
         assert stopped.plan == pytest.approx(-np.linalg.solve(p.H, p.g + p.A.T @ stopped.multipliers), abs=1e-7)
-        on = solve(p, stopped.multipliers)
-        assert on.status == PROVEN
-        assert on.plan == pytest.approx(result.plan, abs=1e-6)
-    assert solve(p, max_iterations=needed).status == PROVEN
+        continued = solve(p, stopped.multipliers)
+        assert continued.status == PROVEN
+        assert continued.plan == pytest.approx(result.plan, abs=1e-6)
+    assert solve(p, max_iterations=total).status == PROVEN
 
 
 def test_operations_stay_below_the_bound_from_any_start():
-    """A garbage start or an infeasible problem is stopped by its operations, soon after their limit."""
+    """The operation limit stops solves with random warm starts and of infeasible problems."""
     rng = np.random.default_rng(0)
     _, functions, _ = library()
     shares, stopped = [], 0
@@ -405,7 +409,7 @@ def test_active_set_stops_if_rows_exceed_its_capacity():
 
 def test_contradicting_hard_rows_are_reported_as_infeasible():
     p = robot_problem(np.random.default_rng(0), 8)
-    # From 0.9 on, every command would have to fall faster than its increments permit.
+    # Commands must alternate between two ranges, faster than the limits of their increments permit.
     p.lower[:8], p.upper[:8] = np.where(np.arange(8) % 2, -0.9, 0.7), np.where(np.arange(8) % 2, -0.7, 0.9)
     result = solve(p)
     assert result.status == INFEASIBLE
@@ -413,21 +417,21 @@ def test_contradicting_hard_rows_are_reported_as_infeasible():
 
 
 @pytest.mark.parametrize(("row", "gap", "status"), [(4, 0.1, INFEASIBLE), (4, 1e-6, NOT_PROVEN), (5, 0.1, NOT_PROVEN)])
-def test_only_a_hard_row_with_limits_crossed_beyond_the_slack_is_infeasible(row, gap, status):
-    """Row 4 is the last hard row, row 5 the first soft one, whose limits the caller must not cross."""
+def test_only_hard_rows_with_limits_crossed_beyond_the_slack_are_infeasible(row, gap, status):
+    """Row 4 is the last hard row; row 5 is the first soft row, whose limits the caller must not cross."""
     p = Problem(np.eye(8), np.zeros(8), np.eye(8), -np.ones(8), np.ones(8), hard=5)
     p.lower[row] = p.upper[row] + gap
     solution = solve(p)
     assert (solution.status, solution.iterations, solution.active) == (status, 0, 0)
-    assert (solution.primal, solution.dual) == (0.0, 0.0), "solved nevertheless"
+    assert (solution.primal, solution.dual) == (0.0, 0.0), "the crossed limits must prevent a solve"
 
 
 def test_proven_plan_in_single_precision_is_the_solution():
-    """With most inputs at their limits, rounding leaves some problems without a proof, but proves no wrong plan."""
+    """With most inputs at their limits, rounding prevents some proofs of optimality, but no wrong plan is proven."""
     problems = [constrained_problem(seed, steps=15) for seed in range(30)]
-    result = [solve(p, number="float", slack=1e-5) for p, _ in problems]
-    assert {solution.status for solution in result} <= {PROVEN, NOT_PROVEN}
-    assert np.mean([solution.status == PROVEN for solution in result]) > 0.7
-    for solution, (_, exact) in zip(result, problems, strict=True):
+    solutions = [solve(p, number="float", slack=1e-5) for p, _ in problems]
+    assert {solution.status for solution in solutions} <= {PROVEN, NOT_PROVEN}
+    assert np.mean([solution.status == PROVEN for solution in solutions]) > 0.7
+    for solution, (_, exact) in zip(solutions, problems, strict=True):
         if solution.status == PROVEN:
             assert solution.plan == pytest.approx(exact.plan, abs=2e-4)

@@ -1,4 +1,4 @@
-"""Every backend of the registry against optimality conditions that do not depend on the method."""
+"""Every backend of the registry against optimality conditions that do not depend on its method."""
 
 import math
 import time
@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.solver.backend import BACKENDS, SetUpTime, load_backend, 
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 STEPS, HARD, KINDS = 6, 4, 9
-# Low enough that some soft limits are exceeded, high enough that others are satisfied.
+# With these weights, some soft limits are exceeded and others are satisfied.
 WEIGHTS = load_config("ssm", {"weights.soft": 3.0, "weights.soft_quadratic": 20.0}).weights
 every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
@@ -78,31 +78,31 @@ def random_program(seed, tightness=0.5, softness=1.0):
 
 def solver_settings(backend, max_iterations=100_000):
     common = {"tolerance": 1e-8, "max_iterations": max_iterations}
-    of_osqp = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": max_iterations, "check_termination": 10}
-    return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **common}}).solver
+    osqp_settings = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": max_iterations, "check_termination": 10}
+    return load_config("ssm", {"solver": {"method": backend, "osqp": osqp_settings, **common}}).solver
 
 
 def solve(program, backend, **changes):
     """Solve from a cold start."""
-    chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
-    return chosen.solve(program, tuple(range(KINDS)), program.guess, program.multipliers)
+    solver = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
+    return solver.solve(program, tuple(range(KINDS)), program.guess, program.multipliers)
 
 
-def assert_optimal(program, plan, multipliers, within):
+def assert_optimal(program, plan, multipliers, tolerance):
     rows, price, slope = program.all_rows(), WEIGHTS.soft, WEIGHTS.soft_quadratic
-    force = np.einsum("ks,ksu->u", multipliers, rows)
-    assert program.H @ plan + program.g + force == pytest.approx(np.zeros(2 * STEPS), abs=within)
+    constraint_force = np.einsum("ks,ksu->u", multipliers, rows)
+    assert program.H @ plan + program.g + constraint_force == pytest.approx(np.zeros(2 * STEPS), abs=tolerance)
     values = rows @ plan
     over, under = values - program.upper, program.lower - values
-    assert np.maximum(over, under)[:HARD].max() <= within
-    # Only a limit that is reached has a multiplier, and it pushes inwards.
-    assert over[multipliers > 10 * within].min(initial=0.0) >= -within
-    assert under[multipliers < -10 * within].min(initial=0.0) >= -within
-    # A satisfied soft limit has a multiplier of at most its price, an exceeded one the marginal cost of its excess.
+    assert np.maximum(over, under)[:HARD].max() <= tolerance
+    # Only active limits have multipliers, with the sign of an inward force.
+    assert over[multipliers > 10 * tolerance].min(initial=0.0) >= -tolerance
+    assert under[multipliers < -10 * tolerance].min(initial=0.0) >= -tolerance
+    # The multiplier of a satisfied soft limit is at most its price, that of an exceeded limit its marginal cost.
     excess, size = np.maximum(np.maximum(over, under)[HARD:], 0), np.abs(multipliers[HARD:])
-    exceeded = excess > 10 * within
-    assert (size <= price + slope * excess + 100 * within).all()
-    assert size[exceeded] == pytest.approx(price + slope * excess[exceeded], abs=100 * within)
+    exceeded = excess > 10 * tolerance
+    assert (size <= price + slope * excess + 100 * tolerance).all()
+    assert size[exceeded] == pytest.approx(price + slope * excess[exceeded], abs=100 * tolerance)
 
 
 @settings(max_examples=40)
@@ -124,7 +124,7 @@ def test_solution_of_osqp_is_optimal(seed):
 
 
 def test_random_programs_exercise_all_limits():
-    """Otherwise the conditions above would only cover problems without active limits."""
+    """The tests above would be weak if few limits were active."""
     programs = [random_program(seed) for seed in range(40)]
     solutions = [solve(program, "daqp") for program in programs]
     multipliers = np.array([np.abs(solution.multipliers).max(axis=1) > 0 for solution in solutions])
@@ -141,12 +141,12 @@ def test_random_programs_exercise_all_limits():
 @given(seed=st.integers(0, 10_000), tightness=st.floats(0.02, 0.6))
 def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
-    whole = solve(program, "daqp")
+    full = solve(program, "daqp")
     solution, report = solve_all(
         load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9
     )
     assume(report.status is SolverStatus.SOLVED)
-    assert solution.plan == pytest.approx(whole.plan, abs=1e-5)
+    assert solution.plan == pytest.approx(full.plan, abs=1e-5)
     assert report.method == backend
 
 
@@ -162,12 +162,12 @@ def test_nan_in_a_program_is_reported(backend):
 
 @every_backend
 def test_backend_stops_at_its_iteration_limit(backend):
-    """OSQP needs more than 10 iterations to any useful tolerance; DAQP does if enough limits are active."""
+    """OSQP needs more than 10 iterations for useful tolerances; DAQP needs more if enough limits are active."""
     program = random_program(0, tightness=2.0)
     assert solve(program, backend).status is SolverStatus.SOLVED
     stopped = solve(program, backend, max_iterations=10)
     assert stopped.status is SolverStatus.MAX_ITERATIONS
-    assert stopped.iterations <= 11  # DAQP counts the iteration that it did not begin
+    assert stopped.iterations <= 11  # DAQP counts the iteration at which it stops
 
 
 def test_backend_solves_if_the_active_set_has_no_iterations():
@@ -175,17 +175,17 @@ def test_backend_solves_if_the_active_set_has_no_iterations():
     config = load_config("ssm", {"horizon": 15, **tight})
     drives = {}
     for iterations in (0, 500):
-        changed = config.model_copy(
+        limited = config.model_copy(
             update={"solver": config.solver.model_copy(update={"active_set_iterations": iterations})}
         )
         drives[iterations] = simulate(
-            Controller(changed), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
+            Controller(limited), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
         )
-    none, many = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
-    assert "daqp" not in many
-    is_active = many == "active_set"
+    without_iterations, with_iterations = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
+    assert "daqp" not in with_iterations
+    is_active = with_iterations == "active_set"
     assert is_active.sum() > 20
-    assert set(none[is_active]) == {"daqp"}
+    assert set(without_iterations[is_active]) == {"daqp"}
     # The method does not change the motion of the robot.
     assert drives[0].command == pytest.approx(drives[500].command, abs=1e-5)
 
@@ -212,23 +212,23 @@ def test_backend_plan_equals_the_active_set_with_active_limits(backend):
 
 
 def test_violated_limit_is_detected_at_every_step():
-    """Checked above and below, by more than the margin; limits of the other command are not violated."""
+    """Each bound is exceeded by more and by less than the margin; limits of the other command are not violated."""
     reference = load_trajectory("s")
     controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
     controller.start(reference, 0.0)
     controller.step(0.0, Measurement(pose=Stamped(reference.sample([0.0]).pose[0], 0.0)))
     program = controller._program
     for row, channel in np.ndindex(controller.config.horizon, 2):
-        for bounds, beyond in ((program.upper, 0.01), (program.lower, -0.01)):
+        for bounds, excess in ((program.upper, 0.01), (program.lower, -0.01)):
             plan = np.zeros(2 * controller.config.horizon)
-            plan[2 * row + channel] = bounds[channel, row] + beyond
+            plan[2 * row + channel] = bounds[channel, row] + excess
             assert [kind for kind in program.violated_kinds(plan, 0.005) if kind < 2] == [channel]
             assert [kind for kind in program.violated_kinds(plan, 0.02) if kind < 2] == []
 
 
-# Solves that are stopped.
+# Stopped solves.
 
-# A robot that cannot follow: its wheels are too slow, and its corridor is narrow.
+# A robot that cannot follow its reference: its wheels are slow, and its corridor is narrow.
 DEMANDING = {"horizon": 40, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}
 
 
@@ -243,12 +243,12 @@ def plant():
 
 
 def drive(driver, robot, ticks, **bounds):
-    """Return the results of some steps; `bounds` maps step numbers to the arguments that bound each step."""
+    """Return the results of `ticks` steps; `bounds` maps arguments of `step` to functions of the step number."""
     driver.start(load_trajectory("s"), robot.time)
     results = []
     for number in range(ticks):
-        measured = robot.measure()
-        results.append(driver.step(robot.time, measured, **{name: bound(number) for name, bound in bounds.items()}))
+        measurement = robot.measure()
+        results.append(driver.step(robot.time, measurement, **{name: bound(number) for name, bound in bounds.items()}))
         robot.advance(results[-1].command)
     return results
 
@@ -259,19 +259,19 @@ def plan_cost(program, plan):
     weights = load_config("ssm").weights
     for kind in range(4, len(program.lower)):
         values = program.rows(kind) @ plan
-        beyond = np.maximum(np.maximum(values - program.upper[kind], program.lower[kind] - values), 0.0)
-        cost += weights.soft * beyond.sum() + 0.5 * weights.soft_quadratic * (beyond**2).sum()
+        violation = np.maximum(np.maximum(values - program.upper[kind], program.lower[kind] - values), 0.0)
+        cost += weights.soft * violation.sum() + 0.5 * weights.soft_quadratic * (violation**2).sum()
     return cost
 
 
 def clip_to_limits(limits, dt, plan, last):
     """Return the plan (2 N,) clipped to ranges and slew, command by command."""
     clipped = plan.reshape(-1, 2).copy()
-    before = np.array(last)
+    previous = np.array(last)
     for command in clipped:
         ranges, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
-        command[:] = np.clip(command, np.maximum(-ranges, before - slew), np.minimum(ranges, before + slew))
-        before = command
+        command[:] = np.clip(command, np.maximum(-ranges, previous - slew), np.minimum(ranges, previous + slew))
+        previous = command
     return clipped.reshape(-1)
 
 
@@ -282,42 +282,42 @@ def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
     ranges, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
     stopped, last = 0, np.zeros(2)
     for _ in range(150):
-        rest = driver.program.guess.copy()
+        guess = driver.program.guess.copy()
         result = driver.step(robot.time, robot.measure())
         assert result.mode is Mode.TRACKING
         robot.advance(result.command)
-        before, last = last, result.command
+        previous, last = last, result.command
         if result.solver.status is not SolverStatus.STOPPED:
             continue
         stopped += 1
         assert result.solver.primal_residual == 0.0 and np.isnan(result.solver.dual_residual)
         plan = result.planned_commands
-        moves = np.diff(np.vstack([before, plan]), axis=0)
+        moves = np.diff(np.vstack([previous, plan]), axis=0)
         assert (np.abs(plan) <= ranges + 1e-12).all()
         assert (np.abs(moves) <= slew + 1e-12).all()
-        if rest.any():  # the first tick has no previous plan
+        if guess.any():  # the first tick has no previous plan
             cost = plan_cost(driver.program, plan.reshape(-1))
-            assert cost <= plan_cost(driver.program, clip_to_limits(limits, dt, rest, before)) + 1e-9 * abs(cost)
+            assert cost <= plan_cost(driver.program, clip_to_limits(limits, dt, guess, previous)) + 1e-9 * abs(cost)
     assert stopped > 50
 
 
 def test_tick_stopped_by_the_clock_is_reproduced_exactly():
-    late = [k % 3 == 0 or 30 < k < 40 for k in range(60)]
-    by_clock = drive(controller(), plant(), 60, deadline=lambda k: 1e-9 if late[k] else time.monotonic() + 2e-4)
-    assert SolverStatus.STOPPED_IN_TIME in {result.solver.status for result in by_clock}
-    stops = [max(r.solver.iterations, 1) if r.solver.missed else None for r in by_clock]
-    assert Mode.BRAKING in {result.mode for result in by_clock}
-    again = drive(controller(), plant(), 60, most_iterations=lambda k: stops[k])
-    assert [r.mode for r in again] == [r.mode for r in by_clock]
-    assert [tuple(r.command) for r in again] == [tuple(r.command) for r in by_clock]
-    assert [r.solver.iterations for r in again] == [r.solver.iterations for r in by_clock]
+    is_late = [k % 3 == 0 or 30 < k < 40 for k in range(60)]
+    timed = drive(controller(), plant(), 60, deadline=lambda k: 1e-9 if is_late[k] else time.monotonic() + 2e-4)
+    assert SolverStatus.STOPPED_IN_TIME in {result.solver.status for result in timed}
+    stops = [max(r.solver.iterations, 1) if r.solver.missed else None for r in timed]
+    assert Mode.BRAKING in {result.mode for result in timed}
+    repeated = drive(controller(), plant(), 60, most_iterations=lambda k: stops[k])
+    assert [r.mode for r in repeated] == [r.mode for r in timed]
+    assert [tuple(r.command) for r in repeated] == [tuple(r.command) for r in timed]
+    assert [r.solver.iterations for r in repeated] == [r.solver.iterations for r in timed]
 
 
 @pytest.mark.parametrize("time_limit", [None, 1e-6])
-def test_node_bounds_solves_by_the_clock(time_limit):
+def test_node_limits_the_time_of_solves(time_limit):
     driver, robot = controller(**({} if time_limit is None else {"solver.time_limit": time_limit})), plant()
-    fresh = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
-    inbox = SimpleNamespace(now=0.0, odometry=fresh, newest_pose=None, look_up_pose=lambda: None)
+    odometry = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
+    inbox = SimpleNamespace(now=0.0, odometry=odometry, newest_pose=None, look_up_pose=lambda: None)
     settings = SimpleNamespace(
         statistics_window=10, drive_on_activate=True, start_at_robot=False, poses_from="odometry", odom_timeout=1.0,
         blocked_timeout=9.0,
@@ -331,79 +331,79 @@ def test_node_bounds_solves_by_the_clock(time_limit):
     driver.step = step
     loop = ControlLoop(driver, settings, inbox, load_trajectory("s"), in_sim_time=False)
     for _ in range(50):
-        inbox.now, measured = robot.time, robot.measure()
-        inbox.measurement, inbox.newest_pose = lambda latest=measured: latest, measured.pose
+        inbox.now, measurement = robot.time, robot.measure()
+        inbox.measurement, inbox.newest_pose = lambda latest=measurement: latest, measurement.pose
         tick = loop.tick()
         results += [tick.result] if tick.result is not None else []
         robot.advance(tick.command)
     limit = time_limit or 0.5 * driver.sample_time
     assert limit - 1e-3 < max(deadlines) <= limit
-    late = sum(result.solver.status is SolverStatus.STOPPED_IN_TIME for result in results)
-    assert late > 20 if time_limit else late < len(results)
+    late_count = sum(result.solver.status is SolverStatus.STOPPED_IN_TIME for result in results)
+    assert late_count > 20 if time_limit else late_count < len(results)
 
 
 @pytest.mark.parametrize("backend", ["osqp", "daqp"])
 def test_backend_that_runs_out_of_time_returns_no_plan_and_replay_is_exact(backend):
-    by_backend = controller(**{"solver.method": backend})
-    results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
+    driver = controller(**{"solver.method": backend})
+    results = drive(driver, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
     late = results[20]
     assert late.solver.status is SolverStatus.TIME_LIMIT
     assert (late.mode, late.solver.missed) == (Mode.REUSED_PLAN, 1)
     assert results[25].mode is Mode.TRACKING
-    never = drive(
+    odd_limits = drive(
         controller(**{"solver.method": backend}), plant(), 3, deadline=lambda k: [math.inf, math.nan, None][k]
     )
-    assert [result.solver.status is SolverStatus.SOLVED for result in never] == [True, False, True]
-    again = drive(
+    assert [result.solver.status is SolverStatus.SOLVED for result in odd_limits] == [True, False, True]
+    repeated = drive(
         controller(**{"solver.method": backend}), plant(), 30, most_iterations=lambda k: 0 if k == 20 else None
     )
-    assert [tuple(r.command) for r in again] == [tuple(r.command) for r in results]
+    assert [tuple(r.command) for r in repeated] == [tuple(r.command) for r in results]
 
 
 @every_backend
 @pytest.mark.parametrize("kinds", [HARD, KINDS])
-def test_factorisation_that_would_exceed_the_time_limit_is_not_begun(backend, kinds, monkeypatch):
-    work, steps = [], 100
+def test_factorisation_that_would_exceed_the_time_limit_is_not_started(backend, kinds, monkeypatch):
+    calls, steps = [], 100
     for owner, name in ((daqp, "Model"), (osqp.OSQP, "setup"), (osqp.OSQP, "update")):
         inner = getattr(owner, name)
-        monkeypatch.setattr(owner, name, lambda *a, inner=inner, **b: [work.append(inner), inner(*a, **b)][1])
-    chosen = load_backend(backend)(steps, KINDS, solver_settings(backend), WEIGHTS)
+        monkeypatch.setattr(owner, name, lambda *a, inner=inner, **b: [calls.append(inner), inner(*a, **b)][1])
+    solver = load_backend(backend)(steps, KINDS, solver_settings(backend), WEIGHTS)
     rows = np.tile(np.tri(steps).repeat(2, axis=1), (KINDS, 1, 1))
     H, bounds = np.eye(2 * steps) + 0.1, np.full((KINDS, steps), 0.1)
     program = SimpleNamespace(H=H, g=np.ones(2 * steps), lower=-bounds, upper=bounds, rows=lambda kind: rows[kind])
     guess, multipliers = np.zeros(2 * steps), np.zeros((KINDS, steps))
-    work.clear()
+    calls.clear()
     # Each backend needs a millisecond here, and more with soft limits.
-    solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 5e-5)
-    assert (solved.status, solved.iterations, work) == (SolverStatus.TIME_LIMIT, 0, [])
-    solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 30.0)
-    assert solved.status.usable
-    assert work
-    # If the solver is started nevertheless, its own clock stops it: DAQP checks it every 32nd iteration.
+    solution = solver.solve(program, tuple(range(kinds)), guess, multipliers, 5e-5)
+    assert (solution.status, solution.iterations, calls) == (SolverStatus.TIME_LIMIT, 0, [])
+    solution = solver.solve(program, tuple(range(kinds)), guess, multipliers, 30.0)
+    assert solution.status.usable
+    assert calls
+    # A solver that is started nevertheless stops by its own clock, which DAQP reads every 32nd iteration.
     monkeypatch.setattr(SetUpTime, "expected", lambda *_: 0.0)
-    solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 1e-9)
-    assert solved.status is SolverStatus.TIME_LIMIT
-    assert solved.iterations <= 32
+    solution = solver.solve(program, tuple(range(kinds)), guess, multipliers, 1e-9)
+    assert solution.status is SolverStatus.TIME_LIMIT
+    assert solution.iterations <= 32
 
 
 def test_time_of_a_factorisation_is_its_shortest_measurement(monkeypatch):
     clock = iter([0.0, 4.0, 10.0, 11.0, 20.0, 26.0])
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
-    measured = SetUpTime()
-    assert measured.expected(3.0) == 0.0
+    set_up_time = SetUpTime()
+    assert set_up_time.expected(3.0) == 0.0
     for expected in (2.0, 0.5, 0.5):
-        with measured.measured(2.0):
+        with set_up_time.measured(2.0):
             pass
-        assert measured.expected() == expected
-    assert measured.expected(3.0) == 1.5
+        assert set_up_time.expected() == expected
+    assert set_up_time.expected(3.0) == 1.5
 
 
 def test_robot_brakes_after_missed_deadlines_and_resumes_in_time():
     limit = 4
-    late = range(20, 32)
+    late_ticks = range(20, 32)
     driver = controller(**{"solver.max_missed": limit})
-    results = drive(driver, plant(), 60, deadline=lambda k: 1e-9 if k in late else None)
-    assert [r.solver.missed for r in results[19:33]] == [0, *range(1, len(late) + 1), 0]
+    results = drive(driver, plant(), 60, deadline=lambda k: 1e-9 if k in late_ticks else None)
+    assert [r.solver.missed for r in results[19:33]] == [0, *range(1, len(late_ticks) + 1), 0]
     modes = [result.mode for result in results]
     assert set(modes[20 : 19 + limit]) == {Mode.TRACKING}
     braking = slice(19 + limit, 32)
@@ -414,7 +414,7 @@ def test_robot_brakes_after_missed_deadlines_and_resumes_in_time():
     assert modes[32] is Mode.TRACKING
 
 
-def test_missed_deadlines_stop_the_robot_for_good_without_resume():
+def test_missed_deadlines_stop_the_robot_permanently_without_resume():
     driver = controller(**{"solver.max_missed": 2, "failure.resume": False})
     results = drive(driver, plant(), 40, deadline=lambda k: 1e-9 if k in (20, 21) else None)
     assert results[20].mode is Mode.TRACKING

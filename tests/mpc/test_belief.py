@@ -1,4 +1,4 @@
-"""The full state distribution of the filter, and its prediction of the pose."""
+"""The belief of the filter: consistency with the estimate, and prediction."""
 
 from dataclasses import astuple
 
@@ -13,9 +13,9 @@ from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertainty": 0.1}
 
 
-def drive(settings=None, ticks=120, model="ssm"):
-    """Return a controller after some ticks on grass, its plant, and its last step."""
-    controller, plant = Controller(load_config(model, settings or {})), make_plant("model:ssm", "p4_grass", seed=5)
+def drive(overrides=None, ticks=120, model="ssm"):
+    """Return controller, plant and last step after `ticks` ticks on grass."""
+    controller, plant = Controller(load_config(model, overrides or {})), make_plant("model:ssm", "p4_grass", seed=5)
     controller.start(load_trajectory("s"), 0.0)
     for _ in range(ticks):
         step = controller.step(plant.time, plant.measure())
@@ -27,25 +27,25 @@ def drive(settings=None, ticks=120, model="ssm"):
 @pytest.mark.parametrize("model", ["ssm", "mbm"])
 def test_predicted_belief_equals_the_filter_state_without_measurements(settings, model):
     controller, plant, step = drive(settings, model=model)
-    before, commands = controller.belief, [step.command]
+    start, commands = controller.belief, [step.command]
     for k in range(1, 13):
         step = controller.step(plant.time + (k - 1) * plant.sample_time, Measurement())
         commands.append(step.command)
-    after, predicted = controller.belief, controller.predict_belief(before, commands[:-1])
-    assert np.array_equal(predicted.mean, after.mean)
-    assert np.array_equal(predicted.covariance, after.covariance)
-    assert np.array_equal(predicted.sent, after.sent)
-    assert np.hypot(*(after.pose - before.pose)[:2]) > 0.02
-    assert np.trace(after.pose_covariance) > np.trace(before.pose_covariance)
+    end, predicted = controller.belief, controller.predict_belief(start, commands[:-1])
+    assert np.array_equal(predicted.mean, end.mean)
+    assert np.array_equal(predicted.covariance, end.covariance)
+    assert np.array_equal(predicted.sent, end.sent)
+    assert np.hypot(*(end.pose - start.pose)[:2]) > 0.02
+    assert np.trace(end.pose_covariance) > np.trace(start.pose_covariance)
 
 
 @pytest.mark.parametrize("settings", [{}, CURVED])
 def test_belief_matches_the_estimate(settings):
     controller, _, step = drive(settings)
     belief, estimate = controller.belief, step.estimate
-    # The estimate shrinks terms without evidence.
-    weighed = ["turn_ahead", "turn_left", "slide_x", "slide_y"]
-    assert all(abs(getattr(estimate.slip, name)) < abs(getattr(belief.slip, name)) for name in weighed)
+    # The estimate reduces terms without evidence.
+    reduced = ["turn_ahead", "turn_left", "slide_x", "slide_y"]
+    assert all(abs(getattr(estimate.slip, name)) < abs(getattr(belief.slip, name)) for name in reduced)
     assert abs(estimate.slip.omega_gain - 1.0) < abs(belief.slip.omega_gain - 1.0)
     assert belief.mean == pytest.approx(estimate.mean, abs=0.02)
     assert np.sqrt(np.diag(belief.covariance)) == pytest.approx(estimate.deviation, rel=1e-12)
@@ -56,30 +56,30 @@ def test_belief_matches_the_estimate(settings):
     assert np.abs(belief.polynomial_covariance - np.diag(np.diag(belief.polynomial_covariance))).max() > 1e-6
 
 
-def test_known_slip_lowers_the_pose_covariance():
-    """Covariance is propagated linearly: unknown slip adds to it, exactly known slip does not."""
+def test_known_slip_reduces_the_pose_covariance():
+    """The covariance of unknown slip increases the covariance of the pose; exactly known slip does not."""
     controller, _, _ = drive()
     belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))
-    whole, certain = (
+    uncertain, certain = (
         controller.predict_belief(belief, commands),
         controller.predict_belief(belief.with_slip(belief.slip), commands),
     )
-    assert np.array_equal(whole.mean, certain.mean)
-    assert whole.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
+    assert np.array_equal(uncertain.mean, certain.mean)
+    assert uncertain.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
     # A different slip turns the robot by a different angle.
     without_slip = controller.predict_belief(belief.with_slip(Slip()), commands)
-    assert abs(without_slip.pose[2] - whole.pose[2]) > 0.1
+    assert abs(without_slip.pose[2] - uncertain.pose[2]) > 0.1
 
 
-small = st.lists(st.floats(-0.3, 0.3), min_size=len(SLIPS), max_size=len(SLIPS))
+small_offsets = st.lists(st.floats(-0.3, 0.3), min_size=len(SLIPS), max_size=len(SLIPS))
 
 
-@given(small, small)
-def test_polynomial_gradient_is_the_slope_of_the_polynomial(offset, direction):
+@given(small_offsets, small_offsets)
+def test_polynomial_gradient_equals_finite_differences(offset, direction):
     slip = Slip(*(np.array(astuple(Slip())) + offset))
     step = 1e-6 * np.array(direction)
-    moved = Slip(*(np.array(astuple(slip)) + step))
-    assert moved.polynomial - slip.polynomial == pytest.approx(slip.polynomial_gradient @ step, abs=1e-11)
+    shifted = Slip(*(np.array(astuple(slip)) + step))
+    assert shifted.polynomial - slip.polynomial == pytest.approx(slip.polynomial_gradient @ step, abs=1e-11)
 
 
 def test_invalid_commands_for_a_prediction_raise_value_error():

@@ -1,4 +1,4 @@
-"""Configuration keys, their synonyms, and their sections."""
+"""Configuration keys: synonyms, sections, former names and fixed values."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS
 
 @pytest.mark.parametrize("key", sorted(SYNONYMS))
 def test_every_synonym_suggests_a_key(key):
-    hints = [suggestion(schema, [key]) for schema in (ControllerConfig, LogMapping)]
-    assert any(name in hint for name in SYNONYMS[key] for hint in hints), hints
+    suggestions = [suggestion(schema, [key]) for schema in (ControllerConfig, LogMapping)]
+    assert any(name in hint for name in SYNONYMS[key] for hint in suggestions), suggestions
 
 
 def test_model_file_is_found_next_to_the_configuration(tmp_path):
@@ -33,44 +33,44 @@ def test_model_file_is_found_next_to_the_configuration(tmp_path):
 
 def test_every_key_is_in_one_section_and_user_keys_come_first():
     keys = [row.key for row in schema_rows()]
-    users = [key for key in keys if not key.startswith("expert.")]
-    assert keys[: len(users)] == users
-    assert [key for key in users if not is_for_users(plain_key(key))] == []
+    user_keys = [key for key in keys if not key.startswith("expert.")]
+    assert keys[: len(user_keys)] == user_keys
+    assert [key for key in user_keys if not is_for_users(plain_key(key))] == []
     assert all(shown_key(plain_key(key)) == key for key in keys)
     assert all(
-        any(key == section or key.startswith((f"{section}.", f"{section}[]")) for key in users) for section in USER
+        any(key == section or key.startswith((f"{section}.", f"{section}[]")) for key in user_keys) for section in USER
     )
 
 
-def test_present_names_are_keys_and_former_names_are_not():
+def test_former_names_map_to_keys_and_are_not_keys():
     keys = {plain_key(row.key) for row in schema_rows()}
-    present = {key for key in former_keys().values() if key.partition(".")[0] in ControllerConfig.model_fields}
-    assert present <= keys | fixed_values().keys()
+    current = {key for key in former_keys().values() if key.partition(".")[0] in ControllerConfig.model_fields}
+    assert current <= keys | fixed_values().keys()
     assert not (former_keys().keys() | fixed_values().keys()) & keys
 
 
-def test_earlier_file_is_read_with_one_line_for_each_moved_key(tmp_path):
+def test_file_with_former_keys_is_read_with_one_warning_per_key(tmp_path):
     path = tmp_path / "old.yaml"
     path.write_text(
         "model: sm\nestimator: {least_gain: 0.2, history: 0.5, crab_drift: 0.01}\nreentry: {look_ahead_max: 1.4}\n"
     )
-    with pytest.warns(FormerNameWarning) as warned:
-        old = load_config(path)
-    assert [str(warning.message).partition(": ")[2].partition(" now; ")[0] for warning in warned] == [
+    with pytest.warns(FormerNameWarning) as records:
+        config = load_config(path)
+    assert [str(warning.message).partition(": ")[2].partition(" now; ")[0] for warning in records] == [
         "estimator.least_gain is the constant estimator.min_gain in mpc/config/fixed_values.yaml",
         "estimator.history is expert.estimator.history",
         "estimator.crab_drift is entry 3 of expert.estimator.crab",
         "reentry.look_ahead_max is expert.reentry.max_look_ahead",
     ]
-    assert (old.estimator.history, old.reentry.max_look_ahead) == (0.5, 1.4)
-    assert old.estimator.crab == [0.0, 0.0, 0.01]
-    path.write_text(commented_yaml(old))
+    assert (config.estimator.history, config.reentry.max_look_ahead) == (0.5, 1.4)
+    assert config.estimator.crab == [0.0, 0.0, 0.01]
+    path.write_text(commented_yaml(config))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert load_config(path) == old
+        assert load_config(path) == config
 
 
-def test_every_constant_is_accepted_with_its_value_only():
+def test_constants_are_accepted_with_their_values_only():
     groups: dict[str, dict[str, float]] = {}
     for key, value in fixed_values().items():
         group, _, name = key.partition(".")
@@ -82,9 +82,9 @@ def test_every_constant_is_accepted_with_its_value_only():
     assert load_config({"model": "sm", **groups}) == load_config({"model": "sm"})
 
 
-def test_curved_slip_is_a_list_that_former_keys_fill():
-    former = {"estimator.veer": -0.1, "estimator.veer_uncertainty": 0.02}
-    config = load_config("sm", former)
+def test_former_keys_set_entries_of_the_list_of_curved_slip():
+    overrides = {"estimator.veer": -0.1, "estimator.veer_uncertainty": 0.02}
+    config = load_config("sm", overrides)
     assert config.estimator.veer == [-0.1, 0.02, 0.0]
     assert replace_values(config, {"estimator.veer_drift": 0.3}).estimator.veer == [-0.1, 0.02, 0.3]
     slip = config.estimator
@@ -94,9 +94,9 @@ def test_curved_slip_is_a_list_that_former_keys_fill():
     )
 
 
-def test_key_may_be_given_with_or_without_expert_and_by_its_former_name():
-    named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
-    assert [load_config("ssm", overrides).estimator.history for overrides in named] == [0.5, 0.5]
+def test_keys_are_accepted_with_and_without_expert_and_by_former_names():
+    both_forms = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
+    assert [load_config("ssm", overrides).estimator.history for overrides in both_forms] == [0.5, 0.5]
     assert load_config("ssm", {"reentry.look_ahead_max": 1.4}).reentry.max_look_ahead == 1.4
     assert load_config("ssm", {"reentry": {"look_ahead_max": 1.4}}).reentry.max_look_ahead == 1.4
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
@@ -112,5 +112,5 @@ def test_yaw_rate_limit_in_degrees_gives_a_warning():
         load_config("ssm", {"limits.omega": 90.0})
 
 
-def test_repr_shows_only_the_values_that_are_set():
+def test_repr_contains_only_values_that_differ_from_defaults():
     assert "limits=Limits(v=1.2)" in repr(load_config("ssm", {"limits.v": 1.2}))

@@ -1,6 +1,6 @@
 """The product's controller against the oracle: equal measurements give equal commands, estimates, modes and messages.
 
-Exact computations agree to 1e-9. Only solves of OSQP with active limits differ by its tolerance, which is stated.
+Results agree to 1e-9, except solves of OSQP and DAQP with active limits, which agree to a stated accuracy.
 """
 
 import math
@@ -33,11 +33,11 @@ TWO_SIDED = {
 }
 SOFT = {"limits.predicted_v": 0.45, "limits.predicted_omega": 0.5, "limits.wheel_speed": 0.55, "limits.corridor": 0.01}
 PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
-# OSQP stops when its residuals, not the commands, are below its tolerance.
+# The tolerance of OSQP applies to its residuals, not to the commands.
 OSQP = {"solver.method": "osqp"} | {f"solver.osqp.{key}": value for key, value in PRECISE.items()}
-BY_OSQP = 1e-6
-# DAQP drops a row that hardly depends on any command, such as the corridor at the first steps.
-BY_DAQP = 1e-4
+OSQP_ACCURACY = 1e-6
+# DAQP drops rows with almost no effect of the commands, such as the corridor at the first steps.
+DAQP_ACCURACY = 1e-4
 
 
 def pair(name="ssm", accuracy=1e-9, **changes):
@@ -48,23 +48,23 @@ def pair(name="ssm", accuracy=1e-9, **changes):
     ("name", "reference"), [("ssm", "circle"), ("ssm", "s"), ("sm", "square"), ("sm", "circle"), ("mbm", "cane")]
 )
 def test_drive_with_the_shipped_configuration_agrees(name, reference):
-    """Modes stay TRACKING."""
+    """The mode of every tick is TRACKING."""
     both = Pair(load_config(name))
     both.drive(make_plant("mujoco", seed=0), load_trajectory(reference), 60)
     assert both.modes == ["TRACKING"]
 
 
 @pytest.mark.parametrize(
-    ("limits", "chosen", "accuracy"),
-    [(HARD, ACTIVE_SET, 1e-9), (SOFT, ACTIVE_SET, 1e-9), (HARD | SOFT, OSQP, BY_OSQP)],
+    ("limits", "solver_settings", "accuracy"),
+    [(HARD, ACTIVE_SET, 1e-9), (SOFT, ACTIVE_SET, 1e-9), (HARD | SOFT, OSQP, OSQP_ACCURACY)],
     ids=["hard, active set", "soft, active set", "both, osqp"],
 )
-def test_drive_along_its_limits_agrees(limits, chosen, accuracy):
-    both = pair("sm", accuracy, **limits | chosen)
-    ticks = 50 if chosen is OSQP else 90
+def test_drive_along_its_limits_agrees(limits, solver_settings, accuracy):
+    both = pair("sm", accuracy, **limits | solver_settings)
+    ticks = 50 if solver_settings is OSQP else 90
     results = both.drive(make_plant("mujoco", seed=0), load_trajectory("square"), ticks)
     assert both.modes == ["TRACKING"]
-    assert np.mean([r.solver.iterations > 0 for r in results]) > 0.8, "limits must matter"
+    assert np.mean([r.solver.iterations > 0 for r in results]) > 0.8, "the limits must be active"
     assert any(r.solver.soft_limits for r in results) == (limits is not HARD)
 
 
@@ -102,19 +102,19 @@ def no_measurement(k, t, m, both):
 
 
 class Late:
-    """Poses arrive some ticks late, and not in every tick."""
+    """Event: poses are several ticks late and do not arrive in every tick."""
 
     def __init__(self):
         self.queue = []
 
     def __call__(self, k, t, m, both):
         self.queue.append(m.pose)
-        late = (1, 4, 4, 9, 2)[k % 5]
-        return t, replace_parts(m, pose=self.queue[max(0, k - late)]), None
+        age = (1, 4, 4, 9, 2)[k % 5]
+        return t, replace_parts(m, pose=self.queue[max(0, k - age)]), None
 
 
 def halved_commands(k, t, m, both):
-    """Report applied commands that differ from the sent ones, or are invalid."""
+    """Report applied commands that differ from the sent commands or are invalid."""
     if k < 2:
         return t, m, None
     v, omega = 0.5 * both.results[-1].command
@@ -122,7 +122,7 @@ def halved_commands(k, t, m, both):
 
 
 def foreign_commands(k, t, m, both):
-    """Apply commands of another controller, some beyond the limits, first for longer than the memory."""
+    """Apply commands of another controller; some exceed the limits, and the first sequence exceeds the memory."""
     if k == 0:
         both.overrule(np.tile([0.3, -0.2], (700, 1)))
     elif k % 3:
@@ -199,44 +199,44 @@ def pause(k, t, m, both):
 
 
 class Blocked:
-    """The robot is blocked: its sensor readings do not change."""
+    """Event: the robot is blocked, and its sensor readings do not change."""
 
     def __call__(self, k, t, m, both):
         if k == 30:
             self.pose = m.pose.value
         if 30 <= k < 130:
-            still = Stamped([0.0, 0.0], t), Stamped(0.0, t)
-            m = Measurement(Stamped(self.pose, t), *still)
+            at_rest = Stamped([0.0, 0.0], t), Stamped(0.0, t)
+            m = Measurement(Stamped(self.pose, t), *at_rest)
         return t, m, None
 
 
-def shift_pose(m, by):
-    return m if m.pose is None else replace_parts(m, pose=Stamped(np.asarray(m.pose.value) + by, m.pose.time))
+def shift_pose(m, offset):
+    return m if m.pose is None else replace_parts(m, pose=Stamped(np.asarray(m.pose.value) + offset, m.pose.time))
 
 
-def shift_stamps(m, by):
+def shift_stamps(m, delay):
     parts = {name: getattr(m, name) for name in ("pose", "wheel_twist", "yaw_rate")}
-    return Measurement(**{n: p and Stamped(p.value, p.time + by, p.covariance) for n, p in parts.items()})
+    return Measurement(**{n: p and Stamped(p.value, p.time + delay, p.covariance) for n, p in parts.items()})
 
 
 FENCE = {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2}
 EVENTS = yaml.safe_load(Path(__file__).with_name("oracle_events.yaml").read_text(encoding="utf-8"))
-SETS = {"HARD": HARD, "SOFT": SOFT, "TWO_SIDED": TWO_SIDED, "FENCE": FENCE}
+NAMED_OVERRIDES = {"HARD": HARD, "SOFT": SOFT, "TWO_SIDED": TWO_SIDED, "FENCE": FENCE}
 
 
 @pytest.mark.parametrize("name", EVENTS)
 def test_event_of_a_drive_is_handled_equally(name):
-    event, stated, modes, words = EVENTS[name]
+    event, overrides, modes, message = EVENTS[name]
     changes = {}
-    for key, value in stated.items():
-        changes |= SETS.get(key, {key: value})
+    for key, value in overrides.items():
+        changes |= NAMED_OVERRIDES.get(key, {key: value})
     model, plant = ("ssm", "mujoco") if len(name) % 2 else ("mbm", "model:sm")
-    both = pair(model, BY_DAQP if name in ("updated", "along its limits") else 1e-9, **{"horizon": 15} | changes)
-    # Events that change the mode run to their end; for the others the first second is enough.
-    longer = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 190}
-    ticks = longer.get(name, 70 if modes == ["TRACKING"] else 160)
+    both = pair(model, DAQP_ACCURACY if name in ("updated", "along its limits") else 1e-9, **{"horizon": 15} | changes)
+    # Events that change the mode need a full drive; the first seconds are enough for other events.
+    max_ticks = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 190}
+    ticks = max_ticks.get(name, 70 if modes == ["TRACKING"] else 160)
     both.drive(make_plant(plant, seed=4), load_trajectory("circle"), ticks, eval(event))
-    assert words in both.words
+    assert message in both.words
     if modes is not None:
         assert [mode for mode in both.modes if mode in modes][: len(modes)] == modes
         # Without resuming, the last mode remains.
@@ -247,13 +247,13 @@ def test_failing_solves_are_handled_equally():
     reference = CorruptedReference(load_trajectory("circle"))
     both = pair(horizon=12, **{"failure.max_reused_ticks": 3})
 
-    def spoil(k, t, m, both):
+    def corrupt(k, t, m, both):
         reference.is_corrupted = k in (40, 41) or 80 <= k < 120
         return t, m, None
 
-    both.drive(make_plant("mujoco", seed=2), reference, 150, spoil)
-    whole = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "TRACKING"]
-    assert both.modes == ["TRACKING", "REUSED_PLAN", *whole]
+    both.drive(make_plant("mujoco", seed=2), reference, 150, corrupt)
+    recovery = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "TRACKING"]
+    assert both.modes == ["TRACKING", "REUSED_PLAN", *recovery]
 
 
 ROUTES = {
@@ -266,19 +266,19 @@ ROUTES = {
 
 @pytest.mark.parametrize("name", ["ssm", "mbm"])
 @pytest.mark.parametrize("route", ROUTES)
-def test_route_with_its_end_agrees(route, name, tmp_path):
+def test_route_including_its_end_agrees(route, name, tmp_path):
     path = tmp_path / "route.yaml"
     path.write_text(ROUTES[route])
     reference = load_trajectory(path)
-    moved = starting_at(reference, [-1.0, 0.5, 2.5])
+    shifted = starting_at(reference, [-1.0, 0.5, 2.5])
     both = pair(name, horizon=15)
     plant = make_plant("mujoco", seed=5)
-    both.drive(plant, moved, math.ceil((reference.duration + 1.5) / DT))
+    both.drive(plant, shifted, math.ceil((reference.duration + 1.5) / DT))
     assert both.modes[0] == "TRACKING"
     assert both.modes[-1] == "FINISHED"
 
 
-def test_missed_end_is_reported_equally():
+def test_missed_end_position_is_reported_equally():
     both = pair("ssm", horizon=10, **{"finish.position": 1e-6, "finish.timeout": 0.4})
     reference = starting_at(load_trajectory("cane"), [0.0, 0.0, 0.0])
     plant = make_plant("model:ssm", seed=1)
@@ -291,7 +291,7 @@ def test_missed_end_is_reported_equally():
 
 
 class SlowRobot(IdealRobot):
-    """Robot that reaches at most 0.4 m/s and 0.4 rad/s."""
+    """Robot with a maximum of 0.4 m/s and 0.4 rad/s."""
 
     def reset(self, pose):
         self.poses = [pose]
@@ -301,18 +301,18 @@ class SlowRobot(IdealRobot):
 
 
 def test_saturated_wheels_are_handled_equally(tmp_path):
-    """The wheels saturate after a turn on the spot, and again in the following curve after the limit was dropped."""
+    """The wheels saturate after a turn on the spot, and again in the next curve after the limit was dropped."""
     path = tmp_path / "route.yaml"
-    parts = (
+    segments = (
         "{v: 0.0, omega: 1.0, duration: 1.2}",
         "{v: 0.5, omega: 0.5, duration: 3.0}",
         "{v: 0.1, omega: 0.0, duration: 1.0}",
     )
-    path.write_text("\n- ".join(("segments:", *parts)))
+    path.write_text("\n- ".join(("segments:", *segments)))
     both = pair("sm", horizon=10)
     both.drive(SlowRobot(load_model("sm").discretise(DT), np.zeros(3)), load_trajectory(path), 310)
-    slowed = ["the wheels get no faster" in result.message for result in both.results]
-    assert sum(now and not before for before, now in pairwise(slowed)) > 1
+    is_slow = ["the wheels get no faster" in result.message for result in both.results]
+    assert sum(current and not previous for previous, current in pairwise(is_slow)) > 1
 
 
 def test_restart_and_reset_agree():
@@ -333,112 +333,110 @@ SLIP = Slip(
 )  # fmt: skip
 
 
-def pose(change, **stated):
+def corrupt_pose(change, **options):
     def corrupt(m, queue):
         value, time = change(m.pose.value, m.pose.time)
-        return replace_parts(m, pose=Stamped(value, time, **stated))
+        return replace_parts(m, pose=Stamped(value, time, **options))
 
     return corrupt
 
 
-def wheels(value, **stated):
-    return lambda m, queue: replace_parts(m, wheel_twist=Stamped(value, m.wheel_twist.time, **stated))
+def replace_wheels(value, **options):
+    return lambda m, queue: replace_parts(m, wheel_twist=Stamped(value, m.wheel_twist.time, **options))
 
 
-def late(ticks):
+def delay_pose(ticks):
     return lambda m, queue: replace_parts(m, pose=queue[-1 - min(ticks, len(queue) - 1)])
 
 
-SPOILERS = {
+CORRUPTIONS = {
     "nothing": lambda m, queue: Measurement(),
     "in time": lambda m, queue: m,
     "pose only": lambda m, queue: Measurement(m.pose),
-    "one tick late": late(1),
-    "five ticks late": late(5),
-    "between ticks": pose(lambda p, t: (p, t - 0.37 * DT)),
-    "in the future": pose(lambda p, t: (p, t + 0.3)),
-    "too old": pose(lambda p, t: (p, t - 3.0)),
-    "not finite": pose(lambda p, t: ([np.nan, 0.0, 0.0], t)),
-    "not numbers": pose(lambda p, t: ("here", t)),
-    "a list": pose(lambda p, t: (p.tolist(), t)),
-    "no stamp": pose(lambda p, t: (p, None)),
-    "false pose": pose(lambda p, t: (p + [3.0, 0.0, 0.0], t)),
-    "pushed": pose(lambda p, t: (p + [0.2, 0.1, 0.3], t)),
-    "turned once more": pose(lambda p, t: (p + [0.0, 0.0, 2 * np.pi], t)),
-    "covariance": pose(lambda p, t: (p, t), covariance=np.diag([1e-4, 2e-4, 3e-4]) + 1e-5),
-    "bad covariance": pose(lambda p, t: (p, t), covariance=np.diag([1e-4, -2e-4, 3e-4])),
-    "singular covariance": pose(lambda p, t: (p, t), covariance=np.ones((3, 3))),
-    "uneven covariance": pose(lambda p, t: (p, t), covariance=[[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]),
-    "wheels stopped": wheels([0.0, 0.0]),
-    "wheels too fast": wheels([0.1, 40.0]),
-    "wheels broken": wheels([np.inf, 0.0]),
-    "wheels with covariance": wheels([0.5, 0.1], covariance=np.diag([1e-3, 1e-2])),
-    "wheels with a bad one": wheels([0.5, 0.1], covariance=[[1e-3, 1.0], [1.0, 1e-3]]),
+    "one tick late": delay_pose(1),
+    "five ticks late": delay_pose(5),
+    "between ticks": corrupt_pose(lambda p, t: (p, t - 0.37 * DT)),
+    "in the future": corrupt_pose(lambda p, t: (p, t + 0.3)),
+    "too old": corrupt_pose(lambda p, t: (p, t - 3.0)),
+    "not finite": corrupt_pose(lambda p, t: ([np.nan, 0.0, 0.0], t)),
+    "not numbers": corrupt_pose(lambda p, t: ("here", t)),
+    "a list": corrupt_pose(lambda p, t: (p.tolist(), t)),
+    "no stamp": corrupt_pose(lambda p, t: (p, None)),
+    "false pose": corrupt_pose(lambda p, t: (p + [3.0, 0.0, 0.0], t)),
+    "pushed": corrupt_pose(lambda p, t: (p + [0.2, 0.1, 0.3], t)),
+    "turned once more": corrupt_pose(lambda p, t: (p + [0.0, 0.0, 2 * np.pi], t)),
+    "covariance": corrupt_pose(lambda p, t: (p, t), covariance=np.diag([1e-4, 2e-4, 3e-4]) + 1e-5),
+    "bad covariance": corrupt_pose(lambda p, t: (p, t), covariance=np.diag([1e-4, -2e-4, 3e-4])),
+    "singular covariance": corrupt_pose(lambda p, t: (p, t), covariance=np.ones((3, 3))),
+    "uneven covariance": corrupt_pose(lambda p, t: (p, t), covariance=[[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]),
+    "wheels stopped": replace_wheels([0.0, 0.0]),
+    "wheels too fast": replace_wheels([0.1, 40.0]),
+    "wheels broken": replace_wheels([np.inf, 0.0]),
+    "wheels with covariance": replace_wheels([0.5, 0.1], covariance=np.diag([1e-3, 1e-2])),
+    "wheels with a bad covariance": replace_wheels([0.5, 0.1], covariance=[[1e-3, 1.0], [1.0, 1e-3]]),
     "gyro only": lambda m, queue: Measurement(yaw_rate=m.yaw_rate),
     "gyro jumps": lambda m, queue: Measurement(m.pose, yaw_rate=Stamped(6.0, m.yaw_rate.time)),
-    "gyro as a number of its own": lambda m, queue: Measurement(
-        m.pose, yaw_rate=Stamped([0.5], m.yaw_rate.time, [[1e-4]])
-    ),
+    "gyro as a list": lambda m, queue: Measurement(m.pose, yaw_rate=Stamped([0.5], m.yaw_rate.time, [[1e-4]])),
 }
 REASONS = {"not finite": "finite", "in the future": "future", "false pose": "it jumps by 3.0"}
 REASONS |= dict.fromkeys(("bad covariance", "uneven covariance"), "covariance")
-"""Words of the messages that name these faults."""
+"""Expected parts of the messages about these faults."""
 
 
-class Estimating:
-    """Both controllers on a robot that applies, and reports, commands that differ from theirs."""
+class EstimatorDrive:
+    """Product and oracle on a robot that applies and reports commands different from theirs."""
 
     def __init__(self, name="ssm", noise=1.0):
         model = load_model(name).with_extra_dead_time([0.01, 0.03])
         self.robot = IdealRobot(model.discretise(DT), np.array([1.0, 2.0, 3.0]), slip=SLIP, noise=noise, seed=3)
-        # So short that solving costs little, so lenient that it never brakes for long.
+        # A short horizon makes solves cheap; without re-entry the robot does not brake for long.
         config = load_config(name, ACTIVE_SET | {"horizon": 6, "reentry.enabled": False})
         self.both = Pair(config, model)
         self.both.start(load_trajectory("circle"), 0.0)
         self.queue, self.sent = [], (0.0, 0.0)
 
-    def tick(self, spoiler, *, skip=False, is_reported=True):
+    def tick(self, corruption, *, skip=False, is_reported=True):
         robot, k = self.robot, self.robot.k
         m = robot.measure()
         self.queue.append(m.pose)
         if not skip:
-            m = SPOILERS[spoiler](m, self.queue)
+            m = CORRUPTIONS[corruption](m, self.queue)
             self.both.step(robot.time, replace_parts(m, sent=self.sent) if is_reported else m)
         self.sent = (0.5 + 0.2 * np.sin(k / 15), 0.8 * np.sin(k / 25))
         robot.advance(np.array(self.sent))
 
 
-@pytest.mark.parametrize("first", [0, 1, 2])
-def test_single_faulty_measurements_are_handled_equally(first):
-    drive = Estimating(noise=0.5)
-    for spoiler in sorted(SPOILERS)[first::3]:
+@pytest.mark.parametrize("offset", [0, 1, 2])
+def test_single_faulty_measurements_are_handled_equally(offset):
+    drive = EstimatorDrive(noise=0.5)
+    for corruption in sorted(CORRUPTIONS)[offset::3]:
         for k in range(14):
-            drive.tick(spoiler if k < 4 else "in time")
-        assert REASONS.get(spoiler, "") in drive.both.words
+            drive.tick(corruption if k < 4 else "in time")
+        assert REASONS.get(corruption, "") in drive.both.words
 
 
 @settings(max_examples=8)
 @example([("false pose", 5)] * 40, "ssm")
 @example([("pushed", 5)] * 40, "mbm")
 @given(
-    st.lists(st.tuples(st.sampled_from(sorted(SPOILERS)), st.integers(0, 9)), min_size=40, max_size=40),
+    st.lists(st.tuples(st.sampled_from(sorted(CORRUPTIONS)), st.integers(0, 9)), min_size=40, max_size=40),
     st.sampled_from(["ssm", "sm", "mbm"]),
 )
 def test_any_sequence_of_measurements_is_handled_equally(events, name):
-    drive = Estimating(name)
-    for spoiler, choice in events:
-        drive.tick(spoiler, skip=choice == 0, is_reported=choice != 1)
+    drive = EstimatorDrive(name)
+    for corruption, choice in events:
+        drive.tick(corruption, skip=choice == 0, is_reported=choice != 1)
 
 
-def test_measurements_beyond_the_capacity_of_a_sample_are_rejected_and_named():
-    drive = Estimating()
+def test_measurements_beyond_the_capacity_of_a_sample_are_rejected():
+    drive = EstimatorDrive()
     for _ in range(20):
         drive.tick("in time")
-    now = drive.robot.time - DT
-    for part in range(1, 14):
-        stamp = now + 1e-4 * part
+    last_time = drive.robot.time - DT
+    for index in range(1, 14):
+        stamp = last_time + 1e-4 * index
         twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
-        drive.both.step(now + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
+        drive.both.step(last_time + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
     for name in ("pose", "wheel speed", "yaw rate"):
         assert f"{name} rejected: too many arrived for one sample" in drive.both.words
     for _ in range(5):

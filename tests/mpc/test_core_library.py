@@ -1,4 +1,4 @@
-"""The compiled core: loaded only if complete and trusted, else compiled again or rejected with one line."""
+"""The compiled core: loading, cache, untrusted files and folders, the compiler, and libraries in wheels."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def core(tmp_path, monkeypatch):
 
 @pytest.fixture
 def folder(core, tmp_path, monkeypatch):
-    """The cache, and another folder for temporary files."""
+    """Folder of the cache; temporary files are in another folder."""
     monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
     temporary = tmp_path / "temporary"
     temporary.mkdir()
@@ -92,7 +92,7 @@ def load_result():
 
 
 def compile_into_cache():
-    """Compile the core into the cache without loading it, like another process."""
+    """Compile the core into the cache without loading it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library.cffi.FFI, "dlopen", lambda self, name: None)
         library.load_core()
@@ -110,10 +110,10 @@ def private_folder(tmp_path):
 
 def test_core_is_compiled_once_and_cached(folder, compilations):
     assert load_result() == 42
-    written = only_entry(folder).stat().st_mtime_ns
+    write_time = only_entry(folder).stat().st_mtime_ns
     assert load_result() == 42
     assert len(compilations) == 1
-    assert only_entry(folder).stat().st_mtime_ns == written
+    assert only_entry(folder).stat().st_mtime_ns == write_time
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
@@ -124,15 +124,15 @@ def test_changed_sources_give_a_new_library(folder, core, compilations):
     assert len(compilations) == 2
 
 
-# Libraries that must never be loaded.
+# Libraries that must not be loaded.
 
 
 def test_digest_covers_every_module_of_the_formulas():
-    """A change of an omitted module would still load the old library from the cache."""
+    """After a change of an omitted module, the outdated library would be loaded from the cache."""
     origins = set(sources._FORMULAS)
     modules = {module for module, _ in imports_of(ROOT / "mpc" / "problem" / "formulas.py")}
-    ours = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
-    assert {f"{module.replace('.', '/')}.py" for module in ours} <= origins
+    own_modules = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
+    assert {f"{module.replace('.', '/')}.py" for module in own_modules} <= origins
     assert len(origins) == len(sources._FORMULAS)
 
 
@@ -149,7 +149,7 @@ def write_text(path):
 
 
 def write_foreign_library(path):
-    """Put a valid library with different content at the path."""
+    """Replace the file with a valid library of different content."""
     source = path.with_suffix(".c")
     source.write_text("int ddmpc_answer(void) { return 666; }")
     subprocess.run(["gcc", "-shared", "-fPIC", source, "-o", path], check=True)
@@ -173,7 +173,7 @@ def test_damaged_or_foreign_library_is_compiled_again(folder, compilations, dama
     assert len(compilations) == 2
 
 
-LOADS = """
+LOAD_SCRIPT = """
 import sys
 from pathlib import Path
 from diffdrive_mpc.mpc.core import library, packaged, sources
@@ -183,9 +183,9 @@ print(library.load_core()[1].ddmpc_answer())
 """
 
 
-def load_in_process(core, **more):
+def load_in_process(core, **options):
     return subprocess.Popen(
-        [sys.executable, "-c", LOADS, core], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
+        [sys.executable, "-c", LOAD_SCRIPT, core], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
     )
 
 
@@ -215,9 +215,9 @@ def test_library_that_fails_to_load_is_compiled_in_the_private_folder(folder, tm
 
 def test_folder_writable_by_others_is_not_used(folder, tmp_path, caplog):
     compile_into_cache()
-    planted = only_entry(folder)
-    write_foreign_library(planted)
-    planted.rename(planted.with_name(f"{planted.stem.rpartition('-')[0]}-{cache.content_digest(planted)}.so"))
+    foreign = only_entry(folder)
+    write_foreign_library(foreign)
+    foreign.rename(foreign.with_name(f"{foreign.stem.rpartition('-')[0]}-{cache.content_digest(foreign)}.so"))
     folder.chmod(0o777)
     assert load_result() == 42
     assert f"other users can write to {folder}" in caplog.text
@@ -225,49 +225,49 @@ def test_folder_writable_by_others_is_not_used(folder, tmp_path, caplog):
     assert stat.S_IMODE(private_folder(tmp_path).stat().st_mode) == 0o700
 
 
-def give_to_somebody_else(path, monkeypatch):
+def change_owner(path, monkeypatch):
     if os.geteuid() == 0:
         os.chown(path, 12345, 12345)
     else:
-        mine = os.geteuid()
-        monkeypatch.setattr(cache.os, "geteuid", lambda: mine + 1)
+        user = os.geteuid()
+        monkeypatch.setattr(cache.os, "geteuid", lambda: user + 1)
 
 
 def test_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch, caplog):
     folder.mkdir(0o700)
-    give_to_somebody_else(folder, monkeypatch)
+    change_owner(folder, monkeypatch)
     assert load_result() == 42
     assert list(folder.iterdir()) == []
     assert f"{folder} belongs to another user" in caplog.text
 
 
-@pytest.mark.parametrize("trap", ["open", "link", "file"])
-def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path, trap):
+@pytest.mark.parametrize("kind", ["open", "link", "file"])
+def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path, kind):
     """Another user has created the path of the private folder."""
     folder.mkdir()
     folder.chmod(0o777)
-    prepared = private_folder(tmp_path)
-    if trap == "open":
-        prepared.mkdir()
-        prepared.chmod(0o777)
-    elif trap == "link":
+    path = private_folder(tmp_path)
+    if kind == "open":
+        path.mkdir()
+        path.chmod(0o777)
+    elif kind == "link":
         (tmp_path / "elsewhere").mkdir(0o700)
-        prepared.symlink_to(tmp_path / "elsewhere")
+        path.symlink_to(tmp_path / "elsewhere")
     else:
-        prepared.write_text("in the way")
+        path.write_text("in the way")
     assert load_result() == 42
     assert list(folder.iterdir()) == []
-    if trap != "file":
-        assert list(prepared.iterdir()) == []
+    if kind != "file":
+        assert list(path.iterdir()) == []
 
 
 # The compiler.
 
 
-def test_missing_compiler_error_names_the_wheel(no_compiler):
-    with pytest.raises(NotCompiledError) as dlopen_outside_cache:
+def test_error_for_a_missing_compiler_contains_the_wheel(no_compiler):
+    with pytest.raises(NotCompiledError) as caught:
         library.load_core()
-    message = str(dlopen_outside_cache.value)
+    message = str(caught.value)
     assert "no C compiler (no-such-compiler) was found" in message
     assert "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)" in message
     assert "\n" not in message
@@ -278,7 +278,7 @@ def test_missing_compiler_error_names_the_wheel(no_compiler):
 
 @pytest.fixture
 def wheel_core(core, folder):
-    """The minimal core as installed from a wheel."""
+    """Folder of the minimal core as installed from a wheel."""
     packaged.write_packaged(core)
     clear_caches()
     return core
@@ -306,7 +306,7 @@ def test_damaged_manifest_is_ignored(wheel_core, compilations, text):
 
 
 def test_package_with_a_changed_header_is_compiled_again(wheel_core, compilations):
-    """Declarations and library must come from the same source, or fields are read at wrong offsets."""
+    """Declarations that differ from the library would access fields at wrong offsets."""
     header = wheel_core / "core.h"
     header.write_text(header.read_text().replace("v, omega", "omega, v"))
     ffi, lib = library.load_core()
@@ -314,19 +314,19 @@ def test_package_with_a_changed_header_is_compiled_again(wheel_core, compilation
     assert len(compilations) == 1
 
 
-def test_best_level_of_the_processor_is_selected(wheel_core, monkeypatch):
-    def levels(flags):
+def test_highest_level_of_the_processor_is_selected(wheel_core, monkeypatch):
+    def selected_levels(flags):
         monkeypatch.setattr(in_wheel, "processor_lines", lambda: (f"flags\t\t: {' '.join(flags)}",) * 2)
         return [path.stem.removeprefix("ddmpc_core-") for path in packaged.packaged_libraries()]
 
-    written = set(json.loads((wheel_core / "ddmpc_core.json").read_text())["libraries"])
-    assert "baseline" in written
-    for level, (_, needs) in packaged._LEVELS.items():
-        expected = [name for name, (_, less) in packaged._LEVELS.items() if name in written and less <= needs]
-        assert levels(needs) == expected, level
-        for missing in needs:
-            assert level not in levels(needs - {missing})
-    assert levels([]) == ["baseline"]
+    built = set(json.loads((wheel_core / "ddmpc_core.json").read_text())["libraries"])
+    assert "baseline" in built
+    for level, (_, required) in packaged._LEVELS.items():
+        expected = [name for name, (_, flags) in packaged._LEVELS.items() if name in built and flags <= required]
+        assert selected_levels(required) == expected, level
+        for missing in required:
+            assert level not in selected_levels(required - {missing})
+    assert selected_levels([]) == ["baseline"]
 
 
 # The wheel.

@@ -36,7 +36,7 @@ PLAIN = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0, "monitor.
 PLAIN |= {f"compensation.{name}": False for name in COMPENSATIONS}
 
 
-def in_config(values):
+def estimator_settings(values):
     return {f"estimator.{name}": value for name, value in values.items()}
 
 
@@ -57,7 +57,7 @@ def curved_model(curves):
 
 
 def drive(controller, ticks, name="s"):
-    """Return commands and plans on a robot without slip; only poses are measured, so that both estimates are equal."""
+    """Return commands and plans for a robot without slip and with pose measurements only."""
     robot = IdealRobot(load_model("ssm").discretise(DT), np.array([0.02, -0.03, 0.05]))
     controller.start(load_trajectory(name), 0.0)
     commands, plans = [], []
@@ -71,9 +71,9 @@ def drive(controller, ticks, name="s"):
 
 def test_curved_slip_is_predicted_like_an_equivalent_nonlinear_model():
     fixed = {f"{name}_uncertainty": 1e-9 for name in CURVES}
-    curved = Controller(load_config("ssm", PLAIN | in_config(CURVES | fixed)))
-    bent = Controller(load_config("ssm", PLAIN), model=curved_model(CURVES))
-    first, second = drive(curved, 40), drive(bent, 40)
+    curved = Controller(load_config("ssm", PLAIN | estimator_settings(CURVES | fixed)))
+    nonlinear = Controller(load_config("ssm", PLAIN), model=curved_model(CURVES))
+    first, second = drive(curved, 40), drive(nonlinear, 40)
     assert first[0] == pytest.approx(second[0], abs=2e-5)
     assert first[1] == pytest.approx(second[1], abs=2e-5)
     flat = drive(Controller(load_config("ssm", PLAIN)), 40)
@@ -82,7 +82,7 @@ def test_curved_slip_is_predicted_like_an_equivalent_nonlinear_model():
 
 @pytest.mark.parametrize("name", CURVED_SLIPS)
 def test_every_setting_reaches_its_entry_of_the_estimate(name):
-    settings = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
+    settings = estimator_settings({name: 0.011, f"{name}_uncertainty": 0.02})
     controller = Controller(load_config("ssm", PLAIN | settings))
     controller.start(load_trajectory("s"), 0.0)
     slip = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
@@ -92,10 +92,10 @@ def test_every_setting_reaches_its_entry_of_the_estimate(name):
 
 
 def estimate_after_excitation(surface, seed):
-    """Return the estimate after the diagnostic drive of 90 s, without prior knowledge of the surface."""
-    still = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
-    settings = in_config(
-        {f"{name}_drift": drift for name, drift in (still | {"load_shift": 3e-4, "v_offset": 3e-3}).items()}
+    """Return the estimate after the excitation drive of 90 s, without prior knowledge of the surface."""
+    drifts = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
+    settings = estimator_settings(
+        {f"{name}_drift": drift for name, drift in (drifts | {"load_shift": 3e-4, "v_offset": 3e-3}).items()}
         | {"crab_uncertainty": 0.03, "veer_uncertainty": 0.02, "forward_coupling_uncertainty": 0.03}
         | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
     )
@@ -110,18 +110,18 @@ def estimate_after_excitation(surface, seed):
 
 
 @pytest.mark.parametrize("surface", ["p4_asphalt", "p4_concrete"])
-def test_terms_of_a_surface_are_learned_from_the_diagnostic_drive(surface):
-    """Within 90 s from zero: within 20 % of the published coefficients, or within `worth` for small terms."""
+def test_terms_of_a_surface_are_learned_from_the_excitation_drive(surface):
+    """After 90 s, the errors are below 20 % of the published coefficients, or below `tolerance` for small terms."""
     truth = dict(zip(POLYNOMIAL, load_surface(surface).slip.polynomial.coefficients, strict=True))
-    learned_values = dict(zip(POLYNOMIAL, estimate_after_excitation(surface, 3).slip.polynomial, strict=True))
+    learned = dict(zip(POLYNOMIAL, estimate_after_excitation(surface, 3).slip.polynomial, strict=True))
     tolerance = {"a11": 0.001, "a12": 0.001, "a21": 0.001, "a23": 0.003, "a31": 0.0015}
     for name, value in truth.items():
-        assert learned_values[name] == pytest.approx(value, rel=0.2, abs=tolerance.get(name, 0.0)), name
+        assert learned[name] == pytest.approx(value, rel=0.2, abs=tolerance.get(name, 0.0)), name
 
 
 def test_unobservable_terms_keep_their_prior():
     """On one circle at one speed, only the sum of yaw gain, veer and coupling is observable."""
-    settings = in_config({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
+    settings = estimator_settings({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
     controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", "p4_asphalt", seed=3)
     reference = load_trajectory("circle")
     controller.start(reference, 0.0)

@@ -1,4 +1,4 @@
-"""Failures of measurements, clock and solver: the sequence of modes down to standstill, and recovery."""
+"""Failures of measurements, clock and solver: the sequence of modes until standstill, and recovery."""
 
 import math
 from dataclasses import replace
@@ -46,23 +46,23 @@ def with_pose(measurement, value, stamp=None):
     return replace(measurement, pose=None if value is None else Stamped(value, stamp))
 
 
-@pytest.mark.parametrize(("dead_reckoning", "brakes"), [(0.0, 0.5), (1.5, 1.5)])
-def test_missing_poses_lead_to_dead_reckoning_braking_and_standstill(dead_reckoning, brakes):
-    def lose(k, m):
+@pytest.mark.parametrize(("dead_reckoning", "braking_time"), [(0.0, 0.5), (1.5, 1.5)])
+def test_missing_poses_lead_to_dead_reckoning_braking_and_standstill(dead_reckoning, braking_time):
+    def drop_poses(k, m):
         return with_pose(m, [np.nan] * 3) if k >= 100 else m
 
     tracker = controller(**{"failure.dead_reckoning": dead_reckoning})
-    results, _, _ = drive(tracker, robot(), REFERENCE, 5.0, change=lose)
+    results, _, _ = drive(tracker, robot(), REFERENCE, 5.0, change=drop_poses)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
-    assert (first_brake - 99) * DT == pytest.approx(brakes, abs=2 * DT)
+    assert (first_brake - 99) * DT == pytest.approx(braking_time, abs=2 * DT)
     assert "no pose was accepted" in results[first_brake].message
     assert (slews(results) <= SLEW + 1e-12).all()
     assert (results[-1].command == 0).all()
 
 
 def without_poses(start, *, wheels=True):
-    """Return a change for `drive`: from tick `start` on no pose arrives for 1.2 s of each 1.8 s."""
+    """Return a change for `drive`: from tick `start` on, no pose arrives in the first 1.2 s of every 1.8 s."""
 
     def change(k, m):
         if k < start or (k - start) * DT % 1.8 >= 1.2:
@@ -73,7 +73,7 @@ def without_poses(start, *, wheels=True):
 
 
 def bad_poses(*ticks, value=(np.nan, 0.0, 0.0), repeated=()):
-    """Return a change for `drive`: poses of some ticks have another value, `repeated` ones the stamp of the last."""
+    """Return a change for `drive`: a wrong value in `ticks`, with the stamp of the last of them in `repeated`."""
 
     def change(k, m):
         stamp = ticks[-1] * DT if k in repeated else None
@@ -83,34 +83,34 @@ def bad_poses(*ticks, value=(np.nan, 0.0, 0.0), repeated=()):
 
 
 OUTLIERS = bad_poses(20, 60, 100, 140, value=(3.0, 3.0, 0.0), repeated=(141, 142, 143, 144))
-INTERRUPTED = [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
+STOP_AND_RESUME = [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
 
 
 @pytest.mark.parametrize(
-    ("patience", "seconds", "change", "sequence", "rows", "most", "messages"),
+    ("dead_reckoning", "seconds", "change", "sequence", "rows", "bound", "messages"),
     [
         (1.5, 5.0, bad_poses(100), [Mode.TRACKING], slice(None), 0.01, {100: "pose rejected"}),
         (1.5, 4.0, OUTLIERS, [Mode.TRACKING], slice(None), 0.01, {}),
         (2.0, 9.0, without_poses(100), [Mode.TRACKING], slice(None), 0.03, {}),
-        (0.0, 12.0, bad_poses(*range(100, 160), value=None), INTERRUPTED, slice(-50, None), 0.02, {}),
+        (0.0, 12.0, bad_poses(*range(100, 160), value=None), STOP_AND_RESUME, slice(-50, None), 0.02, {}),
     ],
     ids=["single bad pose", "outliers", "gaps", "poses return"],
 )
-def test_drive_with_some_bad_poses_stays_on_the_reference(patience, seconds, change, sequence, rows, most, messages):
-    """`patience` is the longest dead reckoning [s]; `most` bounds the position error of `rows` [m]."""
-    driver = controller(**{"failure.dead_reckoning": patience})
+def test_drive_with_bad_poses_stays_on_the_reference(dead_reckoning, seconds, change, sequence, rows, bound, messages):
+    """`dead_reckoning` is its maximum duration [s], and `bound` the maximum position error in `rows` [m]."""
+    driver = controller(**{"failure.dead_reckoning": dead_reckoning})
     results, poses, times = drive(driver, robot(), REFERENCE, seconds, change=change)
     assert modes(results) == sequence
-    assert np.abs((poses - REFERENCE.sample(times).pose)[rows, :2]).max() < most
+    assert np.abs((poses - REFERENCE.sample(times).pose)[rows, :2]).max() < bound
     assert all(text in results[tick].message for tick, text in messages.items())
 
 
 def test_speed_falls_with_position_uncertainty_before_braking():
-    def lose(k, m):
+    def drop_poses(k, m):
         return replace(m, pose=None) if k >= 100 else m
 
-    unsure = controller(**{"failure.dead_reckoning": 5.0, "reentry.band": 0.03})
-    results, _, _ = drive(unsure, robot(), REFERENCE, 6.0, change=lose)
+    driver = controller(**{"failure.dead_reckoning": 5.0, "reentry.band": 0.03})
+    results, _, _ = drive(driver, robot(), REFERENCE, 6.0, change=drop_poses)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
     progress = np.array([r.progress for r in results[100:first_brake]])
@@ -123,24 +123,24 @@ def test_speed_falls_with_position_uncertainty_before_braking():
 @pytest.mark.parametrize(("wheels", "band"), [(False, 0.08), (True, 0.015)])
 def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
     """Dead reckoning is unreliable in these cases: the usual age limit of poses applies."""
-    patient = controller(**{"failure.dead_reckoning": 2.0, "reentry.band": band})
-    results, _, _ = drive(patient, robot(), REFERENCE, 4.0, change=without_poses(100, wheels=wheels))
+    driver = controller(**{"failure.dead_reckoning": 2.0, "reentry.band": band})
+    results, _, _ = drive(driver, robot(), REFERENCE, 4.0, change=without_poses(100, wheels=wheels))
     assert Mode.BRAKING in modes(results)
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
     assert (first_brake - 99) * DT < 1.2
 
 
-def rare_poses(interval, latency, until=math.inf):
-    """Return a change for `drive`: up to `until` [s], one pose per `interval`, `latency` late [samples]."""
-    waiting = []
+def rare_poses(interval, latency, end=math.inf):
+    """Return a change for `drive`: until `end` [s], one pose per `interval`, with a delay of `latency` [samples]."""
+    queue = []
 
     def change(k, m):
-        if k * DT >= until:
+        if k * DT >= end:
             return m
         if k % interval == 0:
-            waiting.append((k + latency, m.pose))
-        due = waiting.pop(0)[1] if waiting and waiting[0][0] <= k else None
-        return replace(m, pose=due)
+            queue.append((k + latency, m.pose))
+        pose = queue.pop(0)[1] if queue and queue[0][0] <= k else None
+        return replace(m, pose=pose)
 
     return change
 
@@ -149,8 +149,8 @@ def rare_poses(interval, latency, until=math.inf):
     ("interval", "latency", "max_pose_age", "stops"),
     [(26, 5, 0.5, 1), (10, 18, 0.5, 1), (26, 5, 0.65, 0), (10, 18, 0.65, 0), (60, 0, 0.5, 1)],
 )
-def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, max_pose_age, stops):
-    """The robot brakes `stops` times, then stops; the setting named in its message lets it drive."""
+def test_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, max_pose_age, stops):
+    """The robot brakes `stops` times, then stops; the setting in its message enables the drive."""
     tracker = controller(**{"failure.max_pose_age": max_pose_age, "failure.dead_reckoning": 0.0})
     results, _, _ = drive(tracker, robot(), REFERENCE, 6.0, change=rare_poses(interval, latency))
     order = modes(results)
@@ -161,16 +161,16 @@ def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, m
         assert f"poses come every {interval * DT:.2f} s and {latency * DT:.2f} s late" in message
         assert f"raise it above {(interval + latency) * DT:.2f} s" in message
         first = next(k for k, r in enumerate(results) if "poses come every" in r.message)
-        assert first == interval + latency, "as soon as two poses show their rate"
+        assert first == interval + latency, "two poses are enough to detect the rate"
     else:
         assert not any("poses come every" in r.message for r in results)
 
 
 def test_single_dropout_does_not_change_the_pose_rate():
-    def lose(k, m):
+    def drop_poses(k, m):
         return with_pose(m, None) if k % 150 > 115 else m
 
-    results, _, _ = drive(without_dead_reckoning(), robot(), REFERENCE, 8.0, change=lose)
+    results, _, _ = drive(without_dead_reckoning(), robot(), REFERENCE, 8.0, change=drop_poses)
     assert any(r.mode is Mode.BRAKING for r in results)
     assert not any("poses come every" in r.message for r in results)
 
@@ -192,37 +192,35 @@ def test_backward_time_brakes_and_is_reported():
 
 
 def test_early_call_repeats_the_command():
-    """Otherwise a burst of calls could reach any acceleration: the slew limit applies per sample."""
+    """The slew limit applies per sample, so new commands in a burst of calls could have any acceleration."""
     driver, base = controller(), robot()
     results, _, _ = drive(driver, base, REFERENCE, 0.2)
     for k in range(8):
-        again = driver.step(base.time - DT + k * 0.001, base.measure())
-        assert again.mode is Mode.TRACKING
-        assert (again.command == results[-1].command).all()
-        assert "repeated" in again.message
+        repeated = driver.step(base.time - DT + k * 0.001, base.measure())
+        assert repeated.mode is Mode.TRACKING
+        assert (repeated.command == results[-1].command).all()
+        assert "repeated" in repeated.message
 
 
-def test_clock_glitch_costs_one_tick():
+def test_clock_glitch_affects_one_tick_only():
     driver, base = controller(), robot()
     drive(driver, base, REFERENCE, 2.0)
     glitch = driver.step(1e6, base.measure())
     assert glitch.mode is Mode.STOPPED
     assert (glitch.command == 0).all()
     base.advance(glitch.command)
-    after = [driver.step(base.time + k * DT, base.measure()) for k in range(2)]
-    assert modes(after) == [Mode.TRACKING]
+    results = [driver.step(base.time + k * DT, base.measure()) for k in range(2)]
+    assert modes(results) == [Mode.TRACKING]
 
 
-@pytest.mark.parametrize(
-    ("ahead", "mode"), [(0.5, "STOPPED"), (1e6, "STOPPED"), (-1.0, "BRAKING"), (np.nan, "BRAKING")]
-)
-def test_only_a_forward_leap_of_the_clock_zeroes_the_command_at_once(ahead, mode):
+@pytest.mark.parametrize(("leap", "mode"), [(0.5, "STOPPED"), (1e6, "STOPPED"), (-1.0, "BRAKING"), (np.nan, "BRAKING")])
+def test_only_a_forward_leap_of_the_clock_zeroes_the_command_at_once(leap, mode):
     driver, base = controller(), robot()
-    before = drive(driver, base, REFERENCE, 2.0)[0][-1].command
-    assert (np.abs(before) > SLEW).any()
-    after = driver.step(base.time + ahead, base.measure())
-    assert after.mode == mode
-    assert (after.command == (0.0 if mode == "STOPPED" else before - np.clip(before, -SLEW, SLEW))).all()
+    last_command = drive(driver, base, REFERENCE, 2.0)[0][-1].command
+    assert (np.abs(last_command) > SLEW).any()
+    result = driver.step(base.time + leap, base.measure())
+    assert result.mode == mode
+    assert (result.command == (0.0 if mode == "STOPPED" else last_command - np.clip(last_command, -SLEW, SLEW))).all()
 
 
 def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume():
@@ -242,28 +240,28 @@ def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume
     assert not np.any([r.command for r in results[:10]])
     assert "stopped after a failure (no tick for 5.04 s; the estimate restarts)" in results[9].message
     assert results[-1].mode is Mode.TRACKING
-    moving = np.array([r.command for r in results[1:]])
-    assert (np.abs(np.diff(moving, axis=0)) <= SLEW + 1e-9).all()
+    commands = np.array([r.command for r in results[1:]])
+    assert (np.abs(np.diff(commands, axis=0)) <= SLEW + 1e-9).all()
 
 
-@pytest.mark.parametrize("wrong", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
-def test_wrong_first_pose_is_detected_before_the_robot_moves_far(wrong):
+@pytest.mark.parametrize("error", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
+def test_wrong_first_pose_is_detected_before_the_robot_moves_far(error):
     def corrupt(k, m):
-        return with_pose(m, np.asarray(m.pose.value) + wrong) if k == 0 else m
+        return with_pose(m, np.asarray(m.pose.value) + error) if k == 0 else m
 
     results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=corrupt)
-    # Two more poses that agree, then it brakes: no command exceeds three ticks of slew.
+    # The robot brakes after two more poses, which agree: no command exceeds three ticks of slew.
     assert modes(results[:8]) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert np.abs([r.command[0] for r in results[:6]]).max() <= 3 * SLEW[0] + 1e-9
     assert results[-1].mode is Mode.TRACKING
     assert np.abs((poses - REFERENCE.sample(times).pose)[-50:, :2]).max() < 0.01
 
 
-def test_applied_command_beyond_limits_does_not_widen_them():
+def test_reported_command_beyond_limits_does_not_extend_them():
     driver, base = controller(), robot()
     drive(driver, base, REFERENCE, 2.0)
-    for sent in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
-        result = driver.step(base.time, replace(base.measure(), sent=sent))
+    for reported in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
+        result = driver.step(base.time, replace(base.measure(), sent=reported))
         assert (np.abs(result.command) <= [1.5, 2.0]).all()
         base.advance(result.command)
 
@@ -296,7 +294,7 @@ def test_failed_solve_reuses_the_last_plan(monkeypatch, backend):
 
 
 @every_backend
-def test_lasting_solver_failure_passes_every_mode_and_recovers(monkeypatch, backend):
+def test_lasting_solver_failure_leads_through_every_mode_and_recovers(monkeypatch, backend):
     solver = FailingSolver(monkeypatch, "infeasible")
     ticks = set(range(100, 180))
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 6.0, change=solver.during(ticks))
@@ -306,7 +304,7 @@ def test_lasting_solver_failure_passes_every_mode_and_recovers(monkeypatch, back
 
 
 @every_backend
-def test_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
+def test_nonfinite_plan_is_not_executed(monkeypatch, backend):
     solver = FailingSolver(monkeypatch, "solved", garbage=math.nan)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 3.0, change=solver.during({100}))
     assert results[100].mode is Mode.REUSED_PLAN
@@ -315,7 +313,7 @@ def test_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
 
 @every_backend
 def test_failed_warm_start_is_discarded(monkeypatch, backend):
-    """After a failure the solver starts cold: the next solves succeed, whatever state the failed one left."""
+    """After a failed solve the solver starts cold, so that the state of the failed solve has no effect."""
     solver = FailingSolver(monkeypatch, garbage=1e12)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 2.0, change=solver.during({50}))
     assert [r.solver.status.usable for r in results].count(False) == 1
@@ -329,7 +327,7 @@ TEN_ITERATIONS = {
 
 
 @every_backend
-def test_plan_stopped_at_the_iteration_limit_is_not_driven(backend):
+def test_plan_stopped_at_the_iteration_limit_is_not_executed(backend):
     limited = controller(**BACKENDS[backend] | TEN_ITERATIONS[backend])
     results, _, _ = drive(limited, robot(), REFERENCE, 1.0)
     failed = [r for r in results if r.solver.status is SolverStatus.MAX_ITERATIONS]
@@ -337,7 +335,7 @@ def test_plan_stopped_at_the_iteration_limit_is_not_driven(backend):
     assert not any(r.mode is Mode.TRACKING for r in failed)
 
 
-def test_problem_that_is_not_finite_is_reported_and_not_solved():
+def test_nonfinite_problem_is_reported_and_not_solved():
     reference = CorruptedReference(REFERENCE)
 
     def corrupt(k, m):
@@ -354,8 +352,8 @@ BRAKE = {"limits.v_braking": 0.7, "limits.omega_braking": 1.1}
 
 
 @pytest.mark.parametrize("slew", [{"limits.v_slew": 0.001, "limits.omega_slew": 0.001}, {}])
-def test_braking_keeps_its_limits_for_any_slew(slew):
-    """Without any sensors the robot stops in time, although a tiny slew was set during the drive."""
+def test_braking_uses_its_limits_for_any_slew(slew):
+    """Without sensors the robot stops at the braking limits, although a tiny slew was set during the drive."""
     driver, base = controller(**BRAKE), robot()
     drive(driver, base, REFERENCE, 3.0)
     driver.update(limits={key.partition(".")[2]: value for key, value in slew.items()})
@@ -368,7 +366,7 @@ def test_braking_keeps_its_limits_for_any_slew(slew):
     commands = np.array([r.command for r in results])
     speed = np.abs(commands[braking[0] - 1])
     assert speed.min() > 0.4
-    # Constant rates until each channel is at rest, without any other influence.
+    # Each channel brakes at a constant rate until it is at rest.
     for channel, rate in enumerate((0.7, 1.1)):
         expected = np.maximum(speed[channel] - rate * DT * np.arange(1, len(braking) + 2), 0.0)
         assert np.abs(commands[braking[0] : braking[-1] + 2, channel]) == pytest.approx(expected, abs=1e-12)
@@ -377,13 +375,13 @@ def test_braking_keeps_its_limits_for_any_slew(slew):
 def test_hold_and_finish_decelerate_at_the_braking_limits():
     driver, base = controller(**BRAKE), robot()
     drive(driver, base, REFERENCE, 2.0)
-    held = [driver.step(base.time + k * DT, Measurement(), Hold("pause")) for k in range(3)]
-    assert modes(held) == [Mode.BRAKING]
-    assert slews(held) == pytest.approx(np.tile([0.7, 1.1], (2, 1)) * DT, abs=1e-12)
+    holding = [driver.step(base.time + k * DT, Measurement(), Hold("pause")) for k in range(3)]
+    assert modes(holding) == [Mode.BRAKING]
+    assert slews(holding) == pytest.approx(np.tile([0.7, 1.1], (2, 1)) * DT, abs=1e-12)
     cane = load_trajectory("cane")
-    # A finish tolerance so wide that it is reached in full motion.
-    far = controller(**BRAKE | {"finish.position": 5.0, "finish.speed": 5.0, "weights.v": 2000.0})
-    results, _, _ = drive(far, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), cane, cane.duration + 1.0)
+    # The finish tolerance is so large that the robot reaches it at full speed.
+    driver = controller(**BRAKE | {"finish.position": 5.0, "finish.speed": 5.0, "weights.v": 2000.0})
+    results, _, _ = drive(driver, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), cane, cane.duration + 1.0)
     finished = [r.mode for r in results].index(Mode.FINISHED)
     ramp = np.abs([r.command for r in results[finished - 1 :]])
     assert (ramp[:-1] - ramp[1:] <= np.array([0.7, 1.1]) * DT + 1e-12).all()

@@ -1,4 +1,4 @@
-"""Feasibility of a reference before driving: the violated limit, its place, and a feasible duration."""
+"""Feasibility of a reference before driving: the violated limit, its time and position, and a feasible duration."""
 
 import time
 
@@ -15,8 +15,8 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_
 FAST = TrajectoryLimits(v=2.0, omega=3.0, v_acceleration=1.0, omega_acceleration=2.0)
 
 
-class Stretched:
-    """`reference` stretched to `duration` seconds."""
+class SlowedReference:
+    """Reference `reference` slowed to the duration `duration` [s]."""
 
     def __init__(self, reference, duration):
         self.reference, self.name, self.duration = reference, reference.name, duration
@@ -27,8 +27,8 @@ class Stretched:
         return ReferenceSample(sample.pose, sample.twist / factor, sample.arc_length)
 
 
-class Later:
-    """`reference` from time `start` on."""
+class PartOfReference:
+    """Part of `reference` from the time `start` [s] on."""
 
     def __init__(self, reference, start):
         self.reference, self.start, self.name = reference, start, reference.name
@@ -50,15 +50,15 @@ def drive(segments, **limits):
 @pytest.mark.parametrize(
     ("segments", "limits", "key", "needed"),
     [
-        # Forwards 2 s, then backwards at 0.6 m/s, for a robot that goes back at 0.3 m/s.
+        # The robot reverses at 0.3 m/s at most; the reference reverses at 0.6 m/s.
         ([(0.6, 0.0, 2.0), (-0.6, 0.0, 3.0)], {"v": {"forward": 1.5, "reverse": 0.3}}, "limits.v.reverse", 0.6),
         ([(1.2, 0.0, 4.0)], {"v_slew": {"accelerate": 4.0, "brake": 0.3}}, "limits.v_slew.brake", 1.0),
         ([(0.5, 0.0, 2.0), (0.6, -1.2, 4.0)], {"omega": {"left": 2.0, "right": 0.6}}, "limits.omega.right", 1.2),
-        # The outer wheel: 1.0 m/s + 0.2 m * 1.0 rad/s.
+        # The speed of the outer wheel is 1.0 m/s + 0.2 m * 1.0 rad/s.
         ([(0.5, 0.0, 2.0), (1.0, 1.0, 4.0)], {"wheel_speed": 0.9}, "limits.wheel_speed", 1.2),
     ],
 )
-def test_limit_is_named_with_side_value_and_place(segments, limits, key, needed):
+def test_violated_limit_is_reported_with_side_value_and_time(segments, limits, key, needed):
     _, reference, shortfall = drive(segments, **limits)
     assert shortfall.key == key and shortfall.needed == pytest.approx(needed, rel=0.1)
     first = next(i for i, segment in enumerate(segments) if "brake" in key or i == len(segments) - 1)
@@ -68,16 +68,16 @@ def test_limit_is_named_with_side_value_and_place(segments, limits, key, needed)
     assert shortfall.behind > 0.04
 
 
-def test_named_duration_is_feasible_and_a_shorter_one_is_not():
+def test_reported_duration_is_feasible_and_a_shorter_duration_is_not():
     controller, reference, shortfall = drive([(1.2, 0.9, 4.0)], omega=0.6, v_slew=0.7)
-    assert controller.find_shortfall(Stretched(reference, shortfall.drivable)) is None
-    assert controller.find_shortfall(Stretched(reference, 0.9 * shortfall.drivable)) is not None
-    # The tolerated deficit permits a duration slightly below that of the limit.
+    assert controller.find_shortfall(SlowedReference(reference, shortfall.drivable)) is None
+    assert controller.find_shortfall(SlowedReference(reference, 0.9 * shortfall.drivable)) is not None
+    # The tolerated delay permits a duration slightly below that of the limit.
     assert shortfall.drivable == pytest.approx(reference.duration * 0.9 / 0.6, rel=0.15)
 
 
 def test_distance_behind_a_brake_limit_follows_from_both_decelerations():
-    # From 1 m/s at 1 m/s^2; at 0.25 m/s^2 the robot stops 1/2/0.25 - 1/2/1 = 1.5 m later.
+    # From 1 m/s, the reference brakes at 1 m/s^2 and the robot at 0.25 m/s^2: 1/2/0.25 - 1/2/1 = 1.5 m.
     _, reference, shortfall = drive([(1.0, 0.0, 4.0)], v_slew={"accelerate": 4.0, "brake": 0.25})
     assert shortfall.behind == pytest.approx(1.5, rel=0.05) and shortfall.time > reference.duration - 2.0
 
@@ -92,12 +92,12 @@ def test_shipped_paths_are_feasible_for_the_shipped_models():
 def test_start_at_speed_is_reported():
     config, times = load_config("ssm"), np.linspace(0, 5, 200)
     model = Controller(config).model
-    fast = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
-    assert fast.key == "limits.v_slew" and fast.time < 0.3
+    shortfall = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
+    assert shortfall.key == "limits.v_slew" and shortfall.time < 0.3
     steady = lay_commanded([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
-    under_way = Later(steady, 2.0)
-    assert find_shortfall(under_way, config, model) is not None
-    assert find_shortfall(under_way, config, model, is_moving=True) is None
+    moving = PartOfReference(steady, 2.0)
+    assert find_shortfall(moving, config, model) is not None
+    assert find_shortfall(moving, config, model, is_moving=True) is None
     assert find_shortfall(Trajectory.from_waypoints([(0, 0), (1, 0)]), config, model) is None
 
 

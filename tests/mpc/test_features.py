@@ -1,4 +1,4 @@
-"""Features attach to a controller through entry points, each with its configuration group."""
+"""Features of a controller from entry points, with their configuration groups."""
 
 import pickle
 from dataclasses import replace
@@ -31,8 +31,8 @@ def drive(overrides):
 
 def test_feature_holds_the_robot_and_changes_the_result():
     run = drive(ON)
-    standing = (run.time > 2.0) & (run.time < 3.0)
-    assert abs(run.command[standing]).max() < 1e-9
+    is_held = (run.time > 2.0) & (run.time < 3.0)
+    assert abs(run.command[is_held]).max() < 1e-9
     assert abs(run.command[run.time > 3.5]).max() > 0.3
     assert run.messages[0].endswith("step 1")
     assert run.metrics.completed
@@ -45,12 +45,12 @@ def test_feature_holds_the_robot_and_changes_the_result():
         ("rehearsal", "'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
-def test_feature_that_is_not_attached_raises_config_error(name, message):
+def test_missing_feature_raises_config_error(name, message):
     with pytest.raises(ConfigError, match=message):
         Controller("sm").feature(name)
 
 
-def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
+def test_group_of_a_feature_is_read_written_and_compared(tmp_path):
     path = tmp_path / "config.yaml"
     path.write_text("model: sm\nexpert: {lunch: {end: 2.5}}\n")
     config = load_config(path)
@@ -73,7 +73,7 @@ def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
         ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
-def test_mistake_in_a_feature_gives_one_line_with_place_and_remedy(overrides, message):
+def test_mistake_in_a_feature_raises_error_with_key_and_remedy(overrides, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_config("sm", overrides)
     assert "\n" not in str(error.value)
@@ -92,7 +92,7 @@ class Lunch(FeatureGroup):
 
 
 class LunchFeature(Feature):
-    """Holds the robot from 1 s to the end of lunch, and counts its steps."""
+    """Feature that holds the robot from 1 s to the end of lunch and counts its steps."""
 
     schema = Lunch
 
@@ -125,7 +125,7 @@ class Entry:
 
 
 def register(monkeypatch, **features):
-    """Make `features` the features of installed packages."""
+    """Register `features` as the features of installed packages."""
     groups = {"features": {name: Entry(part) for name, part in sorted(features.items())}}
     monkeypatch.setattr(plug_ins, "_entries", lambda group: groups.get(group, {}))
     plug_ins.plug_in.cache_clear()

@@ -1,4 +1,4 @@
-"""Fence: the robot stops inside the rectangle on every path that leaves it, and waits for a restart."""
+"""Fence: a robot on a path that leaves the rectangle stops inside and waits for a restart."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def leaving_path(v=0.6, omega=0.2, heading=0.0):
     return lay_commanded(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
 
 
-def outside(poses, centre=(0.0, 0.0, 0.0), size=SIZE):
+def distance_outside(poses, centre=(0.0, 0.0, 0.0), size=SIZE):
     """Return the distance of poses (n, 3) outside a rectangle [m]; negative inside."""
     x, y, turn = centre
     position = (poses[:, 0] - x + 1j * (poses[:, 1] - y)) * np.exp(-1j * turn)
@@ -40,9 +40,9 @@ def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, y
         steps.append(controller.step(robot.time, robot.measure()))
         poses.append(robot.pose)
         robot.advance(steps[-1].command)
-    out = outside(np.array(poses))
-    # The robot stops inside, near the start of the margin, so it does not brake too early.
-    assert -0.16 < out.max() < 0.0
+    distance = distance_outside(np.array(poses))
+    # The robot stops inside but near the margin, so it does not brake too early.
+    assert -0.16 < distance.max() < 0.0
     modes = [step.mode for step in steps]
     assert modes[0] == Mode.TRACKING
     assert modes[-1] == Mode.STOPPED
@@ -50,19 +50,19 @@ def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, y
 
 
 @pytest.mark.parametrize("extra_dead_time", [0.0, 0.08])
-def test_unknown_dead_time_adds_at_most_its_distance(extra_dead_time):
+def test_unknown_dead_time_increases_the_stopping_distance_by_its_motion(extra_dead_time):
     controller = Controller(load_config("ssm", FENCE))
     run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=extra_dead_time), leaving_path(0.9, 0.0))
-    assert outside(run.true_pose).max() <= 0.9 * extra_dead_time + 0.005 - 0.1
+    assert distance_outside(run.true_pose).max() <= 0.9 * extra_dead_time + 0.005 - 0.1
     assert run.modes[-1] == "STOPPED"
-    braking = np.array(run.modes) == "BRAKING"
-    slowing = np.abs(np.diff(run.command[:, 0], prepend=run.command[0, 0]))[braking]
-    assert slowing.max() <= controller.config.limits.v_braking * DT + 1e-9
+    is_braking = np.array(run.modes) == "BRAKING"
+    deceleration = np.abs(np.diff(run.command[:, 0], prepend=run.command[0, 0]))[is_braking]
+    assert deceleration.max() <= controller.config.limits.v_braking * DT + 1e-9
 
 
 def test_mujoco_robot_stops_inside_the_fence():
     run = simulate(Controller(load_config("ssm", FENCE)), make_plant("mujoco", seed=3), leaving_path(0.8, 0.5))
-    assert outside(run.true_pose).max() < -0.05
+    assert distance_outside(run.true_pose).max() < -0.05
     assert run.modes[-1] == "STOPPED"
 
 
@@ -86,9 +86,9 @@ def test_robot_at_the_fence_waits_for_a_start_and_drives_only_inwards():
     outwards = drive(starting_at(leaving_path(), robot.pose), 60)
     assert outwards[-1].mode == Mode.STOPPED
     assert np.hypot(*(robot.pose - stop_pose)[:2]) < 0.04
-    back = drive(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
-    assert {step.mode for step in back} == {Mode.TRACKING}
-    assert outside(np.array([robot.pose]))[0] < -0.5
+    inwards = drive(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
+    assert {step.mode for step in inwards} == {Mode.TRACKING}
+    assert distance_outside(np.array([robot.pose]))[0] < -0.5
     # After the robot has driven back inside, the fence is active again.
     assert drive(starting_at(leaving_path(), robot.pose), 300)[-1].mode == Mode.STOPPED
     controller.reset()
@@ -107,7 +107,7 @@ def test_fence_has_its_configured_pose(frame):
     controller = Controller(load_config("ssm", {**FENCE, **position, "fence.frame": frame}))
     run = simulate(controller, make_plant("model:ssm", seed=2), reference)
     assert run.modes[-1] == "STOPPED"
-    assert -0.12 < outside(run.true_pose, centre).max() < -0.08
+    assert -0.12 < distance_outside(run.true_pose, centre).max() < -0.08
 
 
 def test_unreached_or_disabled_fence_changes_no_command():

@@ -1,4 +1,4 @@
-"""Goals of follow_path without ROS: missing responses of the side process, and replaced and cancelled goals."""
+"""Goals of follow_path without ROS: missing responses of the side process, and goals that are replaced or cancelled."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 
 
 class Loop:
-    """Control loop of a robot at rest that records the calls that it receives."""
+    """Stub of the control loop of a robot at rest that records its calls."""
 
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
@@ -42,7 +42,7 @@ class Loop:
 
 
 class SideProcess:
-    """Requests to the side process; the test responds to them."""
+    """Stub of the side process that stores requests until the test responds."""
 
     def __init__(self):
         self.requests = []
@@ -65,14 +65,14 @@ def parts():
     return loop, side, following
 
 
-def begun(following, side):
+def followed_goal(following, side):
     """Return a goal that the loop follows."""
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
     side.respond()
     return goal
 
 
-def standing():
+def idle_tick():
     return LoopTick(np.zeros(2), LoopState.IDLE, "")
 
 
@@ -80,7 +80,7 @@ def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
     loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    following.update(standing())
+    following.update(idle_tick())
     assert loop.calls == [] and goal.end is None
     side.respond()
     assert loop.calls == ["follow"] and goal.path.length == pytest.approx(1.0)
@@ -92,7 +92,7 @@ def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
         ((1.0, 0.0, 0.0), STRAIGHT),
         ((1.03, 0.01, 0.0), STRAIGHT),
         ((1.0, 0.0, 0.0), STRAIGHT[-1:].repeat(2, axis=0)),
-        # A planner's line from the robot, shorter than the robot's turning ability permits.
+        # A planner's line from the robot that is too short for a turn.
         ((1.0, 0.01, 0.0), np.array([[1.0, 0.01, 0.0], [1.0, 0.0, 0.0]])),
     ],
 )
@@ -106,39 +106,39 @@ def test_goal_at_the_position_of_the_robot_succeeds(parts, robot, poses):
 
 
 @pytest.mark.parametrize("state", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
-def test_empty_path_is_no_arrival_if_the_robot_moves_or_is_off_the_goal(parts, state):
+def test_empty_path_is_rejected_if_the_robot_moves_or_is_not_at_the_goal(parts, state):
     loop, side, following = parts
-    old = begun(following, side)
+    old = followed_goal(following, side)
     loop.pose_and_twist = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if state is None else state[1])
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
     loop.pose_and_twist = lambda: state and (np.array(state[0]), state[1])
     side.respond()
     code = Code.TF_ERROR if state is None else Code.INVALID_PATH
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.ABORTED, code)
-    # The drive that it was to replace ends, too.
-    following.update(standing())
+    # The drive of the replaced goal ends as well.
+    following.update(idle_tick())
     assert loop.calls == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
 
 
-def test_newer_goal_ends_a_goal_that_has_not_begun(parts):
+def test_newer_goal_aborts_a_goal_that_has_not_started(parts):
     loop, side, following = parts
     first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(first)
     following.take(second)
     assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
-    # The path of the first goal arrives too late.
+    # The path of the first goal arrives after the second goal.
     side.respond()
     assert loop.calls == []
     side.respond()
     assert loop.calls == ["follow"] and second.end is None
 
 
-def test_cancelling_a_goal_that_has_not_begun_ends_the_drive_it_was_to_replace(parts):
+def test_cancellation_before_the_start_ends_the_drive_of_the_replaced_goal(parts):
     loop, side, following = parts
-    old = begun(following, side)
+    old = followed_goal(following, side)
     following.take(newer := FollowGoal(STRAIGHT, "odom"))
     newer.cancelled = True
-    following.update(standing())
+    following.update(idle_tick())
     assert newer.end.outcome is GoalOutcome.CANCELED
     assert loop.calls == ["follow", "brake", "release"]
     assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
@@ -151,34 +151,34 @@ def test_goal_whose_path_never_arrives_times_out(parts, monkeypatch):
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     goal.received_at -= follow_goal._MAX_PLANNING_TIME + 1.0
-    following.update(standing())
+    following.update(idle_tick())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
-    following.take(slow := FollowGoal(STRAIGHT, "odom"))
+    following.take(second := FollowGoal(STRAIGHT, "odom"))
     side.requests[-1][2]("its conversion takes longer than 10 s")
-    assert slow.end.code is Code.CONTROLLER_TIMED_OUT
+    assert second.end.code is Code.CONTROLLER_TIMED_OUT
 
 
 def test_fault_of_the_loop_ends_the_goal(parts):
     _, side, following = parts
-    goal = begun(following, side)
+    goal = followed_goal(following, side)
     following.update(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
 
-def test_goal_without_pose_waits_for_its_patience_only(parts):
+def test_goal_without_pose_ends_after_the_follow_patience(parts):
     loop, side, following = parts
-    goal = begun(following, side)
+    goal = followed_goal(following, side)
     loop.inbox.now = 0.9 * SETTINGS.follow_patience
-    following.update(standing())
+    following.update(idle_tick())
     assert goal.end is None
     loop.inbox.now = 1.1 * SETTINGS.follow_patience
-    following.update(standing())
+    following.update(idle_tick())
     assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
 
 
 def test_path_limits_stay_below_the_limits_of_the_robot():
-    half = np.diag([0.5, 2.0])
-    bounds = path_limits(CONFIG, half, SETTINGS)
+    gain = np.diag([0.5, 2.0])
+    bounds = path_limits(CONFIG, gain, SETTINGS)
     assert bounds.v == pytest.approx(SETTINGS.follow_speed_share * 0.5 * CONFIG.limits.v)
     assert bounds.omega == pytest.approx(SETTINGS.follow_speed_share * CONFIG.limits.omega)
     assert bounds.v_acceleration < CONFIG.limits.v_slew and bounds.omega_acceleration < CONFIG.limits.omega_slew
@@ -186,35 +186,35 @@ def test_path_limits_stay_below_the_limits_of_the_robot():
 
 def test_robot_waits_for_a_silent_client_continues_and_finally_aborts(parts, monkeypatch):
     loop, side, following = parts
-    goal = begun(following, side)
+    goal = followed_goal(following, side)
     start = goal.alive_at
-    drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
+    driving_tick = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
     distance = 0.0
     for count in range(200):
         goal.missed_checks = count
         monkeypatch.setattr(follow_goal.time, "monotonic", lambda now=start + count * CONFIG.sample_time: now)
-        following.update(drives)
+        following.update(driving_tick)
         if loop.wait_reason:
             break
         distance += 0.6 * CONFIG.sample_time
     braking = 0.6**2 / (2.0 * CONFIG.limits.v_braking)
     assert SETTINGS.follow_blind_distance - 0.35 < distance + braking < SETTINGS.follow_blind_distance - 0.1
-    following.update(standing())
+    following.update(idle_tick())
     assert "does not acknowledge" in loop.wait_reason and goal.ending is None
     goal.missed_checks, goal.alive_at = 0, goal.alive_at + 2.0
-    following.update(standing())
+    following.update(idle_tick())
     assert loop.wait_reason == ""
     goal.missed_checks = 3
     monkeypatch.setattr(follow_goal.time, "monotonic", lambda: goal.alive_at + 5.1)
-    following.update(standing())
+    following.update(idle_tick())
     assert goal.end.outcome is GoalOutcome.ABORTED and "its client has ended" in goal.end.words
 
 
 def test_speed_of_a_path_is_limited_so_that_the_blind_distance_suffices():
-    limited, free = (
+    limited, unlimited = (
         path_limits(CONFIG, np.eye(2), NodeSettings(follow_speed_share=1.0, follow_blind_distance=distance)).v
         for distance in (0.2, 0.0)
     )
     delay = follow_goal._SILENCE + follow_goal._REACTION
     assert limited * delay + limited**2 / (2.0 * CONFIG.limits.v_braking) == pytest.approx(0.2)
-    assert free == min(CONFIG.limits.v, CONFIG.limits.wheel_speed) > limited
+    assert unlimited == min(CONFIG.limits.v, CONFIG.limits.wheel_speed) > limited

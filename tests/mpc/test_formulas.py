@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}
-# Plausible values of a robot; gains stay away from zero, and yaw rates are often where the arc changes its form.
+# Plausible values of a robot; gains are not near zero.
 RANGES = {
     "y": [(-2, 2), (-3, 3)],
     "slip": [
@@ -46,36 +46,36 @@ RANGES = {
 }
 
 
-def entry(low, high):
+def numbers(low, high):
     near_zero = [st.floats(-1e-6, 1e-6), st.just(0.0)] if low < 0 < high else []
     return st.one_of(st.floats(low, high), *near_zero)
 
 
-HALF_TRACK = (0.1, 1)
+HALF_TRACK_RANGE = (0.1, 1)
 
 
-def argument(function, k):
+def argument_strategy(function, k):
     name, count = function.name_in(k), function.numel_in(k)
-    # Parameters of the soft limits: slip, and half the track.
-    ranges = [*RANGES["slip"][: max(0, count - 1)], HALF_TRACK] if name == "parameters" else RANGES[name][:count]
+    # The parameters of the soft limits are the slip and half of the track.
+    ranges = [*RANGES["slip"][: max(0, count - 1)], HALF_TRACK_RANGE] if name == "parameters" else RANGES[name][:count]
     ranges = ranges[:count]
-    return st.tuples(*(entry(low, high) for low, high in ranges)).map(lambda column: np.array(column, dtype=float))
+    return st.tuples(*(numbers(low, high) for low, high in ranges)).map(lambda column: np.array(column, dtype=float))
 
 
-def arguments(function):
-    return st.tuples(*(argument(function, k) for k in range(function.n_in())))
+def arguments_strategy(function):
+    return st.tuples(*(argument_strategy(function, k) for k in range(function.n_in())))
 
 
 def call(function, values):
-    """Return results as arrays, column vectors flattened."""
-    shaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
-    results = function.call([ca.DM(value) for value in shaped])
+    """Return the results as arrays, with column vectors flattened."""
+    reshaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
+    results = function.call([ca.DM(value) for value in reshaped])
     return [np.array(result).ravel() if result.shape[1] == 1 else np.array(result) for result in results]
 
 
 WITH_GRADIENT = [function for function in formulas() if function.name_out(function.n_out() - 1) == "gradient"]
-# In the order of the gradient's columns.
-VARIED = {
+# Inputs in the order of the gradient's columns.
+GRADIENT_INPUTS = {
     "twist": ["y", "slip"],
     "move": ["y", "slip", "theta"],
     "sensors": ["y", "slip", "gyro_bias"],
@@ -95,16 +95,16 @@ VARIED = {
 @pytest.mark.parametrize("function", WITH_GRADIENT, ids=lambda function: function.name())
 @given(data=st.data())
 def test_gradients_agree_with_finite_differences(function, data):
-    values = list(data.draw(arguments(function)))
+    values = list(data.draw(arguments_strategy(function)))
     _, gradient = call(function, values)
     name = function.name().removeprefix("ddmpc_f_")
-    step, places = 1e-6, [function.index_in(varied) for varied in VARIED[name]]
-    sizes = [values[place].size for place in places]
-    # All directions at once: a function with more columns is evaluated for each.
+    step, indices = 1e-6, [function.index_in(input_name) for input_name in GRADIENT_INPUTS[name]]
+    sizes = [values[index].size for index in indices]
+    # CasADi evaluates the function for each column, that is, for all directions at once.
     columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
-    for start, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
-        columns[place][:, start : start + size] += step * np.eye(size)
-        columns[place][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
+    for start, index, size in zip(np.cumsum([0, *sizes]), indices, sizes, strict=False):
+        columns[index][:, start : start + size] += step * np.eye(size)
+        columns[index][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
     ends = np.array(function.call([ca.DM(column) for column in columns])[0])
     slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()
@@ -112,7 +112,7 @@ def test_gradients_agree_with_finite_differences(function, data):
     assert gradient == pytest.approx(slopes, abs=2e-6 if name.endswith("curved") else 2e-7)
 
 
-# Slip that curves the twist.
+# Curved slip.
 
 
 def slip_parameters(**values):
@@ -121,13 +121,13 @@ def slip_parameters(**values):
 
 @pytest.mark.parametrize("name", ["twist", "move", "sensors", "arc", "turning_point", "aim", "feed_forward", "soft"])
 @given(data=st.data())
-def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
+def test_curved_formula_without_curvature_equals_the_flat_formula(name, data):
     flat = FORMULAS[name]
-    values = list(data.draw(arguments(flat)))
+    values = list(data.draw(arguments_strategy(flat)))
     expected = call(flat, values)
-    place = flat.index_in("parameters" if name == "soft" else "slip")
+    index = flat.index_in("parameters" if name == "soft" else "slip")
     padded = np.zeros(len(CURVED_SLIPS))
-    values[place] = np.insert(values[place], len(FLAT_SLIPS), padded)
+    values[index] = np.insert(values[index], len(FLAT_SLIPS), padded)
     result = call(FORMULAS[f"{name}_curved"], values)
     assert result[0] == pytest.approx(expected[0], abs=1e-12)
     if name in ("arc", "soft"):
@@ -140,9 +140,9 @@ def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
     st.floats(-1, 1),
     st.floats(-1, 1),
 )
-def test_slip_of_real_surfaces_inverts_the_feed_forward(small, turning, v, omega):
-    """Ranges cover the surfaces of P4: a32 is -0.34 to -0.41, a33 up to 0.12, the others mostly far below 0.05."""
-    coefficients = np.array([*small, *turning])
+def test_feed_forward_inverts_the_slip_of_real_surfaces(small_terms, turn_terms, v, omega):
+    """The ranges include the surfaces of P4: a32 is -0.34 to -0.41, a33 up to 0.12, and most others are below 0.05."""
+    coefficients = np.array([*small_terms, *turn_terms])
     slip = [getattr(Slip.of_polynomial(coefficients), name) for name in SLIPS]
     (y,) = call(FORMULAS["feed_forward_curved"], [[v, omega], slip, [1, 0, 0, 1]])
     twist, _ = call(FORMULAS["twist_curved"], [y, slip])
@@ -151,25 +151,25 @@ def test_slip_of_real_surfaces_inverts_the_feed_forward(small, turning, v, omega
 
 @given(st.lists(st.floats(-0.1, 0.1), min_size=9, max_size=9), st.floats(-1, 1), st.floats(-2, 2), st.floats(-3, 3))
 def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
-    """The motion in a short time is the polynomial apart from a lateral term in the square of the yaw rate."""
+    """The motion in a short time equals the polynomial except for a lateral term in the square of the yaw rate."""
     coefficients = np.array(coefficients)
     slip, dt = Slip.of_polynomial(coefficients), 1e-7
     assert slip.polynomial == pytest.approx(coefficients, abs=0.012)
     assert np.delete(slip.polynomial, 4) == pytest.approx(np.delete(coefficients, 4), abs=1e-12)
-    moved, _ = call(
+    motion, _ = call(
         FORMULAS["move_curved"], [[v, omega], [getattr(slip, name) for name in SLIPS], [theta], [0.0], [dt]]
     )
     c, s = np.cos(theta), np.sin(theta)
-    forward, left = (c * moved[0] + s * moved[1]) / dt, (c * moved[1] - s * moved[0]) / dt
+    forward, lateral = (c * motion[0] + s * motion[1]) / dt, (c * motion[1] - s * motion[0]) / dt
     expected = polynomial_twist(coefficients, [v, omega])
     a12, a21, a23 = coefficients[[1, 3, 5]]
-    beyond = a12 / (1 + coefficients[0]) * omega * (a21 + a23 * omega)
-    assert [forward, left - beyond, moved[2] / dt] == pytest.approx(expected, abs=1e-6)
+    lateral_term = a12 / (1 + coefficients[0]) * omega * (a21 + a23 * omega)
+    assert [forward, lateral - lateral_term, motion[2] / dt] == pytest.approx(expected, abs=1e-6)
 
 
 @given(st.floats(-0.2, 2), st.floats(-1, 1), st.floats(-2, 2))
 def test_track_growth_changes_the_wheel_speeds_of_a_turn(growth, v, omega):
-    """P3: i = p1 |yaw rate| + p0, and wheel speeds that differ by i times the yaw rate, equally in both directions."""
+    """P3: i = p1 |yaw rate| + p0; wheel speeds differ by i times the yaw rate, with equal values in both directions."""
     slip = slip_parameters(track_growth=growth)
     (forward, result), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
     _, mirrored = call(FORMULAS["twist_curved"], [[v, -omega], slip])[0]
@@ -250,26 +250,26 @@ def library(precision, tmp_path_factory):
 @pytest.mark.parametrize("function", formulas(), ids=lambda function: function.name())
 @given(data=st.data())
 def test_generated_c_equals_casadi(library, precision, function, data):
-    values = data.draw(arguments(function))
+    values = data.draw(arguments_strategy(function))
     if precision == "float":
         values = [value.astype(np.float32).astype(float) for value in values]
     expected = call(function, values)
     computed = call_compiled(*library, precision, function, values)
-    for first, second in zip(computed, expected, strict=True):
+    for actual, expected_value in zip(computed, expected, strict=True):
         rounding = 1e-13 if precision == "double" else 2e-5
-        assert first == pytest.approx(second, abs=rounding * max(1.0, np.abs(second).max()))
+        assert actual == pytest.approx(expected_value, abs=rounding * max(1.0, np.abs(expected_value).max()))
 
 
 def test_single_precision_code_uses_no_doubles(tmp_path):
-    """The machine code has no instruction on doubles and calls no function of doubles."""
+    """The machine code has no instructions for doubles and no calls of functions of doubles."""
     generated = generate_formulas()
     compile_functions(generated, tmp_path, "float")
     listing = subprocess.run(
         ["objdump", "-d", "-r", tmp_path / f"{generated.stem}-float.so"], capture_output=True, text=True, check=True
     ).stdout
     assert "sinf" in listing
-    for doubled in ("cvtss2sd", "mulsd", "addsd", "<sin@plt>", "<cos@plt>", "<atan@plt>"):
-        assert doubled not in listing
+    for double_code in ("cvtss2sd", "mulsd", "addsd", "<sin@plt>", "<cos@plt>", "<atan@plt>"):
+        assert double_code not in listing
 
 
 def test_generated_text_is_deterministic():
@@ -280,7 +280,7 @@ def test_generated_text_is_deterministic():
 
 
 def point_distance():
-    """Return a user residual: distance to a moving point, zero beyond a radius."""
+    """Return a user residual: depth of the robot inside a circle about a moving point, zero outside the circle."""
     pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 3)
     distance = ca.sqrt(ca.sumsqr(pose[:2] - parameters[:2]) + 1e-6)
     return ca.Function(
@@ -288,7 +288,7 @@ def point_distance():
     )
 
 
-def test_user_term_gets_the_shipped_form(tmp_path, precision):
+def test_user_term_has_the_inputs_and_gradient_of_a_shipped_term(tmp_path, precision):
     function = user_term(point_distance(), "user_keep_off")
     assert [function.name_in(k) for k in range(5)] == ["pose", "twist", "command", "reference", "parameters"]
     assert function.size_out(1) == (1, 7)
@@ -312,10 +312,10 @@ def test_every_operation_of_c99_is_generated(tmp_path, precision):
     values += [ca.if_else(a > b, a, b), ca.logic_and(a > 0, c != 0), ca.logic_or(a >= b, c == 0), ca.logic_not(a)]
     values += [ca.fmin(a, ca.inf), a * 1e-30, a + 1e5]
     function = user_term(ca.Function("many", [x], [ca.vertcat(*values)], ["pose"], ["value"]), "many")
-    numbers = [[0.5, 1.75, -0.25], [0, 0], [0, 0], [0, 0, 0, 0], []]
-    expected = call(function, numbers)[0]
+    inputs = [[0.5, 1.75, -0.25], [0, 0], [0, 0], [0, 0, 0, 0], []]
+    expected = call(function, inputs)[0]
     computed = call_compiled(
-        *compile_functions(generate([function], "many", "a test"), tmp_path, precision), precision, function, numbers
+        *compile_functions(generate([function], "many", "a test"), tmp_path, precision), precision, function, inputs
     )[0]
     assert computed == pytest.approx(expected, rel=1e-14 if precision == "double" else 3e-6)
 
@@ -335,17 +335,17 @@ def lag():
     return ca.Function("step", [x, window], [step], ["x", "window"], ["next"])
 
 
-def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
+def test_functions_of_a_nonlinear_model_have_gradients(tmp_path, precision):
     functions = [user_step(lag(), "lag_step")]
     x = ca.SX.sym("x", 2)
     functions.append(user_output(ca.Function("output", [x], [x], ["x"], ["y"]), "lag_output", 2))
     library = compile_functions(generate(functions, "lag", "a test"), tmp_path, precision)
     rounding = 1e-14 if precision == "double" else 1e-6
     for function, values in zip(functions, [[[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]], [[0.3, 0.1]]], strict=True):
-        for first, second in zip(
+        for computed, expected in zip(
             call_compiled(*library, precision, function, values), call(function, values), strict=True
         ):
-            assert first == pytest.approx(second, abs=rounding)
+            assert computed == pytest.approx(expected, abs=rounding)
     _, by_state, by_window = call(functions[0], [[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]])
     slope = 0.5 * (1 - np.tanh((np.array([0.5, 0.2]) - [0.3, 0.1]) / 0.4) ** 2)
     assert by_state == pytest.approx(np.eye(2) - np.diag(slope))

@@ -1,4 +1,4 @@
-"""The filter learns delays that the model lacks, and the controller uses them."""
+"""Delays that the model does not contain: estimation and use by the controller."""
 
 from dataclasses import replace
 
@@ -21,29 +21,29 @@ BENDS = lay_segments(
 )
 
 
-def drive_late_robot(late, **settings):
-    """Drive a robot that responds `late` [s] later than SM; return the controller and the RMSE of the last 4 s [m]."""
+def drive_late_robot(delays, **settings):
+    """Drive a robot with additional `delays` (2,) [s]; return the controller and the RMSE of the last 4 s [m]."""
     controller = Controller(load_config("sm", PROMPT | settings))
-    robot = replace(SM, dead_time=SM.dead_time + late).discretise(DT)
+    robot = replace(SM, dead_time=SM.dead_time + delays).discretise(DT)
     plant = IdealRobot(robot, BENDS.sample([0.0]).pose[0], noise=1.0)
     _, poses, times = drive(controller, plant, BENDS, 16.0)
     errors = (poses - BENDS.sample(times).pose)[round(-4.0 / DT) :, :2]
     return controller, np.sqrt(np.mean(np.sum(errors**2, axis=1)))
 
 
-@pytest.mark.parametrize("late", [(0.06, 0.06), (0.09, 0.03), (0.0, 0.0)])
-def test_unknown_delays_are_estimated(late):
-    controller, _ = drive_late_robot(late)
-    np.testing.assert_allclose(controller.belief.mean[-5:-3], late, atol=0.01)
+@pytest.mark.parametrize("delays", [(0.06, 0.06), (0.09, 0.03), (0.0, 0.0)])
+def test_unknown_delays_are_estimated(delays):
+    controller, _ = drive_late_robot(delays)
+    np.testing.assert_allclose(controller.belief.mean[-5:-3], delays, atol=0.01)
 
 
 def test_learned_delays_halve_the_tracking_error():
-    learned = drive_late_robot((0.06, 0.06))[1]
-    unknown = drive_late_robot((0.06, 0.06), **{"compensation.delay": False})[1]
-    assert learned < 0.5 * unknown
+    with_delays = drive_late_robot((0.06, 0.06))[1]
+    without_delays = drive_late_robot((0.06, 0.06), **{"compensation.delay": False})[1]
+    assert with_delays < 0.5 * without_delays
 
 
-# A model made in Python has no provenance: its yaw gain is learned from scratch, whatever `wheels` states.
+# The yaw gain of a model without provenance is estimated without prior knowledge from `wheels`.
 
 
 LAG = 0.18
@@ -57,19 +57,19 @@ def model():
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_yaw_gain_is_known_after_two_seconds_of_turning(model, factor):
-    """The plant turns as in its model; the encoders assume half, exactly or twice the track."""
+    """The plant equals its model; the encoders assume half of the track, the track, or twice the track."""
     wheels = {"track": 0.33 * 0.62 * factor, "encoder_track": 0.33}
     controller = Controller({"wheels": wheels, "extra_dead_time": {"v": 0.0, "omega": 0.0}}, model=model)
     step, gains = controller.step, []
 
-    def recording_step(*measured, **options):
-        result = step(*measured, **options)
+    def recording_step(*arguments, **options):
+        result = step(*arguments, **options)
         gains.append(result.estimate.slip.omega_gain * result.estimate.slip.yaw_gain)
         return result
 
     controller.step = recording_step
     run = simulate(controller, make_plant(model, surface="ideal", sensors="perfect"), load_trajectory("circle"))
-    turning = np.flatnonzero(np.abs(run.true_twist[:, 2]) > 0.05)[0]
-    known = turning + round(2.0 / run.sample_time)
-    assert np.abs(np.array(gains)[known:] - 1.0).max() < 0.02
-    assert np.abs(run.errors.lateral[known:]).max() < 0.002
+    start = np.flatnonzero(np.abs(run.true_twist[:, 2]) > 0.05)[0]
+    converged = start + round(2.0 / run.sample_time)
+    assert np.abs(np.array(gains)[converged:] - 1.0).max() < 0.02
+    assert np.abs(run.errors.lateral[converged:]).max() < 0.002

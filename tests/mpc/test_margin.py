@@ -1,4 +1,4 @@
-"""Weights of increments from the delay that the closed loop tolerates."""
+"""Weights of increments, computed from the delay margin of the closed loop."""
 
 import numpy as np
 import pytest
@@ -22,20 +22,20 @@ IDEAL = {
 
 
 def growth(channel, share):
-    """Return the growth of the oscillation of SM over 6 s, with `share` of its margin as unknown delay in a channel."""
+    """Return the growth of an oscillation over 6 s with `share` of the margin of SM as unknown delay in a channel."""
     controller = Controller(load_config("sm", IDEAL | {"margin.v": 0.29, "margin.omega": 0.16}))
-    stated = controller.config.margin
-    late = np.eye(2)[channel] * share * [stated.v, stated.omega]
-    robot = IdealRobot(controller.model.with_extra_dead_time(late).discretise(controller.sample_time), [0.0, 0.02, 0.0])
-    t, still = np.linspace(0.0, 20.0, 201), np.zeros(201)
-    line = np.column_stack([margin.SPEED * t, still, still]), np.column_stack([margin.SPEED + still, still, still])
-    controller.start(SplineTrajectory.through("line", t, *line), 0.0)
+    margins = controller.config.margin
+    lags = np.eye(2)[channel] * share * [margins.v, margins.omega]
+    robot = IdealRobot(controller.model.with_extra_dead_time(lags).discretise(controller.sample_time), [0.0, 0.02, 0.0])
+    t, zeros = np.linspace(0.0, 20.0, 201), np.zeros(201)
+    path = np.column_stack([margin.SPEED * t, zeros, zeros]), np.column_stack([margin.SPEED + zeros, zeros, zeros])
+    controller.start(SplineTrajectory.through("line", t, *path), 0.0)
     errors = []
     for _ in range(900):
         robot.advance(controller.step(robot.time, robot.measure()).command)
         errors.append((robot.pose - [margin.SPEED * robot.time, 0.0, 0.0])[channel])
-    before, after = np.array(errors[300:]).reshape(2, 300)
-    return after.std() / before.std()
+    first_half, second_half = np.array(errors[300:]).reshape(2, 300)
+    return second_half.std() / first_half.std()
 
 
 @pytest.mark.parametrize("channel", [0, 1], ids=["v", "omega"])
@@ -49,14 +49,14 @@ def weights(overrides=None, name="sm"):
     return config.weights.v_increment, config.weights.omega_increment
 
 
-def test_weights_equal_those_tuned_for_sm_and_grow_with_the_margin():
+def test_weights_equal_the_tuned_weights_of_sm_and_increase_with_the_margin():
     assert weights() == (5.0, 4.0)
     omega = [weights({"margin.omega": delay})[1] for delay in (0.1, 0.17, 0.2)]
     assert omega[0] == 4.0 < omega[1] < omega[2]
     assert weights({"margin.v": 0.3})[0] > 2 * weights()[0]
 
 
-def test_core_uses_configured_weights_before_those_of_the_margin():
+def test_configured_weights_replace_the_weights_of_the_margin():
     assert weights({"weights.v_increment": 3.0}) == (3.0, weights()[1])
     controller = Controller(load_config("sm", {"weights.omega_increment": 4.0}))
     problem = controller._problem(controller.config)
@@ -66,16 +66,16 @@ def test_core_uses_configured_weights_before_those_of_the_margin():
 def test_update_keeps_the_weights_of_the_start(monkeypatch):
     controller = Controller("sm")
     monkeypatch.setattr(margin, "_increment_weights", None)
-    before = controller.config.weights
-    assert controller.update(weights={"across": 1200.0}).weights == before.model_copy(update={"across": 1200.0})
+    initial = controller.config.weights
+    assert controller.update(weights={"across": 1200.0}).weights == initial.model_copy(update={"across": 1200.0})
     assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
 
 
 def test_weights_are_computed_once_for_equal_settings():
     weights({"margin.v": 0.28})
-    before = margin._increment_weights.cache_info()
+    statistics = margin._increment_weights.cache_info()
     assert weights({"margin.v": 0.28, "limits.v": 0.4}) != weights()
-    assert margin._increment_weights.cache_info().misses == before.misses
+    assert margin._increment_weights.cache_info().misses == statistics.misses
 
 
 def test_unreachable_margin_raises_config_error_and_default_margin_leaves_constants():
@@ -92,17 +92,17 @@ def test_every_shipped_model_tolerates_its_margin():
         config = load_config(name)
         model = load_model(name).discretise(config.sample_time)
         K = margin.feedback(model, config)(np.array(weights(name=name)))
-        for late in np.diag([config.margin.v, config.margin.omega]) / model.dt:
-            assert margin.spectral_radius(model, K, 0.99 * late) < 1.0
+        for delay in np.diag([config.margin.v, config.margin.omega]) / model.dt:
+            assert margin.spectral_radius(model, K, 0.99 * delay) < 1.0
 
 
-# Without limits, the first command is that of a linear-quadratic regulator with preview, from a Riccati recursion.
+# Without limits, the first command equals that of a linear-quadratic regulator with preview (Riccati recursion).
 
 
 STEPS = 25
 
 
-def ramps():
+def ramp_reference():
     """Return a straight path whose speed ramps up and down."""
     times = np.linspace(0.0, 4.0, 81)
     poses = np.column_stack([0.3 * times - 0.1 * np.sin(np.pi * times), 0 * times, 0 * times])
@@ -114,14 +114,14 @@ def regulator(model, weights, state, past, last, error, twists, fed):
     """Return v_ref (1,) of the regulator by dynamic programming.
 
     State: velocity states, delayed commands, position error, last deviation from the feed-forward, 1.
-    `twists` (N + 1,) are speeds of the reference, `fed` (N + 1,) its feed-forward from the last tick on.
+    `twists` (N + 1,) are speeds of the reference; `fed` (N + 1,) is its feed-forward, starting at the last tick.
     """
     n, m, dt = model.order, len(past), model.dt
     size = n + m + 3
     A, B = np.zeros((size, size)), np.zeros(size)
     A[:n, :n] = model.A
-    place = n + m - 1 - int(model.delay[0])
-    for matrix, column in ((model.B0, place + 1), (model.B1, place)):
+    column_before = n + m - 1 - int(model.delay[0])
+    for matrix, column in ((model.B0, column_before + 1), (model.B1, column_before)):
         if column == n + m:
             B[:n] += matrix[:, 0]
         else:
@@ -138,7 +138,7 @@ def regulator(model, weights, state, past, last, error, twists, fed):
         F[n + m, -1] = -dt * twists[k]
         F[n + m + 1, -1] = -fed[k + 1]
         P[n + m, n + m] += weights.along * (weights.terminal if k == STEPS - 1 else 1.0)
-        # Deviation d = u - fed costs weights.v; its change over the last one costs weights.v_increment.
+        # The deviation d = u - fed has the weight weights.v; its change has the weight weights.v_increment.
         change = F[n + m + 1] - np.eye(size)[n + m + 1]
         R = B @ P @ B + weights.v + weights.v_increment
         S = B @ P @ F + weights.v * F[n + m + 1] + weights.v_increment * change
@@ -150,7 +150,7 @@ def regulator(model, weights, state, past, last, error, twists, fed):
 @pytest.mark.parametrize("name", ["sm", "mbm"])
 def test_first_command_equals_the_regulator_with_preview(name):
     controller = Controller(load_config(name, NO_SLIP | PROMPT | {"horizon": STEPS, "solver.tolerance": 1e-9}))
-    model, dt, reference = controller.model.discretise(0.0202), 0.0202, ramps()
+    model, dt, reference = controller.model.discretise(0.0202), 0.0202, ramp_reference()
     robot = IdealRobot(model, np.array([0.03, 0.0, 0.0]))
     drive = record(controller, robot, reference, 70, lambda *_: None)
     t, steps = drive.times[-1], np.arange(STEPS + 1)
@@ -159,10 +159,10 @@ def test_first_command_equals_the_regulator_with_preview(name):
     t += dt
     past = np.array([[0.0, 0.0]] * 20 + drive.commands)[-model.memory :, 0]
     path = reference.sample(t + dt * steps)
-    moved = np.diff(path.pose[:, 0]) / dt
+    speeds = np.diff(path.pose[:, 0]) / dt
     fed = feed_forward(controller, reference, t)[:, 0]
     error = result.estimate.pose[0] - path.pose[0, 0]
-    wanted = regulator(model, controller.config.weights, result.estimate.state, past, past[-1], error, moved, fed)
+    expected = regulator(model, controller.config.weights, result.estimate.state, past, past[-1], error, speeds, fed)
     assert result.solver.method == "unlimited"
-    assert result.command[0] == pytest.approx(wanted, abs=1e-6)
-    assert abs(wanted - fed[1]) > 1e-4
+    assert result.command[0] == pytest.approx(expected, abs=1e-6)
+    assert abs(expected - fed[1]) > 1e-4

@@ -1,4 +1,4 @@
-"""Paths through waypoints near their polyline; the distance is measured densely by an independent function."""
+"""Paths through waypoints near their polyline; an independent function measures the distance at dense points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ZIGZAG = [(0.5 * i, 0.5 * (i % 2)) for i in range(17)]
 ANGLES = np.arange(0.0, 2 * np.pi, 0.1)
 CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 SEEDS = range(55_000, 55_100)
-"""Reserved: no choice in the method was based on these polylines."""
+"""Seeds of polylines that were not used in the development of the method."""
 
 
 def distances(points: FloatArray, polyline: FloatArray) -> FloatArray:
@@ -42,7 +42,7 @@ def dense_points(trajectory: Trajectory, step: float = 0.002) -> FloatArray:
 
 
 def random_polyline(seed: int) -> FloatArray:
-    """Return 4 to 12 points: legs of 0.3 to 10 m, turns of up to 110 degrees."""
+    """Return 4 to 12 points with legs of 0.3 to 10 m and turns of up to 110 degrees."""
     random = np.random.default_rng(seed)
     count = int(random.integers(3, 12))
     heading = np.cumsum(random.uniform(-1.92, 1.92, count))
@@ -60,19 +60,19 @@ def test_path_stays_near_its_polyline_within_all_limits(points, timing):
     trajectory = lay_waypoints(points, LIMITS, name="near", timing=timing)
     distance = distances(dense_points(trajectory), np.array(points, float)).max()
     assert distance <= MAX_DEVIATION
-    # The stated deviation equals the measured one up to sampling.
+    # The reported deviation equals the measured deviation except for sampling.
     assert trajectory.drawn_distance(trajectory.breaks).max() == pytest.approx(distance, rel=0.02)
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.01)
 
 
-def test_points_on_a_smooth_curve_keep_their_spline():
+def test_points_on_a_smooth_curve_give_the_unlimited_spline():
     near, spline = (smooth_path(CIRCLE, "circle", max_deviation=limit) for limit in (0.05, None))
     assert np.array_equal(near.points, spline.points)
     middle = near.curvature[len(near.curvature) // 10 : -len(near.curvature) // 10]
     assert middle == pytest.approx(1.0, abs=0.01)
 
 
-def test_straight_leg_into_dense_points_keeps_the_dense_points_smooth():
+def test_straight_leg_does_not_affect_the_smoothness_at_dense_points():
     points = np.vstack([[[1.0, -10.0]], CIRCLE])
     path = smooth_path(points, "hook", max_deviation=0.05)
     assert distances(path.points, points).max() <= 0.05
@@ -93,7 +93,7 @@ def test_paths_of_random_polylines_stay_near_and_pass_their_points():
         assert (np.abs(np.diff(path.curvature)) <= path.bend_change * path.lengths * 1.05 + 1e-9).all(), seed
 
 
-def test_file_states_its_deviation_and_hairpins_name_the_key(tmp_path: Path):
+def test_deviation_from_a_file_is_used_and_errors_for_hairpins_name_its_key(tmp_path: Path):
     file = tmp_path / "square.yaml"
     file.write_text(f"waypoints: {[list(point) for point in SQUARE]}\nmax_deviation: 0.2\n")
     trajectory = load_trajectory(file)

@@ -27,7 +27,7 @@ class ProbeSettings(PartSettings):
 
 
 class Probe(NodePart):
-    """Records the order of its hook calls."""
+    """Part that records the order of its hook calls."""
 
     schema = ProbeSettings
     fault = "the probe has a fault"
@@ -84,7 +84,7 @@ def parts(monkeypatch):
 
 
 class StubNode:
-    """Stand-in for a node that was started with parameters, sufficient to declare them."""
+    """Stub of a node with parameter overrides, for the declaration of parameters."""
 
     def __init__(self, **overrides):
         self.known, self.warnings = {}, []
@@ -103,7 +103,7 @@ class StubNode:
         return SimpleNamespace(warning=self.warnings.append)
 
 
-def test_parameters_of_a_named_part_are_declared_and_read(parts):
+def test_parameters_of_a_configured_part_are_declared_and_read(parts):
     node = StubNode(parts__probe__current=2.5)
     settings = name_parts(node, NodeSettings(), ())
     declare(node, settings)
@@ -119,11 +119,11 @@ def test_part_of_a_configured_feature_is_loaded_and_unnamed_parts_are_not(parts)
     parts["unused"] = SimpleNamespace(name="unused", load=lambda: pytest.fail("an unnamed part is loaded"))
     assert name_parts(StubNode(), NodeSettings(), ()).parts == {}
     assert name_parts(StubNode(), NodeSettings(), ("probe", "feature_without_part")).parts == {"probe": ProbeSettings()}
-    stated = NodeSettings(parts={"probe": {"current": 3.0}})
-    assert name_parts(StubNode(), stated, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
+    settings = NodeSettings(parts={"probe": {"current": 3.0}})
+    assert name_parts(StubNode(), settings, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
 
 
-def test_missing_package_of_a_part_is_named_in_one_line(parts):
+def test_error_for_a_missing_part_contains_its_package(parts):
     with pytest.raises(MissingPackageError, match=r"^node part 'energy' is in the package diffdrive-mpc-extras: pip "):
         name_parts(StubNode(parts__energy__use_battery=True), NodeSettings(), ())
     with pytest.raises(MissingPackageError, match=r"^node part 'mine': no installed package has it"):
@@ -143,17 +143,17 @@ def test_hooks_are_called_in_the_order_of_the_lifecycle(parts, tmp_path):
         s.node.trigger_cleanup()
         s.base.silent(3)
         assert s.base.silent(3) == 0
-    called = probe.calls
-    assert called[:3] == ["configure", "check", "activate"] and called[-2:] == ["deactivate", "tear down"]
-    ticks = [name for name in called if name.endswith("tick")]
+    calls = probe.calls
+    assert calls[:3] == ["configure", "check", "activate"] and calls[-2:] == ["deactivate", "tear down"]
+    ticks = [name for name in calls if name.endswith("tick")]
     assert len(ticks) >= 60 and ticks == ["tick", "after tick"] * (len(ticks) // 2)
-    assert called.count("limits") == 1
+    assert calls.count("limits") == 1
     (path,) = tmp_path.iterdir()
     assert (read_drive_log(path).columns["battery_current_a"] == 2.5).all()
 
 
 @pytest.mark.parametrize("hook", ["refuse", "refuse_activation"])
-def test_part_refuses_a_transition_and_the_node_recovers(parts, hook):
+def test_node_recovers_after_a_transition_that_a_part_rejects(parts, hook):
     with stack(autostart=False, **{f"parts.probe.{hook}": True}) as s:
         s.node.trigger_configure()
         if hook == "refuse_activation":

@@ -1,4 +1,4 @@
-"""Velocity model given as a function: prediction, comparison of plans with IPOPT, and benefit under saturation."""
+"""Nonlinear velocity models: prediction, comparison of plans with IPOPT, and benefit under saturation."""
 
 import casadi as ca
 import numpy as np
@@ -39,7 +39,7 @@ MODELS = {"states": saturating(), "window": windowed()}
 
 
 class ExactRobot:
-    """Robot that obeys a nonlinear model, with exact sensors."""
+    """Robot with the motion of a nonlinear model and exact sensors."""
 
     def __init__(self, model):
         self.model, self.k, self.state, self.pose = model, 0, np.zeros(model.order), np.zeros(3)
@@ -57,10 +57,10 @@ class ExactRobot:
         return Measurement(Stamped(self.pose.copy(), self.time), yaw_rate=Stamped(float(self.twist[1]), self.time))
 
     def advance(self, command):
-        before, self.line = self.twist, [*self.line, np.array(command)]
+        previous_twist, self.line = self.twist, [*self.line, np.array(command)]
         window = np.concatenate(self.line[-self.model.memory - 1 :])
         self.state = np.array(self.model.step(self.state, window)).ravel()
-        self.pose = integrate_pose(self.pose, *((before + self.twist) / 2), self.model.dt)
+        self.pose = integrate_pose(self.pose, *((previous_twist + self.twist) / 2), self.model.dt)
         self.k += 1
 
 
@@ -75,14 +75,14 @@ def test_saturating_lag_equals_the_solution_of_an_ode_solver():
         return max_rate[0] * np.tanh((u - v) / (LAG[0] * max_rate[0]))
 
     times = np.arange(60) * DT
-    exact = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=DT / 4).y[0]
-    assert output == pytest.approx(exact, abs=1e-5)
+    expected = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=DT / 4).y[0]
+    assert output == pytest.approx(expected, abs=1e-5)
     assert np.diff(output).max() < max_rate[0] * DT
 
 
-def test_lag_of_a_nonlinear_model_is_that_of_its_linearisation():
+def test_lag_of_a_nonlinear_model_equals_the_lag_of_its_linearisation():
     model = saturating(delay=2)
-    # Trapezoids overestimate the area above the step response by this term, because of the kink at its start.
+    # Trapezoids overestimate the area above the step response by the last term, because of the kink at its start.
     assert model.lag == pytest.approx(LAG + 2 * DT + DT**2 / (12 * LAG), abs=2e-5)
     assert model.dc_gain == pytest.approx(np.eye(2), abs=1e-9)
 
@@ -111,16 +111,16 @@ def test_linear_model_as_a_function_gives_the_commands_of_the_linear_model(monke
     newest = sampled.memory
     recent = ca.vertcat(*(window[2 * (newest - int(d)) + j] for j, d in enumerate(sampled.delay)))
     older = ca.vertcat(*(window[2 * (newest - int(d) - 1) + j] for j, d in enumerate(sampled.delay)))
-    after = sampled.A @ x + sampled.B0 @ recent + sampled.B1 @ older
-    step = ca.Function("step", [x, window], [after], ["x", "window"], ["after"])
+    next_state = sampled.A @ x + sampled.B0 @ recent + sampled.B1 @ older
+    step = ca.Function("step", [x, window], [next_state], ["x", "window"], ["after"])
     output = ca.Function("output", [x], [sampled.C @ x], ["x"], ["y"])
-    # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.
+    # With the provenance of the same robot; otherwise the ratio of yaw rates would be less certain.
     model = NonlinearModel("ssm", step, output, DT, newest, provenance=linear.provenance)
     assert model.lag == pytest.approx(linear.lag, abs=5e-4)
     # Exclude the error of the trapezoids from the comparison.
     monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
-    fixed = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
-    controllers = [Controller(load_config("ssm", fixed), choice) for choice in (linear, model)]
+    overrides = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
+    controllers = [Controller(load_config("ssm", overrides), choice) for choice in (linear, model)]
     plant = make_plant("mujoco", seed=0)
     plant.reset(CIRCLE.sample([0.0]).pose[0])
     for controller in controllers:
@@ -138,15 +138,15 @@ def test_nonlinear_model_tracks_better_than_its_linearisation_under_saturation()
     A, B, C = np.diag(-1 / LAG), np.diag(1 / LAG), np.eye(2)
     linear = VelocityModel("linearised", "ssm", A, B, C, dead_time=np.full(2, 2 * DT))
     config, errors = load_config("ssm"), []
-    for choice in (linear, model):
-        robot, controller, square = ExactRobot(model), Controller(config, choice), load_trajectory("square")
+    for tracked_model in (linear, model):
+        robot, controller, square = ExactRobot(model), Controller(config, tracked_model), load_trajectory("square")
         controller.start(square, 0.0)
         reference = square.sample(np.arange(600) * DT).pose
-        off = []
+        distances = []
         for k in range(600):
-            off.append(np.hypot(*(robot.pose - reference[k])[:2]))
+            distances.append(np.hypot(*(robot.pose - reference[k])[:2]))
             robot.advance(controller.step(robot.time, robot.measure()).command)
-        errors.append(np.sqrt(np.mean(np.square(off))))
+        errors.append(np.sqrt(np.mean(np.square(distances))))
     assert errors[1] < 0.9 * errors[0]
 
 
@@ -156,35 +156,35 @@ def test_nonlinear_model_tracks_the_mujoco_robot():
     assert set(run.modes) == {"TRACKING"}
 
 
-def test_invalid_model_functions_are_refused_in_one_line():
+def test_invalid_model_functions_raise_error_in_one_line():
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 4)
     output = ca.Function("output", [x], [x], ["x"], ["y"])
 
-    def model(after, memory=1):
+    def model(next_state, memory=1):
         return NonlinearModel(
-            "bad", ca.Function("step", [x, window], [after], ["x", "window"], ["a"]), output, DT, memory
+            "bad", ca.Function("step", [x, window], [next_state], ["x", "window"], ["a"]), output, DT, memory
         )
 
-    for after, message in (
+    for next_state, message in (
         (1.1 * x + window[2:], "unstable at rest"),
         (0.5 * x + window[2:] + 1.0, "x = 0 must be the steady state"),
         (0.5 * x, "gain 0 from v_ref"),
     ):
         with pytest.raises(ModelError, match=message):
-            model(after)
+            model(next_state)
     with pytest.raises(ModelError, match="step has 4 numbers in window, expected 6"):
         model(0.5 * x + window[2:], memory=2)
     with pytest.raises(ConfigError, match="set sample_time to it"):
         Controller(load_config("ssm"), model=saturating(dt=0.01))
 
 
-def test_feed_forward_keeps_a_speed_at_which_the_gain_differs_from_rest():
-    """For a robot at the speed of the reference, the plan is the command that keeps it: no cost, no deviation."""
+def test_feed_forward_holds_a_speed_with_a_gain_that_differs_from_rest():
+    """At the speed of the reference, the plan is the steady command, with zero cost and deviation."""
     model = windowed()
     config = load_config("ssm", {"reentry.enabled": False} | NO_SLIP | EXACT)
     controller, robot = Controller(config, model=model), ExactRobot(model)
     drive = record(controller, robot, CIRCLE, 250, lambda controller, t: None)
-    wanted = CIRCLE.sample([249 * DT]).twist[0]
-    steady_command = 1.5 * np.arctanh(wanted / 1.5)
+    target = CIRCLE.sample([249 * DT]).twist[0]
+    steady_command = 1.5 * np.arctanh(target / 1.5)
     assert drive.commands[-1] == pytest.approx(steady_command, abs=1e-5)
-    assert np.abs(steady_command - wanted).min() > 0.01, "the gain at rest must differ"
+    assert np.abs(steady_command - target).min() > 0.01, "the gain at rest must differ"

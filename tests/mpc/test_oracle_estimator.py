@@ -1,4 +1,4 @@
-"""The oracle's estimator, and its filter against finite differences of its predictions and the textbook filter."""
+"""The oracle's estimator, and its filter against finite differences and the textbook filter."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -22,7 +22,7 @@ MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 
 
 class TextbookEstimator(Estimator):
-    """Settings without thresholds on surprise and speed."""
+    """Settings without thresholds on innovations and speeds."""
 
     surprise: ClassVar[float] = 1e9
     min_yaw_rate: ClassVar[float] = 1e-9
@@ -33,15 +33,15 @@ SETTINGS = TextbookEstimator()
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
 SIZE = N + 16
-NONE = np.zeros((SIZE, SIZE))
+ZERO_COVARIANCE = np.zeros((SIZE, SIZE))
 STEP = 1e-6
 NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, *[0] * 7], np.zeros(5)])
-# Delays within one sample, for which the prediction is smooth.
+# Delays within one sample, because the prediction has kinks at whole samples.
 SPREAD = np.concatenate([np.ones(N + 11), [0.0, 0.0], np.ones(3)])
-LATE = np.concatenate([np.zeros(N + 11), [0.4 * DT, 0.7 * DT], np.zeros(3)])
+DELAYS = np.concatenate([np.zeros(N + 11), [0.4 * DT, 0.7 * DT], np.zeros(3)])
 
 means = st.lists(st.floats(-0.5, 0.5), min_size=SIZE, max_size=SIZE).map(
-    lambda z: NEUTRAL + LATE + SPREAD * np.array(z)
+    lambda z: NEUTRAL + DELAYS + SPREAD * np.array(z)
 )
 commands = st.lists(st.floats(-1, 1), min_size=2, max_size=2).map(np.array)
 
@@ -56,7 +56,7 @@ def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, activ
     rng = np.random.default_rng(0)
     root = rng.normal(size=(SIZE, SIZE))
     P = root @ root.T
-    noise = FILTER.predict(Belief(mean, NONE), active_commands).covariance
+    noise = FILTER.predict(Belief(mean, ZERO_COVARIANCE), active_commands).covariance
     acceleration = FILTER.acceleration(mean, active_commands)
     F = gradient(lambda z: FILTER.process(z, active_commands, acceleration), mean)
     predicted = FILTER.predict(Belief(mean, P), active_commands).covariance
@@ -64,24 +64,24 @@ def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, activ
     assert np.linalg.eigvalsh(noise).min() > -1e-15
 
 
-def test_process_noise_enters_through_the_inputs():
-    noise = FILTER.predict(Belief(NEUTRAL, NONE), np.zeros((4, 2))).covariance
+def test_process_noise_acts_on_the_inputs():
+    noise = FILTER.predict(Belief(NEUTRAL, ZERO_COVARIANCE), np.zeros((4, 2))).covariance
     settings, drive = Estimator(), MODEL.B0 + MODEL.B1
     expected = drive @ np.diag(np.square([settings.v_input_noise, settings.omega_input_noise])) @ drive.T
     assert noise[:N, :N] == pytest.approx(expected, rel=1e-9)
 
 
 def test_gains_and_their_variances_stay_constant_at_rest():
-    before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
-    settled = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros((4, 2)))
-    growth = np.diag(settled.covariance - before.covariance)[N : N + 11]
+    belief = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
+    predicted = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(belief, np.zeros((4, 2)))
+    growth = np.diag(predicted.covariance - belief.covariance)[N : N + 11]
     assert (growth[[0, 10]] > 0).all()
     assert growth[1:10] == pytest.approx(0, abs=1e-15)
 
 
 @given(means, st.floats(0, 0.9 * DT))
 def test_pose_correction_equals_the_textbook_filter(mean, ahead):
-    """Mean and covariance of an extended Kalman filter whose gradient comes from finite differences."""
+    """Mean and covariance equal those of an extended Kalman filter with gradients from finite differences."""
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(1)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
@@ -126,25 +126,25 @@ def test_twist_correction_equals_the_textbook_filter(sensor, expected, mean):
     assert normalised == pytest.approx(0.05**2 / S, rel=1e-4)
 
 
-def test_surprising_measurement_corrects_the_state_but_not_slip():
-    wary = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
+def test_outlier_corrects_the_state_but_not_slip():
+    slip_filter = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(11, 1e-4), np.full(2, 1e-6), np.full(3, 1e-5)]))
-    after, _ = wary.correct(Belief(mean, P), "yaw_rate", 2.0, 1e-4)
-    assert after.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
-    assert wary.twist(after.mean)[1] == pytest.approx(2.0, abs=0.05)
-    moved, _ = wary.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
-    assert moved.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
-    assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
+    by_gyro, _ = slip_filter.correct(Belief(mean, P), "yaw_rate", 2.0, 1e-4)
+    assert by_gyro.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
+    assert slip_filter.twist(by_gyro.mean)[1] == pytest.approx(2.0, abs=0.05)
+    by_pose, _ = slip_filter.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
+    assert by_pose.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
+    assert by_pose.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
 @given(st.floats(-9, 9))
 def test_gains_stay_within_their_bounds(value):
-    trusting = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
+    slip_filter = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
-    belief, _ = trusting.correct(Belief(mean, np.diag(np.full(SIZE, 10.0))), "yaw_rate", value, 1e-6)
+    belief, _ = slip_filter.correct(Belief(mean, np.diag(np.full(SIZE, 10.0))), "yaw_rate", value, 1e-6)
     gains = belief.mean[N + 1 : N + 4]
     assert (gains >= SETTINGS.min_gain).all()
     assert (gains <= SETTINGS.max_gain).all()
@@ -154,23 +154,23 @@ TICKS = np.arange(2500)
 COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
-def run(estimator, robot, ticks=200, deliver=None, command=None, after=None):
-    """Drive open loop; `deliver(k, measurement)` replaces measurements, `after(k)` runs after each update.
+def run(estimator, robot, ticks=200, change=None, command=None, on_update=None):
+    """Drive open loop; `change(k, measurement)` replaces measurements, `on_update(k)` runs after each update.
 
     The command is `command`, or an entry of COMMANDS.
     """
     messages = []
     for k in range(ticks):
         measurement = robot.measure()
-        if deliver is not None:
-            measurement = deliver(k, measurement)
+        if change is not None:
+            measurement = change(k, measurement)
         estimator.advance(robot.time)
         messages += estimator.update(robot.time, measurement)
-        if after is not None:
-            after(k)
-        sent = COMMANDS[k] if command is None else np.array(command)
-        estimator.commands.append(sent)
-        robot.advance(sent)
+        if on_update is not None:
+            on_update(k)
+        applied = COMMANDS[k] if command is None else np.array(command)
+        estimator.commands.append(applied)
+        robot.advance(applied)
     return messages
 
 
@@ -184,53 +184,53 @@ def test_exact_measurements_give_the_exact_estimate():
     assert estimate.pose_age == 0
 
 
-@pytest.mark.parametrize("late", [1, 3, 8])
-def test_late_poses_give_the_estimate_of_punctual_ones(late):
-    """Poses in time up to some tick and the same poses late lead to the same estimate."""
-    in_time, delayed = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
+@pytest.mark.parametrize("delay", [1, 3, 8])
+def test_late_poses_give_the_estimate_of_punctual_poses(delay):
+    """Punctual poses up to a tick and the same poses with a delay lead to the same estimate."""
+    punctual, delayed = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
     queue = []
 
-    def hold_back(k, measurement):
+    def delay_poses(k, measurement):
         queue.append(measurement.pose)
-        return replace(measurement, pose=queue[k - late] if k >= late else (queue[0] if k == 0 else None))
+        return replace(measurement, pose=queue[k - delay] if k >= delay else (queue[0] if k == 0 else None))
 
     def stop_early(k, measurement):
-        return measurement if k < 100 - late else replace(measurement, pose=None)
+        return measurement if k < 100 - delay else replace(measurement, pose=None)
 
-    run(delayed, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, hold_back)
-    run(in_time, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, stop_early)
-    assert delayed.estimate.pose == pytest.approx(in_time.estimate.pose, abs=1e-12)
-    assert delayed.estimate.slip.flat == pytest.approx(in_time.estimate.slip.flat, abs=1e-12)
-    assert delayed.estimate.pose_deviation == pytest.approx(in_time.estimate.pose_deviation, abs=1e-12)
+    run(delayed, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, delay_poses)
+    run(punctual, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, stop_early)
+    assert delayed.estimate.pose == pytest.approx(punctual.estimate.pose, abs=1e-12)
+    assert delayed.estimate.slip.flat == pytest.approx(punctual.estimate.slip.flat, abs=1e-12)
+    assert delayed.estimate.pose_deviation == pytest.approx(punctual.estimate.pose_deviation, abs=1e-12)
 
 
-def test_readings_count_at_the_time_they_represent():
-    """Half a tick old poses with a stated delay, and wheels of the same lag that read too much: all stamped now."""
+def test_delays_of_readings_in_the_configuration_are_compensated():
+    """All stamps are current; poses are half a tick old, and wheel speeds have that lag and a scale error."""
     responses = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=WheelResponse(lag=0.5 * DT, scale=1.05))
     estimator, robot = StateEstimator(MODEL, Estimator(), sensors=responses), IdealRobot(MODEL, np.zeros(3))
     wheels = [np.zeros(2)]
 
-    def half_a_tick_ago(_, measurement):
+    def delay_readings(_, measurement):
         wheels.append(measurement.wheel_twist.value)
         pose = integrate_pose(robot.pose, *robot.twist, -0.5 * DT)
-        read = Stamped(1.05 * 0.5 * (wheels[-1] + wheels[-2]), robot.time)
-        return replace(measurement, pose=Stamped(pose, robot.time), wheel_twist=read)
+        reading = Stamped(1.05 * 0.5 * (wheels[-1] + wheels[-2]), robot.time)
+        return replace(measurement, pose=Stamped(pose, robot.time), wheel_twist=reading)
 
-    run(estimator, robot, 200, half_a_tick_ago)
-    # Without the correction, half a tick of travel, 5 mm, and 25 mm/s would remain.
+    run(estimator, robot, 200, delay_readings)
+    # Without the correction, the errors would be 5 mm (half a tick of motion) and 25 mm/s.
     assert estimator.estimate.pose[:2] == pytest.approx(robot.poses[-2][:2], abs=5e-4)
     assert estimator.estimate.slip.v_offset == pytest.approx(0.0, abs=1e-3)
 
 
 SLIP = Slip(v_offset=0.04, longitudinal_gain=0.985, yaw_gain=0.85, side_slip=0.08)
-# The same robot with its load ahead, to the left, and one that dips during acceleration.
+# The same robot with its load ahead or to the left, or with a load that shifts during acceleration.
 LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace(SLIP, load_shift=0.05)]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("slip", [SLIP, *LOADED], ids=["middle", "ahead", "left", "dips"])
 def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
-    """Each value is within two of its standard deviations; the turning point within 15 mm."""
+    """The error of each value is below two standard deviations; that of the turning point is below 15 mm."""
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
     result, deviation = (np.array(part.flat) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
@@ -240,12 +240,12 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
 
 
 def test_wheel_gain_is_not_attributed_to_slip():
-    """Encoders measure the wheels: their gain goes into omega_gain, not into yaw_gain."""
+    """Encoders measure the wheels: a wrong gain of the wheels changes omega_gain, not yaw_gain."""
 
-    class AdaptsAtOnce(Estimator):
+    class NoEvidenceThreshold(Estimator):
         gain_evidence: ClassVar[float] = 0.0
 
-    estimator = StateEstimator(MODEL, AdaptsAtOnce())
+    estimator = StateEstimator(MODEL, NoEvidenceThreshold())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=Slip(omega_gain=0.9)), 600)
     assert estimator.estimate.slip.omega_gain == pytest.approx(0.9, abs=0.01)
     assert estimator.estimate.slip.yaw_gain == pytest.approx(1.0, abs=0.01)
@@ -266,13 +266,13 @@ def test_disabled_compensation_keeps_its_slip_at_zero(part, names):
         assert (getattr(estimator.estimate.slip, name) == getattr(Slip(), name)) == (name in names)
 
 
-def yaw_gains(after, ticks):
-    """Return estimates at each tick of a drive on which the yaw gain falls to `after` at tick 300 for `ticks`."""
+def yaw_gains(temporary, ticks):
+    """Return the estimated yaw gain of each tick; the true gain is `temporary` for `ticks` from tick 300 on."""
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
     results = []
 
     def change(k, measurement):
-        robot.slip = replace(robot.slip, yaw_gain=after if 300 <= k < 300 + ticks else 1.0)
+        robot.slip = replace(robot.slip, yaw_gain=temporary if 300 <= k < 300 + ticks else 1.0)
         results.append(estimator.estimate.slip.yaw_gain if estimator.ready else 1.0)
         return measurement
 
@@ -280,15 +280,15 @@ def yaw_gains(after, ticks):
     return np.array(results)
 
 
-@pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
-def test_sudden_change_of_surface_is_learned_within_seconds(after):
-    """A lasting deviation counts as slip, however large it is."""
-    result = yaw_gains(after, 400)
+@pytest.mark.parametrize("yaw_gain", [0.35, 0.6, 1.8])
+def test_sudden_change_of_surface_is_learned_within_seconds(yaw_gain):
+    """A lasting deviation of any size is estimated as slip."""
+    result = yaw_gains(yaw_gain, 400)
     assert result[295] == pytest.approx(1.0, abs=0.05)
-    assert np.median(result[500:]) == pytest.approx(after, rel=0.1)
+    assert np.median(result[500:]) == pytest.approx(yaw_gain, rel=0.1)
 
 
-def test_short_jerk_does_not_change_slip():
+def test_short_disturbance_does_not_change_slip():
     result = yaw_gains(0.2, 15)
     assert result[300:] == pytest.approx(np.full(400, result[300]), abs=0.1)
 
@@ -296,29 +296,31 @@ def test_short_jerk_does_not_change_slip():
 def test_yaw_gains_are_frozen_at_low_yaw_rate():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=SLIP, noise=1.0)
     run(estimator, robot, 20, command=(0.5, 0.03))
-    before, gains = estimator.estimate, estimator.nodes[-1].posterior.mean[[N + 1, N + 3]]
+    first, gains = estimator.estimate, estimator.nodes[-1].posterior.mean[[N + 1, N + 3]]
     run(estimator, robot, 280, command=(0.5, 0.03))
-    after = estimator.estimate
+    second = estimator.estimate
     assert (estimator.nodes[-1].posterior.mean[[N + 1, N + 3]] == gains).all()
-    assert after.slip_deviation.yaw_gain <= before.slip_deviation.yaw_gain
-    assert after.slip.v_offset != before.slip.v_offset
+    assert second.slip_deviation.yaw_gain <= first.slip_deviation.yaw_gain
+    assert second.slip.v_offset != first.slip.v_offset
 
 
 def test_innovations_are_chi_squared_distributed():
-    """For a robot as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
+    """For a robot with the noise that the filter assumes, the mean over seeds is inside its 99.9 % interval.
 
-    Squared innovations over their variances, k values in each of n, follow a chi-squared distribution with n k degrees
-    of freedom, divided by n k.
+    The mean of n normalised squared innovations of dimension k follows a chi-squared distribution with n k degrees of
+    freedom, divided by n k.
     """
-    values, numbers = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
+    values, dimensions = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
     for seed in range(10):
         estimator, robot = StateEstimator(MODEL, Estimator()), NoisyRobot(MODEL, Estimator(), seed)
 
-        def note(k, estimator=estimator):
+        def record(k, estimator=estimator):
             if k >= 10:
                 values.append([estimator.estimate.innovations[sensor] for sensor in SENSORS])
 
-        run(estimator, robot, 150, after=note)
-    low, high = chi2.interval(0.999, numbers * len(values))
-    total = numbers * np.sum(values, axis=0)
-    assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
+        run(estimator, robot, 150, on_update=record)
+    low, high = chi2.interval(0.999, dimensions * len(values))
+    total = dimensions * np.sum(values, axis=0)
+    assert (low < total).all() and (total < high).all(), dict(
+        zip(SENSORS, total / dimensions / len(values), strict=True)
+    )

@@ -23,22 +23,22 @@ SLIP = Slip(
 
 def problem(model_name, horizon, **overrides):
     model = load_model(model_name).with_extra_dead_time(EXTRA).discretise(DT)
-    # With lighter weights the iterations converge slowly for a resting robot.
+    # With lower weights the iterations converge slowly for a robot at rest.
     weights = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
     return TrackingProblem(load_config("ssm", {"horizon": horizon} | weights | overrides), model)
 
 
 def setting(model_name, horizon=15, **overrides):
     """Return the problem and the tick of a robot next to a curve, at speed."""
-    subject = problem(model_name, horizon, **overrides)
-    # For the corridor the robot drives outwards, so that the limit is active.
+    tracking_problem = problem(model_name, horizon, **overrides)
+    # With a corridor, the robot drives outwards, so that the limit is active.
     heading = -0.3 if "limits.corridor" in overrides else 0.06
     theta = 0.5 * DT * np.arange(horizon + 1)
     aim = np.column_stack([np.sin(theta), 1 - np.cos(theta), theta])
-    past, steps = np.tile([0.45, 0.4], (subject.model.memory + 3, 1)), np.arange(horizon)
-    return subject, Tick(
+    past, steps = np.tile([0.45, 0.4], (tracking_problem.model.memory + 3, 1)), np.arange(horizon)
+    return tracking_problem, Tick(
         pose=np.array([0.02, -0.03, heading]),
-        state=subject.model.settled_state([0.45, 0.4]),
+        state=tracking_problem.model.settled_state([0.45, 0.4]),
         slip=SLIP,
         past=past,
         last_command=past[-1],
@@ -51,12 +51,12 @@ def setting(model_name, horizon=15, **overrides):
 
 
 def converge(subject, tick, iterations=30):
-    """Return the fixed point of real-time iterations of a resting robot."""
+    """Return the fixed point of real-time iterations of a robot at rest."""
     plan = tick.feed_forward
     for _ in range(iterations):
-        before, solution = plan, solve(subject.quadratic_program(tick, plan))
+        previous, solution = plan, solve(subject.quadratic_program(tick, plan))
         plan = solution.x.reshape(-1, 2)
-        if np.abs(plan - before).max() < 1e-8:
+        if np.abs(plan - previous).max() < 1e-8:
             return plan, solution
     raise AssertionError("the iteration does not converge")
 
@@ -71,7 +71,7 @@ def ipopt(subject, tick, ahead=None):
     return solution[: 2 * subject.steps].reshape(-1, 2)
 
 
-def test_fixed_turning_points_of_the_guess_cost_little():
+def test_fixed_turning_points_of_the_guess_increase_the_cost_slightly():
     """The iteration converges to the optimum for fixed turning points, which is close to the true optimum."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
@@ -79,8 +79,8 @@ def test_fixed_turning_points_of_the_guess_cost_little():
     ahead = subject.turning_points(tick, plan)
     assert np.ptp(ahead) > 0.004
     assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
-    cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
-    assert cost(best.ravel()) <= cost(plan.ravel()) < 1.02 * cost(best.ravel())
+    cost, optimum = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
+    assert cost(optimum.ravel()) <= cost(plan.ravel()) < 1.02 * cost(optimum.ravel())
 
 
 def nonlinear_cost(subject, tick, ahead):
@@ -107,5 +107,5 @@ def test_feed_forward_leads_by_one_lag_and_the_delay():
     feed_forward = FeedForward(model, DT, 10, 3)
     ramp = np.outer(np.arange(feed_forward.samples) * DT, [1.0, 1.0])
     twist = feed_forward.commands(ramp, Slip(), np.array([1.5, 2.0])) @ model.dc_gain.T
-    later = np.arange(-1, 10)[:, None] * DT + model.lag + DT * np.array([1.5, 2.0])
-    assert twist == pytest.approx(later, abs=1e-9)
+    expected = np.arange(-1, 10)[:, None] * DT + model.lag + DT * np.array([1.5, 2.0])
+    assert twist == pytest.approx(expected, abs=1e-9)

@@ -1,6 +1,6 @@
-"""Outages of the base, after which the robot may be elsewhere: after a long silence it waits for a person.
+"""Outages of the base, after which the robot may be at another position: after a long outage it waits for `start`.
 
-The node's loop and inbox are driven without DDS in simulated time, so that long silences take little time.
+Loop and inbox of the node run without DDS in simulated time, so that long outages take little time.
 """
 
 import math
@@ -22,7 +22,7 @@ DT = CONFIG.sample_time
 
 
 class Rig:
-    """Loop, inbox and a base that can be switched off and carried away."""
+    """Loop, inbox, and a base that can be switched off and displaced."""
 
     def __init__(self, trajectory="circle", overrides=None, **settings):
         self.tick_number, self.on, self.carried, self.delay = 0, True, np.zeros(3), 0.0
@@ -40,28 +40,28 @@ class Rig:
         return round(1e9 * DT * self.tick_number)
 
     def pose(self):
-        """Return the pose that the base reports: that of the plant in the frame after the last displacement."""
-        (x, y, turned), plant = self.carried, np.asarray(self.plant.true_pose)
-        c, s = math.cos(turned), math.sin(turned)
-        return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + turned])
+        """Return the reported pose: the pose of the plant in the frame after the last displacement."""
+        (x, y, angle), plant = self.carried, np.asarray(self.plant.true_pose)
+        c, s = math.cos(angle), math.sin(angle)
+        return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + angle])
 
-    def carry(self, away):
-        """Move the robot by `away` (3,) [m, m, rad]."""
-        target, plant = self.pose() + away, np.asarray(self.plant.true_pose)
-        turned = target[2] - plant[2]
-        c, s = math.cos(turned), math.sin(turned)
+    def carry(self, displacement):
+        """Move the robot by `displacement` (3,) [m, m, rad]."""
+        target, plant = self.pose() + displacement, np.asarray(self.plant.true_pose)
+        angle = target[2] - plant[2]
+        c, s = math.cos(angle), math.sin(angle)
         shift = target[:2] - [c * plant[0] - s * plant[1], s * plant[0] + c * plant[1]]
-        self.carried = np.array([*shift, turned])
+        self.carried = np.array([*shift, angle])
 
     def tick(self):
         """Run one tick: sensors, command, motion."""
         self.tick_number += 1
-        measured = self.plant.measure()
+        measurement = self.plant.measure()
         message = Odometry(child_frame_id="base_link")
         message.header.stamp = time_message(max(0, self.now - round(1e9 * self.delay)))
         message.header.frame_id = "odom"
         message.pose.pose = pose_message(self.pose())
-        message.twist.twist.linear.x, message.twist.twist.angular.z = map(float, measured.wheel_twist.value)
+        message.twist.twist.linear.x, message.twist.twist.angular.z = map(float, measurement.wheel_twist.value)
         if self.on:
             self.inbox.take_odometry(message)
         if self.settings.poses_from == "topic":
@@ -88,12 +88,12 @@ class Rig:
 
 def random_displacement(random):
     """Return a displacement (3,) between zero and several metres, with any heading."""
-    away, side = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
-    return np.array([away * math.cos(side), away * math.sin(side), random.uniform(-math.pi, math.pi) * (away > 0)])
+    away, angle = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
+    return np.array([away * math.cos(angle), away * math.sin(angle), random.uniform(-math.pi, math.pi) * (away > 0)])
 
 
-def silent_base(seed, **settings):
-    """Switch the base off for 2 to 600 s and on elsewhere; return the rig, and the commands after that."""
+def drive_with_outage(seed, **settings):
+    """Switch the base off for 2 to 600 s and displace the robot; return the rig and the commands after the outage."""
     random = np.random.default_rng(seed)
     rig = Rig(random.choice(["circle", "square", "s", "cane"]), **settings)
     rig.start_drive(random.uniform(0.5, 4.0))
@@ -108,8 +108,8 @@ def silent_base(seed, **settings):
 
 @pytest.mark.parametrize("seed", [0, 2])
 @pytest.mark.parametrize("pose_source", ["odometry", "topic"])
-def test_robot_stays_at_rest_after_a_long_silence_until_start(seed, pose_source):
-    rig, commands = silent_base(seed, pose_source=pose_source)
+def test_robot_stays_at_rest_after_a_long_outage_until_start(seed, pose_source):
+    rig, commands = drive_with_outage(seed, pose_source=pose_source)
     assert not commands.any()
     assert rig.loop.last.mode == Mode.STOPPED
     assert "stopped after a failure (odometry is " in rig.loop.last.message
@@ -120,14 +120,14 @@ def test_robot_stays_at_rest_after_a_long_silence_until_start(seed, pose_source)
 
 
 @pytest.mark.long
-def test_robot_moves_after_none_of_many_silences():
+def test_robot_stays_at_rest_after_many_outages():
     for seed in range(100):
-        _, commands = silent_base(7000 + seed)
+        _, commands = drive_with_outage(7000 + seed)
         assert not commands.any(), seed
 
 
 @pytest.mark.parametrize("outage", np.linspace(0.1, 0.9, 9).round(1))
-def test_robot_continues_after_a_short_silence(outage):
+def test_robot_continues_after_a_short_outage(outage):
     rig = Rig()
     rig.start_drive()
     rig.on = False
@@ -138,7 +138,7 @@ def test_robot_continues_after_a_short_silence(outage):
     assert rig.loop.last.message in ("", "the reference is late and catches up")
 
 
-def test_old_stamps_count_as_silence():
+def test_old_stamps_count_as_an_outage():
     rig = Rig()
     rig.run(40.0)
     rig.start_drive()
@@ -158,7 +158,7 @@ def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
     assert rig.commands[-1].any() is np.bool_(not waits)
 
 
-def test_silence_during_a_hold_counts():
+def test_outage_during_a_hold_requires_a_start():
     rig = Rig()
     rig.start_drive()
     rig.loop.hold(on=True)
@@ -171,13 +171,13 @@ def test_silence_during_a_hold_counts():
     assert not rig.run(2.0).any()
 
 
-def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
+def test_resume_returns_to_the_waiting_reference():
     rig = Rig("s")
     rig.start_drive(4.0)
-    reached = rig.loop.last.result.reference[0]
+    last_target = rig.loop.last.result.reference[0]
     rig.on = False
     rig.run(1.0)
-    # Back along the path by less than max_position_error: without progress, so the robot drives this stretch again.
+    # The robot is moved back by less than max_position_error, without progress: it drives this part of the path again.
     rig.carry(np.array([-0.5, 0.0, 0.0]))
     rig.run(20.0)
     rig.on = True
@@ -189,7 +189,7 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     assert rig.loop.last.mode == Mode.TRACKING
     sample = rig.loop.reference.sample([rig.now * 1e-9 - rig.loop.drive.t0 - rig.loop.last.result.reference_delay])
     assert np.hypot(*(rig.pose() - sample.pose[0])[:2]) < 0.05
-    assert np.hypot(*(sample.pose[0] - reached)[:2]) > 0.5
+    assert np.hypot(*(sample.pose[0] - last_target)[:2]) > 0.5
 
 
 def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
@@ -197,7 +197,7 @@ def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
     rig.start_drive(3.0)
     rig.on = False
     rig.run(2.0)
-    # To the opposite side of the circle: on the path, but without progress.
+    # The robot is moved to the opposite side of the circle: on the path, but without progress.
     x, y, theta = rig.pose()
     opposite = np.array([-x, 2.0 - y, theta + math.pi])
     rig.carry(opposite - rig.pose())
@@ -210,17 +210,17 @@ def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
     assert rig.loop.start().startswith("starts")
 
 
-def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
-    for away, waits in ((0.6, False), (4.2, True)):
+def test_robot_waits_after_a_jump_beyond_the_position_error_only():
+    for distance, waits in ((0.6, False), (4.2, True)):
         rig = Rig()
         rig.start_drive(3.0)
-        rig.carry(np.array([0.0, away, 0.0]))
+        rig.carry(np.array([0.0, distance, 0.0]))
         rig.run(8.0)
         assert rig.controller.is_latched is waits
         assert rig.commands[-1].any() is not np.bool_(waits)
 
 
-def test_resume_is_refused_if_not_waiting_and_a_new_reference_if_waiting():
+def test_only_a_waiting_robot_accepts_resume_and_rejects_a_new_reference():
     rig = Rig()
     with pytest.raises(RefusedError, match="there is no drive to resume"):
         rig.loop.resume()

@@ -30,7 +30,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """Return a drive over DDS and its missed samples; the clock repeats often, as if responses were late."""
+    """Return a drive over DDS and its missed samples; the base repeats the clock often, as for late responses."""
     folder = tmp_path_factory.mktemp("drive")
     base = folder / "base.yaml"
     shipped = SHIPPED.read_text(encoding="utf-8")
@@ -42,46 +42,46 @@ def drive(tmp_path_factory):
     return run, missed_samples(folder / "bag", plant.sample_time)
 
 
-def test_commands_over_dds_equal_those_of_one_process(drive):
+def test_commands_over_dds_equal_commands_in_one_process(drive):
     """The node ignores covariances of wheels and gyro; the drive in one process omits them as well."""
     controller, plant, reference = build(CASE)
     measure = plant.measure
 
     def measure_without_covariance():
-        full = measure()
-        plain = {name: replace(getattr(full, name), covariance=None) for name in ("wheel_twist", "yaw_rate")}
-        return replace(full, **plain)
+        measurement = measure()
+        parts = {name: replace(getattr(measurement, name), covariance=None) for name in ("wheel_twist", "yaw_rate")}
+        return replace(measurement, **parts)
 
     plant.measure = measure_without_covariance
-    alone = simulate(controller, plant, reference)
-    assert np.abs(alone.command - drive[0].command).max() < 1e-9
-    assert np.abs(alone.true_pose - drive[0].true_pose).max() < 1e-9
+    expected = simulate(controller, plant, reference)
+    assert np.abs(expected.command - drive[0].command).max() < 1e-9
+    assert np.abs(expected.true_pose - drive[0].true_pose).max() < 1e-9
     assert drive[0].metrics.completed and drive[1] == 0
 
 
 def test_failing_process_is_reported_with_its_output(tmp_path):
-    bad = Case(surface="sand")
+    case = Case(surface="sand")
     with pytest.raises(DriveFailedError, match="robot: ended with code 2; output: error: unknown surface 'sand'"):
-        drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
+        drive_over_dds(case, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
 
 
 @contextmanager
 def true_twists(environment):
     """Yield a function that waits for the next true twist of the robot and returns its v and omega."""
-    context, arrived = Context(), []
+    context, messages = Context(), []
     rclpy.init(context=context, domain_id=int(environment["ROS_DOMAIN_ID"]))
     node = rclpy.create_node("watcher", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    node.create_subscription(TwistStamped, "ground_truth/twist", arrived.append, qos_profile_sensor_data)
+    node.create_subscription(TwistStamped, "ground_truth/twist", messages.append, qos_profile_sensor_data)
 
     def next_twist():
-        end = time.monotonic() + BOUND
-        arrived.clear()
-        while not arrived:
-            assert time.monotonic() < end
+        deadline = time.monotonic() + BOUND
+        messages.clear()
+        while not messages:
+            assert time.monotonic() < deadline
             executor.spin_once(timeout_sec=0.1)
-        return arrived[-1].twist.linear.x, arrived[-1].twist.angular.z
+        return messages[-1].twist.linear.x, messages[-1].twist.angular.z
 
     try:
         yield next_twist
@@ -92,7 +92,7 @@ def true_twists(environment):
 
 
 def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
-    """A killed controller sends no zero command: the robot's timeout has to act."""
+    """A killed controller sends no zero command: the timeout of the base must stop the robot."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     node = ["node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
@@ -113,22 +113,22 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
         requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in ("/cmd_vel", "/ground_truth/twist")}
         commands, truth = read_topics(reader, bag, requests).values()
     assert commands.value[-1, 0] > 0.2
-    since = 1e-9 * (truth.stamped - commands.received[-1])
-    assert np.all(truth.value[(since > 0) & (since < 0.5), 0] > 0.2)
-    assert 0.5 < since[-1] < 1.5
+    elapsed = 1e-9 * (truth.stamped - commands.received[-1])
+    assert np.all(truth.value[(elapsed > 0) & (elapsed < 0.5), 0] > 0.2)
+    assert 0.5 < elapsed[-1] < 1.5
     check_record(tmp_path / "drives", commands)
 
 
 def check_record(folder, commands):
     """Check that the file of a killed node is complete and contains every command that the robot received."""
     (path,) = folder.iterdir()
-    end = time.monotonic() + BOUND
+    deadline = time.monotonic() + BOUND
     while not path.read_bytes().endswith(MAGIC):
-        assert time.monotonic() < end
+        assert time.monotonic() < deadline
         time.sleep(0.05)
     with opened(path) as reader:
         recorded = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
-    decided = dict(zip(recorded.stamped.tolist(), recorded.value.tolist(), strict=True))
+    by_stamp = dict(zip(recorded.stamped.tolist(), recorded.value.tolist(), strict=True))
     # The last command may have been sent in the tick in which the node was killed.
-    sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
-    assert len(sent) > 10 and {stamp: decided[stamp] for stamp in sent} == sent
+    received = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
+    assert len(received) > 10 and {stamp: by_stamp[stamp] for stamp in received} == received

@@ -1,4 +1,4 @@
-"""A planner's path as a reference: close to the planned line, within the limits, with stops if needed."""
+"""References from planned paths: distance to the plan, limits, stops and turns on the spot."""
 
 import math
 import time
@@ -24,7 +24,7 @@ def lay(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
     )
 
 
-def on_grid(corners, cell=0.05):
+def grid_cells(corners, cell=0.05):
     """Return cells from corner to corner, as from a planner on an eight-connected grid."""
     cells = [np.round(np.array(corners[0]) / cell)]
     for corner in corners[1:]:
@@ -57,8 +57,8 @@ def check(result, poses, limits=LIMITS):
     """Check limits, motion without lateral slip, deviation and end of a reference."""
     times, sample = sample_plan(result)
     assert np.all(np.abs(sample.twist).max(axis=0) <= np.array([limits.v, limits.omega]) * 1.01 + 1e-9)
-    change = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])
-    assert np.all(change.max(axis=0) <= np.array([limits.v_acceleration, limits.omega_acceleration]) * 1.05)
+    acceleration = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])
+    assert np.all(acceleration.max(axis=0) <= np.array([limits.v_acceleration, limits.omega_acceleration]) * 1.05)
     step = np.diff(sample.pose, axis=0)
     heading = sample.pose[:-1, 2] + step[:, 2] / 2
     assert np.abs(np.cos(heading) * step[:, 1] - np.sin(heading) * step[:, 0]).max() < 1e-4
@@ -80,16 +80,16 @@ def check(result, poses, limits=LIMITS):
     ],
     ids=["shallow", "corner", "rooms", "back"],
 )
-@pytest.mark.parametrize("stated", [True, False], ids=["headings", "identities"])
-def test_staircase_of_cells_becomes_a_drivable_path_close_to_it(corners, stated):
-    points = on_grid(corners)
+@pytest.mark.parametrize("has_headings", [True, False], ids=["headings", "identities"])
+def test_staircase_of_cells_gives_a_feasible_path_near_it(corners, has_headings):
+    points = grid_cells(corners)
     poses = with_headings(points, 0.3)
-    if not stated:
+    if not has_headings:
         poses[:-1, 2] = 0.0
     result = lay(poses)
     sample = check(result, poses)
     assert distance(sample.pose[::5, :2], points).max() <= DEVIATION * 1.001
-    # Stair steps are not followed: the heading turns no more than corners and goal require.
+    # The path does not follow stair steps: the heading turns only as much as corners and goal require.
     required = np.abs(np.diff(np.unwrap(with_headings(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
     assert np.abs(np.diff(sample.pose[:, 2])).sum() < required + abs(float(with_headings(points)[0, 2])) + 1.0
     assert sample.twist[:, 0].min() > -1e-9
@@ -97,9 +97,9 @@ def test_staircase_of_cells_becomes_a_drivable_path_close_to_it(corners, stated)
 
 
 def test_poses_against_the_travel_direction_are_driven_backwards():
-    forth = np.column_stack([X / 3, 0 * X, 0 * X])
-    back = np.column_stack([1 - X[1:] / 3, 0.3 * (X[1:] / 3) ** 2, -0.6 * X[1:] / 3])
-    poses = np.concatenate([forth, back])
+    forwards = np.column_stack([X / 3, 0 * X, 0 * X])
+    backwards = np.column_stack([1 - X[1:] / 3, 0.3 * (X[1:] / 3) ** 2, -0.6 * X[1:] / 3])
+    poses = np.concatenate([forwards, backwards])
     result = lay(poses)
     sample = check(result, poses)
     assert sample.twist[:, 0].min() < -0.3 and sample.twist[:, 0].max() > 0.3
@@ -110,8 +110,8 @@ def test_poses_against_the_travel_direction_are_driven_backwards():
 
 
 def test_robot_turns_around_if_reversing_is_forbidden():
-    forth = np.column_stack([X / 3, 0 * X, 0 * X])
-    poses = np.concatenate([forth, np.column_stack([1 - X[1:] / 3, 0 * X[1:], 0 * X[1:]])])
+    forwards = np.column_stack([X / 3, 0 * X, 0 * X])
+    poses = np.concatenate([forwards, np.column_stack([1 - X[1:] / 3, 0 * X[1:], 0 * X[1:]])])
     assert check(lay(poses), poses).twist[:, 0].min() < -0.3
     sample = check(lay(poses, backwards=False), poses)
     assert sample.twist[:, 0].min() > -1e-9
@@ -119,11 +119,11 @@ def test_robot_turns_around_if_reversing_is_forbidden():
 
 
 def test_missing_headings_do_not_cause_reversing():
-    points = on_grid([(0, 0), (-2, 0.5), (-2, 2)])
+    points = grid_cells([(0, 0), (-2, 0.5), (-2, 2)])
     poses = np.column_stack([points, np.zeros(len(points))])
     poses[-1, 2] = 1.0
     assert check(lay(poses), poses).twist[:, 0].min() > -1e-9
-    # A straight path along the axis has no direction: the robot's heading decides.
+    # The direction of a straight path along the axis follows from the heading of the robot.
     straight = np.column_stack([-X, 0 * X, 0 * X])
     assert check(lay(straight, (0.0, 0.0, math.pi)), straight).twist[:, 0].min() > -1e-9
     assert check(lay(straight), straight).twist[:, 0].max() < 1e-9
@@ -139,7 +139,7 @@ def test_heading_of_the_goal_is_reached(goal):
     assert np.allclose(sample.pose[on_the_spot, 0], 3.0, atol=1e-6)
 
 
-def test_poses_that_turn_at_one_place_give_a_turn_on_the_spot():
+def test_rotating_poses_at_one_position_give_a_turn_on_the_spot():
     turn = [(1.0, 0.0, angle) for angle in np.linspace(0.0, 1.5, 6)]
     poses = [*((x, 0.0, 0.0) for x in X[:20] / X[20]), *turn, *((1.0, y, math.pi / 2) for y in X[1:21])]
     sample = check(lay(poses), poses)
@@ -147,7 +147,7 @@ def test_poses_that_turn_at_one_place_give_a_turn_on_the_spot():
     assert np.hypot(*(sample.pose[turning, :2] - (1.0, 0.0)).T).max() < 0.02
 
 
-def test_resting_robot_that_faces_away_turns_first():
+def test_robot_at_rest_that_faces_away_turns_first():
     poses = with_headings(np.column_stack([X, 0 * X]))
     sample = check(lay(poses, (0.0, 0.0, 2.0)), poses)
     assert sample.pose[0, 2] == pytest.approx(2.0) and sample.twist[:, 0].min() > -1e-9
@@ -175,8 +175,8 @@ def test_closed_path_is_not_shortened():
 
 
 def test_path_has_no_turns_on_the_spot_if_they_are_forbidden():
-    wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, min_turn_radius=0.5)
-    result = lay(with_headings(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
+    limits = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, min_turn_radius=0.5)
+    result = lay(with_headings(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), limits)
     sample = sample_plan(result)[1]
     assert np.abs(sample.twist[np.abs(sample.twist[:, 0]) < 1e-3, 1]).max() < 0.01
 
@@ -190,9 +190,9 @@ def test_path_has_no_turns_on_the_spot_if_they_are_forbidden():
     ],
 )
 def test_unusable_poses_raise_error_in_one_line(poses, message):
-    with pytest.raises(ConfigError, match=message) as refused:
+    with pytest.raises(ConfigError, match=message) as caught:
         lay(np.array(poses).reshape(-1, 3))
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_long_zigzag_is_rejected_quickly():
@@ -208,8 +208,8 @@ def test_long_zigzag_is_rejected_quickly():
     st.floats(-3.1, 3.1),
     st.floats(-3.1, 3.1),
 )
-def test_reference_from_any_cells_keeps_its_limits_or_raises_error(corners, goal, heading):
-    points = on_grid([(0.05 * x, 0.05 * y) for x, y in corners])
+def test_reference_from_any_cells_satisfies_its_limits_or_raises_error(corners, goal, heading):
+    points = grid_cells([(0.05 * x, 0.05 * y) for x, y in corners])
     poses = with_headings(points, goal)
     try:
         result = lay(poses, (*points[0], heading))

@@ -1,4 +1,4 @@
-"""The program of a tick from `Controller.quadratic_program`, solved by other solvers."""
+"""`Controller.quadratic_program` and `casadi_problem`, compared with other solvers and the oracle."""
 
 from dataclasses import replace
 
@@ -56,7 +56,7 @@ def ticks(config, path, count, seed=0, terms=()):
     [("circle", {"limits.omega": 0.51, "limits.predicted_v": 0.48}), ("square", {"limits.wheel_speed": 0.45})],
 )
 def test_osqp_daqp_and_the_product_agree_on_the_program_of_a_tick(path, limits):
-    """Soft limits may be exceeded: the slacks then equal the excess of the plan."""
+    """If soft limits are exceeded, the slacks equal the excess of the plan."""
     config = load_config("ssm", SLOW | limits | {"horizon": 12, "weights.soft": 3.0, "weights.soft_quadratic": 20.0})
     methods = set()
     for qp, step in list(ticks(config, path, 120))[::4]:
@@ -68,7 +68,7 @@ def test_osqp_daqp_and_the_product_agree_on_the_program_of_a_tick(path, limits):
     assert "active_set" in methods
 
 
-def test_rows_and_variables_are_named_by_kind_and_step():
+def test_names_of_rows_and_variables_contain_kind_and_step():
     config = load_config("ssm", {"horizon": 8, "limits.min_turn_radius": 0.3, "limits.v": 0.7})
     pose = ca.SX.sym("pose", 3)
     near = Term("near", ca.Function("near", [pose], [pose[0]], ["pose"], ["value"]), "soft", upper=1.0)
@@ -84,7 +84,7 @@ def test_rows_and_variables_are_named_by_kind_and_step():
     assert {"soft turn right[0]", "soft near.0[7]", "under soft across[0]"} <= set(qp.rows)
 
 
-# The nonlinear problem in CasADi: compared with the oracle's and with the compiled plan; its inputs.
+# The nonlinear problem in CasADi, compared with the oracle and the compiled plan.
 
 
 CURVED = {"estimator.crab": 0.02, "estimator.veer": 0.05, "estimator.track_growth": 0.1}
@@ -102,11 +102,11 @@ def drive(config, model=None, ticks=155):
 
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
 def test_cost_and_limits_equal_those_of_the_oracle(name):
-    rng, (subject, tick) = np.random.default_rng(0), setting(name)
+    rng, (oracle_problem, tick) = np.random.default_rng(0), setting(name)
     tick = replace(tick, past=rng.normal(size=(20, 2)))
-    problem = casadi_problem(subject.config, load_model(name).with_extra_dead_time(EXTRA))
-    ahead = subject.turning_points(tick, tick.feed_forward)
-    program, _ = nonlinear_program(subject, tick, ahead)
+    problem = casadi_problem(oracle_problem.config, load_model(name).with_extra_dead_time(EXTRA))
+    ahead = oracle_problem.turning_points(tick, tick.feed_forward)
+    program, _ = nonlinear_program(oracle_problem, tick, ahead)
     oracle, horizon = ca.Function("oracle", [program["x"]], [program["f"], program["g"]]), problem.horizon
     plan = tick.feed_forward + 0.3 * rng.normal(size=tick.feed_forward.shape)
     inputs = {
@@ -119,28 +119,28 @@ def test_cost_and_limits_equal_those_of_the_oracle(name):
         "reference": np.column_stack([tick.aim, tick.heading]).T,
         "feed_forward": np.vstack([tick.fed_before, tick.feed_forward]).T,
         "ahead": ahead[None],
-        "direction": np.ones((2, subject.steps)),
+        "direction": np.ones((2, oracle_problem.steps)),
     }
     outputs = {key: value.full() for key, value in horizon(plan=plan.T, **inputs).items()}
-    cost, rows = (value.full().ravel() for value in oracle(np.append(plan, np.zeros(10 * subject.steps))))
+    cost, rows = (value.full().ravel() for value in oracle(np.append(plan, np.zeros(10 * oracle_problem.steps))))
     assert outputs["cost"].item() == pytest.approx(cost.item(), rel=1e-12)
-    n = 2 * subject.steps
+    n = 2 * oracle_problem.steps
     assert outputs["hard"][2:].T.ravel() == pytest.approx(rows[:n], abs=1e-12)
     assert outputs["soft"].T.ravel() == pytest.approx(rows[n:], abs=1e-12)
 
 
 @pytest.mark.parametrize(("overrides", "model"), [({}, None), (CURVED, None), ({}, saturating())])
-def test_casadi_problem_repeats_the_compiled_plan_without_effect_on_the_next_tick(overrides, model):
+def test_casadi_problem_gives_the_compiled_plan_without_effect_on_the_next_tick(overrides, model):
     config = load_config("ssm", {"horizon": 15} | overrides)
-    (controller, robot, step), (twin, *_) = (drive(config, model) for _ in range(2))
+    (controller, robot, step), (second, *_) = (drive(config, model) for _ in range(2))
     problem, inputs = casadi_problem(config, model), controller.problem_inputs()
-    named = {name: inputs[name] for name in problem.horizon.name_in()[1:]}
-    outputs = problem.horizon(plan=step.planned_commands.T, **named)
+    plan_inputs = {name: inputs[name] for name in problem.horizon.name_in()[1:]}
+    outputs = problem.horizon(plan=step.planned_commands.T, **plan_inputs)
     assert pytest.approx(step.plan, abs=1e-12) == outputs["poses"].full().T
-    before = controller.quadratic_program()
-    assert np.abs(controller.quadratic_program(step.planned_commands + 0.1).q - before.q).max() > 1e-6
+    program = controller.quadratic_program()
+    assert np.abs(controller.quadratic_program(step.planned_commands + 0.1).q - program.q).max() > 1e-6
     measurement = robot.measure()
-    commands = [each.step(robot.time, measurement).planned_commands for each in (controller, twin)]
+    commands = [driver.step(robot.time, measurement).planned_commands for driver in (controller, second)]
     assert (commands[0] == commands[1]).all()
 
 
@@ -156,14 +156,14 @@ def test_linearisation_has_the_gradient_of_the_nonlinear_cost():
     assert (program.P @ np.append(plan, np.zeros(150)) + program.q)[:30] == pytest.approx(expected, abs=1e-9)
 
 
-def test_reprs_state_sizes_without_arrays():
+def test_reprs_contain_sizes_without_arrays():
     controller, _, step = drive(load_config("ssm", {"horizon": 5}), ticks=5)
     assert repr(controller.quadratic_program()).startswith("QuadraticProgram of 60 variables, 95 rows: ")
     assert "nlp" not in repr(casadi_problem(controller.config))
     assert "_planned" not in repr(step) and "estimate=Estimate at 0.0808 s: " in repr(step)
 
 
-def test_missing_plan_and_short_plan_are_refused():
+def test_missing_plan_and_short_plan_raise_error():
     controller = Controller("ssm")
     controller.start(load_trajectory("circle"), 0.0)
     controller.step(0.0, Measurement())

@@ -1,4 +1,4 @@
-"""References: their clock, invalid shapes, and planners that update every second."""
+"""References: the reference clock, invalid shapes, and planners that update every second."""
 
 import numpy as np
 import pytest
@@ -32,19 +32,19 @@ def test_delay_is_reduced_to_zero_within_the_bounds(rate, delay):
 @given(rates, delays)
 def test_progress_is_the_integral_of_the_rate(rate, delay):
     profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
-    # The rate is linear between its nodes: with them in the grid the trapezoids are exact.
-    fine = np.union1d(np.linspace(0.0, profile.times[-1] + 1.0, 301), profile.times)
+    # The rate is linear between its nodes, so trapezoids on a grid that contains the nodes are exact.
+    grid = np.union1d(np.linspace(0.0, profile.times[-1] + 1.0, 301), profile.times)
     integral = np.concatenate(
-        [[0.0], np.cumsum(0.5 * np.diff(fine) * (profile.rate(fine[1:]) + profile.rate(fine[:-1])))]
+        [[0.0], np.cumsum(0.5 * np.diff(grid) * (profile.rate(grid[1:]) + profile.rate(grid[:-1])))]
     )
-    assert np.abs(profile.progress(fine) - integral).max() < 1e-9
+    assert np.abs(profile.progress(grid) - integral).max() < 1e-9
 
 
 def test_delay_is_reduced_in_minimum_time():
-    """The duration equals that of the optimal trapezoid, computed by hand."""
-    # 0.5 s at most 0.25 ahead: 0.25 s up and 0.25 s down give 0.0625 s; the rest takes 0.4375 / 0.25 s.
+    """The durations equal those of optimal trapezoids."""
+    # 0.5 s at an excess rate of at most 0.25: two ramps of 0.25 s gain 0.0625 s; the rest takes 0.4375 / 0.25 s.
     assert settling_profile(1.0, 0.5, 0.75, 1.25, 1.0).times[-1] == pytest.approx(0.5 + 1.75)
-    # Too short to reach the bound: a triangle of area 0.04 has a peak of 0.2.
+    # A delay of 0.04 s is too short to reach the bound: a triangle of area 0.04 has a peak of 0.2.
     assert max(settling_profile(1.0, 0.04, 0.75, 1.25, 1.0).rates) == pytest.approx(1.2)
 
 
@@ -62,16 +62,16 @@ def run(clock, seconds, max_rate=FASTEST, start=0.0):
 def test_delay_decays_to_zero_and_rate_to_one(delay):
     clock = ReferenceClock(FASTEST, RAMP)
     clock.set(delay, 0.0)
-    times, behind, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
+    times, delay_series, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
     assert (np.diff(times) >= -1e-12).all()
     assert np.diff(times).max() <= FASTEST * DT + 1e-12
-    assert behind[-1] == 0.0
+    assert delay_series[-1] == 0.0
     assert rate[-1] == 1.0
     assert clock.on_time
 
 
 @given(rates, delays)
-def test_planned_reference_equals_the_tracked_one(rate, delay):
+def test_planned_reference_equals_the_tracked_reference(rate, delay):
     clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
     clock.advance(5.0, driving=True)
     clock.set(delay, rate)
@@ -86,23 +86,23 @@ def test_planned_reference_equals_the_tracked_one(rate, delay):
 
 
 @given(rates, delays)
-def test_twist_matches_the_slowed_motion(rate, delay):
+def test_twist_equals_the_derivative_of_the_slowed_pose(rate, delay):
     clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
     clock.advance(6.0, driving=True)
     clock.set(delay, rate)
     clock.plan(FASTEST, catch_up=True)
     times = 6.0 + np.linspace(0.0, 0.6, 601)
     sample = clock.apply(reference).sample(times)
-    turned = np.diff(sample.pose[:, 2]) / np.diff(times)
-    assert turned == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
+    yaw_rates = np.diff(sample.pose[:, 2]) / np.diff(times)
+    assert yaw_rates == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
 
 
 def test_reference_stops_if_the_robot_is_stopped():
     clock = ReferenceClock(FASTEST, RAMP)
     run(clock, 2.0)
-    times, behind, _ = run(clock, 1.0, max_rate=0.0, start=2.0)
+    times, delay_series, _ = run(clock, 1.0, max_rate=0.0, start=2.0)
     assert np.ptp(times[1:]) == pytest.approx(0.0, abs=1e-9)
-    assert behind[-1] == pytest.approx(0.98, abs=1e-9)
+    assert delay_series[-1] == pytest.approx(0.98, abs=1e-9)
 
 
 def test_reference_waits_while_not_driving_but_not_before_the_start():
@@ -128,15 +128,15 @@ SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
 
 
 def drive_with_planner(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
-    """Return commands and distances from the path [m]; `each_second`, if given, acts once per second."""
+    """Return commands and distances from the path [m]; call `each_second`, if given, once per second."""
     controller = Controller(load_config(overrides=options))
     reference, plant = load_trajectory("circle"), make_plant("mujoco", **SLIPPERY)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
-    commands, errors, since = [], [], 0.0
+    commands, errors, last_call = [], [], 0.0
     for k in range(round(seconds / plant.sample_time)):
-        if each_second and k and plant.time - since >= 1.0:
-            since = plant.time
+        if each_second and k and plant.time - last_call >= 1.0:
+            last_call = plant.time
             each_second(controller, reference, plant.time)
         expected = reference.sample([plant.time]).pose[0]
         errors.append(np.hypot(*(plant.true_pose[:2] - expected[:2])))
@@ -147,12 +147,12 @@ def drive_with_planner(each_second, seconds=8.0, t0_of=lambda reference, t: t, *
 
 
 def test_switched_reference_keeps_the_estimate():
-    """A start every second discards the learned slip; a switch keeps it."""
-    _, plain = drive_with_planner(None)
+    """`start` discards the learned slip every second; `switch_reference` keeps it."""
+    _, unchanged = drive_with_planner(None)
     _, switched = drive_with_planner(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
     _, restarted = drive_with_planner(lambda controller, reference, t: controller.start(reference, 0.0))
-    late = slice(len(plain) // 2, None)
-    rms = [np.sqrt(np.mean(errors[late] ** 2)) for errors in (plain, switched, restarted)]
+    second_half = slice(len(unchanged) // 2, None)
+    rms = [np.sqrt(np.mean(errors[second_half] ** 2)) for errors in (unchanged, switched, restarted)]
     assert rms[1] == rms[0]
     assert rms[2] > 1.5 * rms[1]
 
@@ -166,11 +166,11 @@ def test_switched_reference_starts_its_clock_and_finishes():
     for _ in range(60):
         plant.advance(controller.step(plant.time, plant.measure()).command)
     cane = load_trajectory("cane")
-    moved = MovedReference(cane, plant.true_pose - cane.sample([0.0]).pose[0])
-    controller.switch_reference(moved, plant.time)
-    assert controller.reference is moved
-    until = plant.time + cane.duration + 4.0
-    while plant.time < until:
+    shifted = MovedReference(cane, plant.true_pose - cane.sample([0.0]).pose[0])
+    controller.switch_reference(shifted, plant.time)
+    assert controller.reference is shifted
+    end = plant.time + cane.duration + 4.0
+    while plant.time < end:
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)
     assert str(step.mode) == "FINISHED"
@@ -182,11 +182,11 @@ def test_core_rejects_references_without_finite_times():
     endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
     endless.duration = np.inf
     assert not tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 0.0), "there is no reference to switch from"
-    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
-        assert not tick.lib.ddmpc_start(tick.c, *refused)
+    for rejected in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_start(tick.c, *rejected)
     assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
-    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
-        assert not tick.lib.ddmpc_switch_reference(tick.c, *refused)
+    for rejected in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_switch_reference(tick.c, *rejected)
     assert tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 1.0) == 1
 
 
@@ -194,10 +194,10 @@ CONFIG = load_config("ssm")
 
 
 class UserReference:
-    """The circle from a user class, which C cannot sample; `change` applies from sample call `late` on."""
+    """The circle from a user class, which C cannot sample; `change` modifies samples after `intact_calls` calls."""
 
-    def __init__(self, change, late=0):
-        self.circle, self.change, self.left = load_trajectory("circle"), change, late
+    def __init__(self, change, intact_calls=0):
+        self.circle, self.change, self.left = load_trajectory("circle"), change, intact_calls
         self.name, self.duration = "own", self.circle.duration
 
     def sample(self, times):
@@ -206,12 +206,12 @@ class UserReference:
         return sample if self.left >= 0 else self.change(sample)
 
 
-def short(sample):
+def shorten(sample):
     return sample._replace(pose=sample.pose[:-1], twist=sample.twist[:-1])
 
 
 CHANGES = {
-    "one sample short": short,
+    "one sample short": shorten,
     "no heading": lambda sample: sample._replace(pose=sample.pose[:, :2]),
     "transposed": lambda sample: sample._replace(pose=sample.pose.T),
     "poses as twists": lambda sample: sample._replace(twist=sample.pose),
@@ -219,15 +219,15 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_start_error_names_the_expected_shape(change):
+def test_start_error_contains_the_expected_shape(change):
     with pytest.raises(ValueError, match=r"reference 'own': (pose|twist) of sample\(times\) has shape .*; expected \("):
         Controller(CONFIG).start(UserReference(change), 0.0)
 
 
-def steps_at_rest(change, late=30, ticks=60):
-    """Return steps of a robot at rest on its first pose; the reference is wrong from its sample call `late` on."""
+def steps_at_rest(change, intact_calls=30, ticks=60):
+    """Return steps of a robot at rest on its first pose; the reference is faulty after `intact_calls` calls."""
     controller = Controller(CONFIG)
-    reference = UserReference(change, late)
+    reference = UserReference(change, intact_calls)
     pose = reference.circle.sample([0.0]).pose[0]
     controller.start(reference, 0.0)
     times = CONFIG.sample_time * np.arange(ticks)

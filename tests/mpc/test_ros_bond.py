@@ -1,4 +1,4 @@
-"""Bond with a lifecycle manager: protocol on a simulated clock, and over DDS with a peer that behaves like bondcpp."""
+"""Bond with a lifecycle manager: the protocol on a simulated clock."""
 
 import pytest
 from hypothesis import given
@@ -17,7 +17,7 @@ class BondSide:
         self.protocol = BondProtocol(self.heartbeats.append, lambda: self.time)
 
     def advance(self, seconds, *, peer_is_alive=None):
-        """Advance the clock; the peer sends heartbeats with this state, or none if None."""
+        """Advance the clock; the peer sends heartbeats with the state `peer_is_alive`, or none for None."""
         for _ in range(round(seconds / PERIOD)):
             self.time += PERIOD
             if peer_is_alive is not None:
@@ -44,15 +44,15 @@ def test_bond_waits_forms_and_ends_after_the_peer_confirms():
 
 
 @pytest.mark.parametrize(
-    ("bound", "timeout", "lost"), [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "no heartbeat for 4 s")]
+    ("formed", "timeout", "reason"), [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "no heartbeat for 4 s")]
 )
-def test_bond_without_a_peer_stops_sending_after_the_timeout(bound, timeout, lost):
+def test_bond_without_a_peer_stops_sending_after_the_timeout(formed, timeout, reason):
     side = BondSide()
-    if bound:
+    if formed:
         side.advance(1.0, peer_is_alive=True)
     assert side.advance(timeout - 0.3) is not BondState.DEAD
     assert side.advance(0.6) is BondState.DEAD
-    assert side.protocol.end_reason == lost
+    assert side.protocol.end_reason == reason
     count = len(side.heartbeats)
     side.advance(20.0, peer_is_alive=True)
     assert len(side.heartbeats) == count
@@ -67,15 +67,15 @@ def test_end_by_the_peer_is_confirmed_once_and_a_missing_confirmation_times_out(
     count = len(side.heartbeats)
     assert side.advance(5.0, peer_is_alive=False) is BondState.DEAD
     assert len(side.heartbeats) == count
-    leaving = BondSide()
-    leaving.advance(1.0, peer_is_alive=True)
-    leaving.protocol.leave()
-    assert leaving.advance(DISCONNECT_TIMEOUT + 0.5) is BondState.DEAD
+    second = BondSide()
+    second.advance(1.0, peer_is_alive=True)
+    second.protocol.leave()
+    assert second.advance(DISCONNECT_TIMEOUT + 0.5) is BondState.DEAD
 
 
 @given(st.lists(st.sampled_from(["beat", "alive", "dead", "leave", "late"]), max_size=40))
-def test_dead_bond_stays_dead_and_sends_nothing(events):
-    side, dead = BondSide(), False
+def test_dead_bond_stays_dead_and_sends_no_heartbeats(events):
+    side, was_dead = BondSide(), False
     for event in events:
         count = len(side.heartbeats)
         if event == "late":
@@ -87,7 +87,7 @@ def test_dead_bond_stays_dead_and_sends_nothing(events):
             side.protocol.leave()
         else:
             side.protocol.receive(is_alive=event == "alive")
-        if dead:
+        if was_dead:
             assert side.protocol.state is BondState.DEAD
             assert len(side.heartbeats) == count
-        dead = side.protocol.state is BondState.DEAD
+        was_dead = side.protocol.state is BondState.DEAD

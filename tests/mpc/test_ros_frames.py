@@ -26,9 +26,9 @@ SLEW = np.array([LIMITS.v_slew, LIMITS.omega_slew]) * DT + 1e-9
 
 
 class Localised:
-    """The fake base with transforms beside its odometry; `map_in_odom` is where the localisation has the map.
+    """Fake base that publishes transforms as well; the localisation reports `map_to_odom` (3,).
 
-    `published` says which are sent, `delay` how late they are stamped [ns].
+    `published` contains the child frames of the published transforms; `ahead` shifts their stamps [ns].
     """
 
     def __init__(self, s, message_type, map_to_odom=(0.0, 0.0, 0.0), ahead=0):
@@ -54,10 +54,10 @@ class Localised:
 
     def in_map(self):
         """Return the true pose of the robot in the map."""
-        return placed(self.map_to_odom, self.s.base.plant.true_pose)
+        return compose(self.map_to_odom, self.s.base.plant.true_pose)
 
 
-def placed(motion, pose):
+def compose(motion, pose):
     x, y, turn = motion
     cos, sin = math.cos(turn), math.sin(turn)
     return np.array([x + cos * pose[0] - sin * pose[1], y + sin * pose[0] + cos * pose[1], turn + pose[2]])
@@ -66,9 +66,9 @@ def placed(motion, pose):
 def transform(parent, child, stamp, pose):
     result = TransformStamped(child_frame_id=child)
     result.header.frame_id, result.header.stamp = parent, time_message(stamp)
-    placed = stamped_pose_message(pose, stamp, parent).pose
-    result.transform.translation.x, result.transform.translation.y = placed.position.x, placed.position.y
-    result.transform.rotation = placed.orientation
+    message = stamped_pose_message(pose, stamp, parent).pose
+    result.transform.translation.x, result.transform.translation.y = message.position.x, message.position.y
+    result.transform.rotation = message.orientation
     return result
 
 
@@ -77,41 +77,41 @@ def localised(ros_types):
     """Factory of robots that are localised by transforms; the node has received the transforms."""
     from tf2_msgs.msg import TFMessage
 
-    made = []
+    stacks = []
 
     def make(map_to_odom=(0.0, 0.0, 0.0), *, ahead=0, **parameters):
         s = Stack(**parameters)
-        made.append(s)
+        stacks.append(s)
         robot = Localised(s, TFMessage, map_to_odom, ahead)
         s.base.until(lambda: (s.base.silent(1), s.node._inbox.frames.accepted > 3)[1], "transforms")
         return robot
 
     yield make
-    for s in made:
+    for s in stacks:
         s.close()
 
 
-def straight(frame, start, length=2.0, speed=0.4, stamp=0):
+def straight_path(frame, start, length=2.0, speed=0.4, stamp=0):
     """Return a path from rest to rest along x of `frame`, starting at `start` (3,) there."""
     path = Path()
     path.header.frame_id, path.header.stamp = frame, time_message(stamp)
     duration = 1.5 * length / speed
     for share in np.linspace(0.0, 1.0, 31):
-        pose = placed(start, (length * (3 * share**2 - 2 * share**3), 0.0, 0.0))
+        pose = compose(start, (length * (3 * share**2 - 2 * share**3), 0.0, 0.0))
         path.poses.append(stamped_pose_message(pose, 10**9 + round(share * duration * 1e9), frame))
     return path
 
 
-def send(s, path):
+def send_path(s, path):
     """Send a path and wait until it is accepted; the next tick drives it."""
     publisher = s.publisher(Path, "set_path")
     s.base.silent(3)
-    before = s.loop._reference
+    previous = s.loop._reference
     publisher.publish(path)
-    s.base.until(lambda: s.loop._reference is not before, "the path to be accepted")
+    s.base.until(lambda: s.loop._reference is not previous, "the path to be accepted")
 
 
-def beside(start, pose):
+def lateral_offset(start, pose):
     """Return the offset of `pose` to the left of the line that starts at `start` (3,) [m]."""
     return -math.sin(start[2]) * (pose[0] - start[0]) + math.cos(start[2]) * (pose[1] - start[1])
 
@@ -125,7 +125,7 @@ def test_poses_from_transforms_drive_the_robot_in_the_map(localised):
     np.testing.assert_allclose(s.loop.last.result.estimate.pose[:2], robot.in_map()[:2], atol=0.02)
     start = s.loop.drive.reference.sample([0.0]).pose[0]
     assert abs(wrap_angle(start[2] - 0.7)) < 0.01
-    centre = placed(start, (0.0, 1.0, 0.0))[:2]
+    centre = compose(start, (0.0, 1.0, 0.0))[:2]
     assert abs(math.hypot(*(robot.in_map()[:2] - centre)) - 1.0) < 0.02
 
 
@@ -136,37 +136,37 @@ def test_missing_transforms_brake_the_robot_until_they_return(localised, missing
     assert s.trigger("start").success
     s.base.run(60)
     robot.published.discard(missing)
-    late = s.base.run(math.ceil(CONFIG.failure.dead_reckoning / DT) + 3)
+    braking = s.base.run(math.ceil(CONFIG.failure.dead_reckoning / DT) + 3)
     assert s.loop.last.mode in (Mode.BRAKING, Mode.STOPPED)
     stopped = s.base.run(BRAKING)
     assert s.loop.last.mode == Mode.STOPPED
     assert "no pose was accepted" in s.loop.last.message
     robot.published.add(missing)
-    again = s.base.run(60)
+    resumed = s.base.run(60)
     assert s.loop.last.mode == Mode.TRACKING
-    assert (np.abs(np.diff(np.vstack([late, stopped, again]), axis=0)) <= SLEW).all()
+    assert (np.abs(np.diff(np.vstack([braking, stopped, resumed]), axis=0)) <= SLEW).all()
 
 
 def test_path_in_the_map_follows_corrections_of_the_localisation(localised):
-    """Control in odom, and a localisation that corrects itself: by little, by more than the band, and far too much."""
+    """The controller runs in odom; the localisation is corrected slightly, by more than the band, and by 50 m."""
     start = (1.0, 1.0, 0.5)
     robot = localised((1.0, 1.0, 0.5), ahead=10**9, use_tf=True, trajectory="''", drive_on_reference=True)
     s = robot.s
-    send(s, straight("map", start, length=6.0))
-    first = s.base.run(150)
+    send_path(s, straight_path("map", start, length=6.0))
+    commands = s.base.run(150)
     assert s.loop.last.mode == Mode.TRACKING
-    assert abs(beside(start, robot.in_map())) < 0.01
-    begun = s.loop.drive
+    assert abs(lateral_offset(start, robot.in_map())) < 0.01
+    first_drive = s.loop.drive
     for correction in (0.05, 0.25):
         x, y, turn = robot.map_to_odom
         robot.map_to_odom = (x - math.sin(turn) * correction, y + math.cos(turn) * correction, turn)
-        first = np.vstack([first, s.base.run(150)])
+        commands = np.vstack([commands, s.base.run(150)])
         assert s.loop.last.mode == Mode.TRACKING
-        assert abs(beside(start, robot.in_map())) < 0.015
-    # Nothing was begun anew for it, and no command left its limits.
-    assert s.loop.drive is begun
+        assert abs(lateral_offset(start, robot.in_map())) < 0.015
+    # The corrections do not restart the drive, and commands satisfy the slew limits.
+    assert s.loop.drive is first_drive
     assert s.loop.frame_shifts >= 2
-    assert (np.abs(np.diff(first, axis=0)) <= SLEW).all()
+    assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
     robot.map_to_odom = (50.0, 0.0, 0.0)
     s.base.run(BRAKING + 30)
     assert s.loop.last.mode == Mode.STOPPED
@@ -179,7 +179,7 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     )
     s = robot.s
     received = s.listen(DiagnosticArray, "/diagnostics")
-    send(s, straight("map", (0.0, 0.3, 0.0), length=4.0))
+    send_path(s, straight_path("map", (0.0, 0.3, 0.0), length=4.0))
     s.base.run(60)
     robot.published.discard("odom")
     s.base.run(math.ceil(0.5 / DT) + 2)
@@ -209,14 +209,14 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
         ("", 0, "it has no frame"),
     ):
         capfd.readouterr()
-        publisher.publish(straight(frame, (0.0, 0.0, 0.0), stamp=stamp))
-        refused_for(s, reason, capfd)
+        publisher.publish(straight_path(frame, (0.0, 0.0, 0.0), stamp=stamp))
+        wait_for_refusal(s, reason, capfd)
         s.base.run(3)
         assert s.loop.drive.reference.name == "circle"
         assert s.loop.state is LoopState.DRIVING
 
 
-def refused_for(s, reason, capfd):
+def wait_for_refusal(s, reason, capfd):
     s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
 
 
@@ -224,7 +224,7 @@ def refused_for(s, reason, capfd):
     ("mount", "yaw_rate"), [(None, 3.0), ((1.0, 0.0), -3.0), ((math.sqrt(0.5), math.sqrt(0.5)), 2.0)]
 )
 def test_gyro_axis_is_the_vertical_axis_of_its_frame(mount, yaw_rate):
-    """Mounts: none, upside down, and on its side, by half and a quarter of a turn about x."""
+    """The mounts are unknown, upside down (half a turn about x) and sideways (a quarter turn about x)."""
     inbox = Inbox(NodeSettings(), lambda: 10**9, 0)
     inbox.mounts = TransformBuffer()
     if mount is not None:

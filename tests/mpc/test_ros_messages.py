@@ -1,4 +1,4 @@
-"""Messages: contents for a tick, and conversions."""
+"""Messages: contents, conversions, size limits, the side process, and detection of second publishers."""
 
 import math
 import os
@@ -43,18 +43,18 @@ from diffdrive_mpc.mpc.trajectories import load_trajectory
 RADIUS = 0.0675
 
 
-def stamped_points(frame="odom", last="odom"):
-    """Return points with a header each, as in nav_msgs/Trajectory; 1 m ahead in 4 s."""
+def stamped_points(frame="odom", last_frame="odom"):
+    """Return a trajectory whose points have headers, as in nav_msgs/Trajectory: 1 m ahead in 4 s."""
     times = np.linspace(0.0, 4.0, 21)
     x = 0.5 - 0.5 * np.cos(np.pi * times / 4.0)
     points = [
         SimpleNamespace(
             header=SimpleNamespace(stamp=time_message(10**12 + round(1e9 * t)), frame_id=frame),
-            pose=pose_message((ahead, 0.0, 0.0)),
+            pose=pose_message((position, 0.0, 0.0)),
         )
-        for t, ahead in zip(times, x, strict=True)
+        for t, position in zip(times, x, strict=True)
     ]
-    points[-1].header.frame_id = last
+    points[-1].header.frame_id = last_frame
     return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
 
 
@@ -66,7 +66,7 @@ def test_trajectory_with_stamped_points_is_read():
 
 def test_point_in_another_frame_raises_error():
     with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
-        timed_trajectory_reference(stamped_points(last="map"), Limits())
+        timed_trajectory_reference(stamped_points(last_frame="map"), Limits())
 
 
 def test_estimate_is_published_with_frames_and_covariance():
@@ -89,9 +89,9 @@ def test_estimate_is_published_with_frames_and_covariance():
         np.testing.assert_allclose(published[:2], s.base.plant.true_pose[:2], atol=0.03)
 
 
-def as_twist(speeds, track):
-    left, right = RADIUS * speeds[0], RADIUS * speeds[1]
-    return 0.5 * (left + right), (right - left) / track
+def twist_of_wheels(speeds, track):
+    left_speed, right_speed = RADIUS * speeds[0], RADIUS * speeds[1]
+    return 0.5 * (left_speed + right_speed), (right_speed - left_speed) / track
 
 
 class WheelBase:
@@ -103,11 +103,11 @@ class WheelBase:
 
     def take(self, message):
         self.received.append(list(message.data))
-        self.s.base.commands.append(as_twist(message.data[:: -1 if self.swapped else 1], CONFIG.wheels.track))
+        self.s.base.commands.append(twist_of_wheels(message.data[:: -1 if self.swapped else 1], CONFIG.wheels.track))
         self.s.base.times.append(self.s.base.now)
 
 
-def wheels(overrides=None, **parameters):
+def wheel_stack(overrides=None, **parameters):
     return stack(overrides, **{"command_output": "wheels", "wheel_radius": RADIUS, "autostart": False, **parameters})
 
 
@@ -122,7 +122,7 @@ def start_driving(s, *, swapped=False):
 
 
 def test_wheel_speeds_drive_a_base_without_twist_commands():
-    with wheels() as s:
+    with wheel_stack() as s:
         base = start_driving(s)
         s.base.run(100)
         assert s.loop.last.mode == Mode.TRACKING
@@ -133,23 +133,23 @@ def test_wheel_speeds_drive_a_base_without_twist_commands():
         s.base.until(lambda: base.received[-1] == [0.0, 0.0], "zero at the end")
 
 
-def test_wheel_speeds_keep_limits_and_slew():
-    with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
+def test_wheel_speeds_satisfy_limits_and_slew():
+    with wheel_stack({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
         base = start_driving(s, swapped=True)
-        before = len(base.received)
+        count = len(base.received)
         s.base.run(60)
-        rim = RADIUS * np.array(base.received[before:])
-        assert np.abs(rim).max() <= 0.4 + 1e-9
+        wheel_speeds = RADIUS * np.array(base.received[count:])
+        assert np.abs(wheel_speeds).max() <= 0.4 + 1e-9
         limits, half = CONFIG.limits, 0.5 * CONFIG.wheels.track
-        slope = (limits.v_slew + half * limits.omega_slew) * DT
-        assert np.abs(np.diff(rim, axis=0)).max() <= slope + 1e-9
+        max_slew = (limits.v_slew + half * limits.omega_slew) * DT
+        assert np.abs(np.diff(wheel_speeds, axis=0)).max() <= max_slew + 1e-9
         # In a left turn the right wheel, which is first in the message, is faster.
-        assert rim[-1, 0] > rim[-1, 1] > 0.0
+        assert wheel_speeds[-1, 0] > wheel_speeds[-1, 1] > 0.0
 
 
 @pytest.mark.parametrize("sides", ["left", "left,middle", "", "left,left"])
 def test_wrong_wheel_sides_raise_error(sides):
-    with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
+    with pytest.raises(Exception, match="wheel_sides"), wheel_stack(wheel_sides=f"'{sides}'") as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
 
@@ -159,7 +159,7 @@ ANGLES = st.floats(-10, 10)
 
 @given(ANGLES, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 def test_yaw_is_the_direction_of_the_x_axis_in_the_plane(yaw, pitch, roll):
-    """Composed from the half-angle quaternions of z, y, x; the x axis then points to (yaw, -pitch)."""
+    """The quaternion is the product of rotations about z, y and x; its x axis has the yaw and pitch (yaw, -pitch)."""
 
     def half(angle):
         return math.cos(angle / 2), math.sin(angle / 2)
@@ -189,9 +189,9 @@ def test_pose_covariance_is_the_planar_part_and_zero_means_unknown():
     assert measured_pose(message, 0, covariance=False).covariance is None
 
 
-# Long messages, and the process that reads them.
+# Long messages and the side process that converts them.
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 
 
 def path_of(poses, frame="odom"):
@@ -223,7 +223,7 @@ def test_too_long_path_is_rejected_without_stopping_the_robot(capfd):
         assert s.loop.drive.reference.name == "circle"
 
 
-def test_refused_reference_is_a_warning_until_one_is_accepted():
+def test_rejected_reference_is_a_warning_until_another_is_accepted():
     with stack() as s:
         s.base.silent(2)
 
@@ -243,7 +243,7 @@ def test_refused_reference_is_a_warning_until_one_is_accepted():
 def test_control_loop_runs_while_a_reference_is_read():
     with stack(drive=True) as s:
         s.base.run(20)
-        before = s.loop.drive
+        drive = s.loop.drive
         path = Path()
         path.header.frame_id = "odom"
         x, y, theta = s.base.plant.true_pose
@@ -256,9 +256,9 @@ def test_control_loop_runs_while_a_reference_is_read():
         # Ticks continue while the reading process is stopped.
         os.kill(s.node._worker._process.pid, signal.SIGSTOP)
         s.base.run(3)
-        assert s.loop.drive is before
+        assert s.loop.drive is drive
         os.kill(s.node._worker._process.pid, signal.SIGCONT)
-        s.base.until(lambda: s.loop.drive is not before, "the start of the path")
+        s.base.until(lambda: s.loop.drive is not drive, "the start of the path")
         s.base.run(2)
         assert s.loop.drive.reference.name == "path"
         s.base.run(40)
@@ -291,19 +291,19 @@ def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
 
 
 class RecordedProcess:
-    """Side process whose responses are awaited and recorded."""
+    """Side process with records of its responses."""
 
-    def __init__(self, patience=PATIENCE):
+    def __init__(self, timeout=TIMEOUT):
         self.done, self.failed = [], []
-        self.process = SideProcess(lambda: None, patience)
+        self.process = SideProcess(lambda: None, timeout)
 
     def submit(self, key, function, *arguments):
         self.process.submit(key, function, arguments, self.done.append, self.failed.append)
 
     def wait(self, count):
-        end = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while len(self.done) + len(self.failed) < count:
-            assert time.monotonic() < end
+            assert time.monotonic() < deadline
             time.sleep(0.01)
             self.process.deliver()
 
@@ -344,13 +344,13 @@ def test_closing_a_busy_side_process_ends_it():
     side_process.wait(1)
     side_process.submit("a", time.sleep, 1000.0)
     side_process.process.close()
-    end = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     with suppress(ProcessLookupError):
-        while time.monotonic() < end:
+        while time.monotonic() < deadline:
             os.kill(side_process.done[0], 0)
             side_process.process.close()
             time.sleep(0.05)
-    assert time.monotonic() < end
+    assert time.monotonic() < deadline
     assert not side_process.process._thread.is_alive()
 
 
@@ -358,10 +358,10 @@ def test_closing_a_busy_side_process_ends_it():
 
 
 def detection_time(messages, series=None):
-    """Return the time at which a second publisher is detected [s]; None if none is."""
+    """Return the time of detection of a second publisher [s], or None without detection."""
     series = series or MessageSeries()
-    for arrival, number, sent in sorted(messages, key=lambda message: message.arrival):
-        series.take(number, sent, arrival)
+    for arrival, number, stamp in sorted(messages, key=lambda message: message.arrival):
+        series.take(number, stamp, arrival)
         if series.is_shared:
             return arrival
     return None
@@ -383,14 +383,14 @@ def test_second_publisher_is_detected_within_the_bound(count):
 
 
 @pytest.mark.parametrize("count", [15, LONG])
-def test_restarts_are_one_publisher(count):
+def test_restarts_are_detected_as_one_publisher(count):
     """At most one false alarm in 10,000 restarts, with up to 5 % of the messages out of order."""
     alarms = [seed for seed in range(RESERVED, RESERVED + count) if false_alarm(seed)]
     assert len(alarms) <= count * 50 // 10_000, alarms
 
 
 @pytest.mark.parametrize("kind", ["none", "zero", "constant"])
-def test_messages_without_numbers_are_reported_as_such(kind):
+def test_messages_without_numbers_are_reported_as_unnumbered(kind):
     series = MessageSeries()
     messages = [message for messages in twins(RESERVED) for message in messages]
     assert detection_time(without_numbers(messages, kind), series) is None

@@ -1,4 +1,4 @@
-"""Lifecycle, services, references by topic and published messages of the node, over DDS."""
+"""Lifecycle, services, references from topics, and published messages of the node over DDS."""
 
 import itertools
 import math
@@ -29,7 +29,7 @@ def state(s):
     return s.call(GetState, "/diffdrive_mpc/get_state", GetState.Request()).current_state.id
 
 
-def test_commands_in_lock_step_equal_those_of_the_simulation():
+def test_commands_in_lock_step_equal_commands_of_the_simulation():
     reference = load_trajectory("s")
     ticks = 150
     with stack(trajectory="s", drive=True) as s:
@@ -40,32 +40,32 @@ def test_commands_in_lock_step_equal_those_of_the_simulation():
 
 
 def test_robot_on_the_wall_clock_drives_and_stops_without_odometry():
-    """No duration is asserted, because the speed of the machine does not matter here."""
+    """No duration is asserted, because it depends on the machine."""
     with stack(sim_time=False, drive=True) as s:
         s.base.until(lambda: s.base.drive() or s.base.plant.true_pose[0] > 0.1, "the robot to move")
         assert s.loop.times.latency.percentiles().p50 > 0.0
         s.base.tamper = lambda odometry: None
         s.base.until(lambda: s.base.drive() or s.loop.last.mode == Mode.STOPPED, "the robot to stop")
-        # The command of the tick that reported STOPPED may still be on its way through DDS.
+        # DDS may not have delivered the command of the first STOPPED tick yet.
         s.base.until(lambda: s.base.drive() or s.base.commands[-1] == (0.0, 0.0), "the zero command")
-        before = len(s.base.commands)
-        s.base.until(lambda: s.base.drive() or len(s.base.commands) > before + 3, "further commands")
-        assert set(s.base.commands[before:]) == {(0.0, 0.0)}
+        count = len(s.base.commands)
+        s.base.until(lambda: s.base.drive() or len(s.base.commands) > count + 3, "further commands")
+        assert set(s.base.commands[count:]) == {(0.0, 0.0)}
 
 
-@pytest.mark.parametrize("ahead", [1.0, 100.0, 1000.0])
-def test_one_future_stamp_rejects_one_message_only(ahead):
+@pytest.mark.parametrize("offset", [1.0, 100.0, 1000.0])
+def test_one_future_stamp_rejects_one_message_only(offset):
     """One future stamp on each topic does not affect later messages."""
     with stack(drive=True, pose_topic=True) as s:
         s.base.run(30)
         topics = s.node._inbox.topics
-        before = [topic.accepted for topic in topics]
-        s.base.ahead = int(ahead * 1e9)
+        counts = [topic.accepted for topic in topics]
+        s.base.ahead = int(offset * 1e9)
         s.base.run(1)
         s.base.ahead = 0
         commands = s.base.run(20)
         assert s.loop.last.mode == Mode.TRACKING
-        assert [topic.accepted for topic in topics] == [count + 20 for count in before]
+        assert [topic.accepted for topic in topics] == [count + 20 for count in counts]
         assert all("s in the future" in topic.last_refusal for topic in topics)
         assert not any(topic.reason for topic in topics)
         assert commands[-1, 0] > 0.1
@@ -87,9 +87,9 @@ STEPS |= {f"guard condition {count}": (f"{BUILDERS}TrackingNode.create_guard_con
 STEPS |= {"timer": (f"{BUILDERS}TrackingNode.create_timer", 0)}
 
 
-def entities(node):
-    kinds = (node.publishers, node.subscriptions, node.services, node.timers, node.guards, node._managed_entities)
-    return [len(list(kind)) for kind in kinds]
+def entity_counts(node):
+    groups = (node.publishers, node.subscriptions, node.services, node.timers, node.guards, node._managed_entities)
+    return [len(list(group)) for group in groups]
 
 
 def fail_at(monkeypatch, target, count, error):
@@ -107,7 +107,7 @@ def fail_at(monkeypatch, target, count, error):
 
 
 def check_failed_configuration(s, monkeypatch, capfd, *step):
-    before = entities(s.node)
+    counts = entity_counts(s.node)
     with monkeypatch.context() as patch:
         fail_at(patch, *step)
         capfd.readouterr()
@@ -116,7 +116,7 @@ def check_failed_configuration(s, monkeypatch, capfd, *step):
     assert len(lines) == 1 and "no memory" in lines[0]
     assert "no memory" in s.node.failure
     assert (s.state, s.node.label) == ((State.PRIMARY_STATE_UNCONFIGURED, "unconfigured"), "unconfigured")
-    assert entities(s.node) == before, step
+    assert entity_counts(s.node) == counts, step
 
 
 @pytest.mark.parametrize("error", [ValueError("no memory"), RuntimeError("no memory")], ids=type)
@@ -140,31 +140,31 @@ def test_trajectory_starts_at_the_robot():
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
         np.testing.assert_allclose(s.loop.drive.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
-        moved = s.base.plant.true_pose - [2.0, -1.0, 2.0]
-        assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
+        displacement = s.base.plant.true_pose - [2.0, -1.0, 2.0]
+        assert math.cos(2.0) * displacement[0] + math.sin(2.0) * displacement[1] > 0.15
 
 
-def straight(frame="odom"):
+def straight_path(frame="odom"):
     """Return a path along x from rest to rest."""
-    share = np.linspace(0.0, 1.0, 21)
-    along = 0.4 / 1.5 * 4.0 * (3 * share**2 - 2 * share**3)
+    progress = np.linspace(0.0, 1.0, 21)
+    x_values = 0.4 / 1.5 * 4.0 * (3 * progress**2 - 2 * progress**3)
     path = Path()
     path.header.frame_id = frame
-    for x, t in zip(along, share * 4.0, strict=True):
+    for x, t in zip(x_values, progress * 4.0, strict=True):
         path.poses.append(stamped_pose_message((x, 0.0, 0.0), 10**12 + round(t * 1e9), frame))
     return path
 
 
-def sent_path(s, path):
+def publish_path(s, path):
     publisher = s.publisher(Path, "set_path")
     s.base.silent(5)
     publisher.publish(path)
 
 
-def test_timed_path_is_driven():
+def test_timed_path_is_followed():
     with stack(trajectory="''", drive_on_reference=True) as s:
         assert "there is no reference" in s.trigger("start").message
-        sent_path(s, straight())
+        publish_path(s, straight_path())
         s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
         s.base.plant.reset((0.0, 0.0, 0.0))
         s.base.run(round(4.6 / DT))
@@ -172,8 +172,8 @@ def test_timed_path_is_driven():
         assert abs(s.base.plant.true_pose[0] - 0.4 / 1.5 * 4.0) < 0.03
 
 
-def no_times():
-    path = straight()
+def path_without_stamps():
+    path = straight_path()
     for pose in path.poses:
         pose.header.stamp = time_message(0)
     return path
@@ -182,14 +182,14 @@ def no_times():
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
-        (straight(frame="map"), "its frame_id is 'map', expected 'odom'"),
-        (no_times(), "is not later than the previous pose"),
+        (straight_path(frame="map"), "its frame_id is 'map', expected 'odom'"),
+        (path_without_stamps(), "is not later than the previous pose"),
     ],
 )
-def test_invalid_path_is_rejected_and_the_previous_one_continues(path, reason, capfd):
+def test_invalid_path_is_rejected_and_the_previous_path_continues(path, reason, capfd):
     with stack(drive=True) as s:
         s.base.run(10)
-        sent_path(s, path)
+        publish_path(s, path)
         s.base.until(lambda: reason in capfd.readouterr().err, "the refusal")
         assert s.loop.state is LoopState.DRIVING
         assert s.loop.drive.reference.name == "circle"
@@ -197,7 +197,7 @@ def test_invalid_path_is_rejected_and_the_previous_one_continues(path, reason, c
 
 def test_paths_marker_error_and_mode_are_published():
     with stack(visual_rate=50.0) as s:
-        predicted, whole = s.listen(Path, "/diffdrive_mpc/predicted_path"), []
+        prediction, reference = s.listen(Path, "/diffdrive_mpc/predicted_path"), []
         marker, error = (
             s.listen(Marker, "/diffdrive_mpc/error_marker"),
             s.listen(Vector3Stamped, "/diffdrive_mpc/tracking_error"),
@@ -206,18 +206,18 @@ def test_paths_marker_error_and_mode_are_published():
         s.base.run(5)
         s.trigger("start")
         s.base.run(40)
-        whole = s.listen(Path, "/diffdrive_mpc/reference_path", LATCHED)
-        s.base.until(lambda: whole and predicted and marker and error, "visuals")
-        assert len(predicted[-1].poses) == CONFIG.horizon + 1
-        assert predicted[-1].header.frame_id == whole[-1].header.frame_id == marker[-1].header.frame_id == "odom"
-        circle = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in whole[-1].poses])
+        reference = s.listen(Path, "/diffdrive_mpc/reference_path", LATCHED)
+        s.base.until(lambda: reference and prediction and marker and error, "visuals")
+        assert len(prediction[-1].poses) == CONFIG.horizon + 1
+        assert prediction[-1].header.frame_id == reference[-1].header.frame_id == marker[-1].header.frame_id == "odom"
+        circle = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in reference[-1].poses])
         np.testing.assert_allclose(np.hypot(circle[:, 0], circle[:, 1] - 1.0), 1.0, atol=1e-3)
         assert np.hypot(error[-1].vector.x, error[-1].vector.y) < 0.05
         assert mode[-1].data == "TRACKING"
 
 
 def test_diagnostics_contain_times_ages_and_faults():
-    # The window holds ticks in lock step only: one before them may be lost to discovery.
+    # The window contains only ticks in lock step, because discovery may lose earlier ticks.
     with stack(diagnostics_rate=20.0, statistics_window=50) as s:
         received = s.listen(DiagnosticArray, "/diagnostics")
         s.trigger("start")
@@ -227,8 +227,8 @@ def test_diagnostics_contain_times_ages_and_faults():
         values = {item.key: item.value for item in status.values}
         assert status.level == DiagnosticStatus.OK
         assert values["solver"].startswith("solved")
-        p50, p99, largest = map(float, values["step time p50/p99/max [ms]"].split(" / "))
-        assert 0.0 < p50 <= p99 <= largest
+        p50, p99, maximum = map(float, values["step time p50/p99/max [ms]"].split(" / "))
+        assert 0.0 < p50 <= p99 <= maximum
         assert values["period jitter p50/p99/max [ms]"] == "0.00 / 0.00 / 0.00"
         assert float(values["odometry age [s]"]) == pytest.approx(0.0, abs=DT)
         assert "pose age [s]" not in values
@@ -240,7 +240,7 @@ def test_diagnostics_contain_times_ages_and_faults():
         assert "TRACKING: imu is 0." in received[-1].status[0].message
 
 
-def test_infeasible_reference_is_named_before_driving_and_driven():
+def test_infeasible_reference_is_reported_and_followed():
     with stack({"limits.wheel_speed": 0.45}, diagnostics_rate=20.0) as s:
         received = s.listen(DiagnosticArray, "/diagnostics")
         response = s.trigger("start")

@@ -1,4 +1,4 @@
-"""The files of the colcon package fit the code that they start."""
+"""Consistency of the files of the colcon package with the code: manifest, launch files and access control."""
 
 import inspect
 import re
@@ -30,24 +30,24 @@ NODES = [
     for room in ("mpc/ros", "packages/monitor/src/diffdrive_mpc_monitor/ros")
     for path in sorted((ROOT / room).glob("*.py"))
 ]
-WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
-"""Optional packages, installed with Nav2; without them the node runs and logs a message."""
+OPTIONAL_PACKAGES = {"bond", "nav2_msgs", "tf2_msgs"}
+"""Optional packages of Nav2; without them the node runs and logs a message."""
 
 
-def packages(paths):
+def imported_packages(paths):
     return {module.partition(".")[0] for path in paths for module, _ in imports_of(path)}
 
 
 def test_manifest_lists_every_imported_ros_package():
-    listed = {element.text for element in MANIFEST.findall("exec_depend")}
+    dependencies = {element.text for element in MANIFEST.findall("exec_depend")}
     sources = [*NODES, *(ROOT / "sim").glob("ros/*.py"), *(ROS / "launch").glob("*.py")]
     ros = {
         name
-        for name in packages(sources)
+        for name in imported_packages(sources)
         if name == "rclpy" or name.startswith("launch") or name.endswith(("_msgs", "_srvs"))
     }
     assert "rclpy" in ros
-    assert ros | WITHOUT_WHEEL <= listed
+    assert ros | OPTIONAL_PACKAGES <= dependencies
     assert MANIFEST.get("format") == "3"
     assert MANIFEST.findtext("export/build_type") == "ament_python"
 
@@ -55,52 +55,52 @@ def test_manifest_lists_every_imported_ros_package():
 def test_extra_ros_installs_every_imported_ros_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
-    result = packages(NODES)
-    # rclpy itself brings the interfaces that it is made of.
+    result = imported_packages(NODES)
+    # rclpy contains these interfaces.
     builtin = {"builtin_interfaces", "rcl_interfaces"}
-    for name in result - builtin - WITHOUT_WHEEL:
+    for name in result - builtin - OPTIONAL_PACKAGES:
         if name == "rclpy" or name.endswith(("_msgs", "_srvs")):
             assert f"ros-jazzy-{name.replace('_', '-')}" in extra
     assert MANIFEST.findtext("version") == project["version"]
 
 
-class Recorded(types.ModuleType):
-    """Replacement of a module of ROS's launch system, which has no wheel: every name records its call."""
+class RecordingModule(types.ModuleType):
+    """Stub of a module of the ROS launch system, which has no wheel: each attribute returns the record of its call."""
 
     def __getattr__(self, name):
         if name.startswith("__"):
             raise AttributeError(name)
-        return lambda *arguments, **words: (name, arguments, words)
+        return lambda *arguments, **options: (name, arguments, options)
 
 
-def entities(monkeypatch, name):
+def launch_entities(monkeypatch, name):
     """Return the entities that a launch file starts."""
     for module in ("launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch_ros.actions"):
-        monkeypatch.setitem(sys.modules, module, Recorded(module))
-    monkeypatch.setitem(sys.modules, "launch_ros", Recorded("launch_ros"))
-    packages = Recorded("ament_index_python.packages")
-    packages.get_package_share_directory = lambda _: str(ROS)
-    monkeypatch.setitem(sys.modules, "ament_index_python", Recorded("ament_index_python"))
-    monkeypatch.setitem(sys.modules, "ament_index_python.packages", packages)
+        monkeypatch.setitem(sys.modules, module, RecordingModule(module))
+    monkeypatch.setitem(sys.modules, "launch_ros", RecordingModule("launch_ros"))
+    package_module = RecordingModule("ament_index_python.packages")
+    package_module.get_package_share_directory = lambda _: str(ROS)
+    monkeypatch.setitem(sys.modules, "ament_index_python", RecordingModule("ament_index_python"))
+    monkeypatch.setitem(sys.modules, "ament_index_python.packages", package_module)
     path = ROS / "launch" / f"{name}.launch.py"
-    space = {}
-    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), space)
-    _, (listed,), _ = space["generate_launch_description"]()
-    return listed
+    namespace = {}
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), namespace)
+    _, (started,), _ = namespace["generate_launch_description"]()
+    return started
 
 
-def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
-    """The node's commands go to the monitor's input topic, and its arguments are those of the command line."""
-    listed = entities(monkeypatch, "monitored")
-    (node,) = [words for kind, _, words in listed if kind == "LifecycleNode"]
+def test_monitored_launch_connects_the_base_to_the_monitor_only(monkeypatch):
+    """The node publishes on the monitor's input topic; arguments of the monitor are options of its command line."""
+    started_entities = launch_entities(monkeypatch, "monitored")
+    (node,) = [arguments for kind, _, arguments in started_entities if kind == "LifecycleNode"]
     assert node["remappings"] == [(CHECKED, UNCHECKED)]
-    started = [words["cmd"] for kind, _, words in listed if kind == "ExecuteProcess"]
-    assert [words[1] for words in started] == ["sim-robot", "monitor"]
-    assert started[1][:3] == ["diffdrive-mpc", "monitor", "--rules"]
+    commands = [arguments["cmd"] for kind, _, arguments in started_entities if kind == "ExecuteProcess"]
+    assert [arguments[1] for arguments in commands] == ["sim-robot", "monitor"]
+    assert commands[1][:3] == ["diffdrive-mpc", "monitor", "--rules"]
     assert "rules" in inspect.signature(monitor).parameters
-    # Parameters that depend on an argument are put together when it is launched.
-    made = [word[1][0] for word in started[1] if word[0] == "PythonExpression"]
-    texts = ["".join(part for part in parts if isinstance(part, str)) for parts in made]
+    # Parameters that depend on launch arguments are Python expressions.
+    expressions = [word[1][0] for word in commands[1] if word[0] == "PythonExpression"]
+    texts = ["".join(part for part in parts if isinstance(part, str)) for parts in expressions]
     assert texts == ["'use_sim_time:=' + ''", "'use_pose_topic:=' + ''"]
     assert "use_pose_topic" in MonitorSettings.model_fields
 
@@ -115,7 +115,7 @@ KINDS = {"publish": "publisher", "subscribe": "subscriber", "reply": "service"}
 
 
 def included(element):
-    """Yield the children of an element, with included files in place."""
+    """Yield the children of an element; included files are replaced by their contents."""
     for child in element:
         if child.tag == XI:
             root = ElementTree.parse(SECURITY / child.get("href")).getroot()
@@ -142,17 +142,17 @@ def allowed(enclave):
     return pairs
 
 
-def had(node, name=None):
-    """Return such pairs of a running node; actions are named by their topics and services."""
+def used_names(node, name=None):
+    """Return the pairs of rule and full name that a running node uses; actions have special topics and services."""
     result = set()
     for rule, kind in KINDS.items():
-        listed = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")
-        result |= {(rule, each) for each, _ in listed}
+        names = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")
+        result |= {(rule, used) for used, _ in names}
     action = re.compile(r"(.*)/_action/")
-    return {("execute", action.match(each)[1]) if "/_action/" in each else (rule, each) for rule, each in result}
+    return {("execute", action.match(used)[1]) if "/_action/" in used else (rule, used) for rule, used in result}
 
 
-OF_PARTS = {
+PART_NAMES = {
     ("subscribe", "/battery_state"),
     ("subscribe", "/costmap"),
     ("subscribe", "/obstacles"),
@@ -163,8 +163,8 @@ OF_PARTS = {
 
 def test_policy_allows_exactly_the_topics_of_the_node(ros_types):
     with stack(pose_source="tf") as s:
-        result = had(s.node) | had(s.node, "diffdrive_mpc_follow_path") | OF_PARTS
-    # Instead of transforms, with use_pose_topic.
+        result = used_names(s.node) | used_names(s.node, "diffdrive_mpc_follow_path") | PART_NAMES
+    # With use_pose_topic, this topic replaces transforms.
     result.add(("subscribe", "/pose"))
     assert allowed("node") == result
     commands = {(rule, name) for rule, name in result if name.startswith(f"/{CHECKED}")}
@@ -185,7 +185,7 @@ def test_policy_allows_exactly_the_topics_of_monitor_and_robot(enclave):
             settings, plant = load_base_settings(), make_plant("model:ssm", surface="ideal", sensors="perfect")
             SimulatedBase(node, plant, (0, 0, 0), settings, pose_memory=0, clock=WallClock(), record=print)
             node.create_publisher(Clock, "/clock", 1)
-        assert allowed(enclave) == had(node)
+        assert allowed(enclave) == used_names(node)
         node.destroy_node()
     finally:
         rclpy.shutdown(context=context)

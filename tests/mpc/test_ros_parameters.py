@@ -66,19 +66,19 @@ def test_ranges_agree_with_the_schema(name, value):
 
 def test_every_field_is_a_parameter_with_type_text_and_range():
     with stack(autostart=False) as s:
-        listed = s.call(ListParameters, "/diffdrive_mpc/list_parameters", ListParameters.Request()).result.names
-        assert set(FIELDS) <= set(listed)
+        names = s.call(ListParameters, "/diffdrive_mpc/list_parameters", ListParameters.Request()).result.names
+        assert set(FIELDS) <= set(names)
         request = DescribeParameters.Request(names=sorted(FIELDS))
-        described = s.call(DescribeParameters, "/diffdrive_mpc/describe_parameters", request).descriptors
-        for result, name in zip(described, sorted(FIELDS), strict=True):
+        descriptors = s.call(DescribeParameters, "/diffdrive_mpc/describe_parameters", request).descriptors
+        for result, name in zip(descriptors, sorted(FIELDS), strict=True):
             assert result.name == name
             assert result.description == FIELDS[name].description
             assert result.type != ParameterType.PARAMETER_NOT_SET
-            numbers = result.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
-            assert numbers == bool(result.floating_point_range or result.integer_range), name
-        horizon = described[sorted(FIELDS).index("horizon")].integer_range[0]
+            is_number = result.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
+            assert is_number == bool(result.floating_point_range or result.integer_range), name
+        horizon = descriptors[sorted(FIELDS).index("horizon")].integer_range[0]
         assert (horizon.from_value, horizon.to_value) == (1, 200)
-        progress = described[sorted(FIELDS).index("expert.reentry.max_progress")]
+        progress = descriptors[sorted(FIELDS).index("expert.reentry.max_progress")]
         assert (progress.floating_point_range[0].from_value, progress.floating_point_range[0].to_value) == (1.0, 2.0)
         assert progress.additional_constraints == "greater than 1"
 
@@ -97,7 +97,7 @@ def started_node(*assignments):
     """Yield an unconfigured node with the parameters `name:=value`."""
     context = Context()
     rclpy.init(
-        context=context, args=["--ros-args", *(word for assignment in assignments for word in ("-p", assignment))]
+        context=context, args=["--ros-args", *(option for assignment in assignments for option in ("-p", assignment))]
     )
     node = None
     try:
@@ -123,9 +123,9 @@ def started_node(*assignments):
     ],
 )
 def test_unknown_parameter_prevents_the_start(assignment, message):
-    with pytest.raises(ConfigError) as refusal, started_node(assignment):
+    with pytest.raises(ConfigError) as caught, started_node(assignment):
         pass
-    assert message in str(refusal.value) and "\n" not in str(refusal.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_parameter_of_another_node_gives_a_warning(capfd):

@@ -20,7 +20,7 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 
 @pytest.fixture
-def driving(request):
+def moving_base(request):
     """Base, and the process that drives it in simulated time; the parameter is the node's `shutdown_time`."""
     arguments = ["-p", "use_sim_time:=true", "-p", "start_at_robot:=false"]
     arguments += ["-p", f"shutdown_time:={getattr(request, 'param', 1.0)}"]
@@ -29,7 +29,7 @@ def driving(request):
     )
     base = FakeBase(lambda: time.sleep(0.001))
     try:
-        base.until(lambda: moving(base, process), "the first command that moves the robot")
+        base.until(lambda: has_moving_command(base, process), "the first command that moves the robot")
         base.run(20)
         yield base, process
     finally:
@@ -39,8 +39,8 @@ def driving(request):
         base.close()
 
 
-def moving(base, process):
-    """Run a tick; return True if the robot is driven."""
+def has_moving_command(base, process):
+    """Run a tick; return True if the last command moves the robot."""
     assert process.poll() is None, process.stderr.read()
     base.silent(1)
     return base.commands and any(base.commands[-1])
@@ -70,32 +70,34 @@ def end_with(base, process, *numbers, ticks=True):
     return np.array(base.commands[count - 1 :])
 
 
-@pytest.mark.parametrize("driving", [20.0], indirect=True)
+@pytest.mark.parametrize("moving_base", [20.0], indirect=True)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_node_brakes_by_its_ramp_and_sends_zero_last(driving, number):
-    commands = end_with(*driving, number)
+def test_interrupted_node_brakes_at_its_limits_and_sends_zero_last(moving_base, number):
+    commands = end_with(*moving_base, number)
     braking = np.array([CONFIG.limits.v_braking, CONFIG.limits.omega_braking]) * DT
     assert (np.abs(np.diff(commands, axis=0)) <= braking * 1.001).all()
     assert (np.diff(np.abs(commands[:, 0])) <= 1e-9).all()
 
 
-@pytest.mark.parametrize("driving", [0.5], indirect=True)
-def test_braking_ends_after_shutdown_time_if_the_clock_stops(driving):
+@pytest.mark.parametrize("moving_base", [0.5], indirect=True)
+def test_braking_ends_after_the_shutdown_time_if_the_clock_stops(moving_base):
     start = time.monotonic()
-    assert len(end_with(*driving, signal.SIGTERM, ticks=False)) == 2
+    assert len(end_with(*moving_base, signal.SIGTERM, ticks=False)) == 2
     assert time.monotonic() - start > 0.5
 
 
 @pytest.mark.parametrize(
-    ("driving", "numbers"), [(1000.0, [signal.SIGINT, signal.SIGTERM]), (0.0, [signal.SIGINT])], indirect=["driving"]
+    ("moving_base", "numbers"),
+    [(1000.0, [signal.SIGINT, signal.SIGTERM]), (0.0, [signal.SIGINT])],
+    indirect=["moving_base"],
 )
-def test_second_signal_or_no_shutdown_time_sends_zero_at_once(driving, numbers):
-    assert len(end_with(*driving, *numbers, ticks=False)) == 2
+def test_second_signal_or_no_shutdown_time_sends_zero_at_once(moving_base, numbers):
+    assert len(end_with(*moving_base, *numbers, ticks=False)) == 2
 
 
-def test_killed_node_sends_no_command(driving):
-    """A killed node cannot send zero; the base must stop without commands."""
-    base, process = driving
+def test_killed_node_sends_no_command(moving_base):
+    """A killed node cannot send a zero command; the base must stop by its timeout."""
+    base, process = moving_base
     process.kill()
     process.wait()
     assert base.silent(5) == 0
@@ -110,7 +112,7 @@ NAMES = {f"{name}/diffdrive_mpc: control" for name in PATHS}
 
 
 @pytest.fixture(scope="module")
-def driven():
+def alternating_drives():
     """Distances to the references, received diagnostics, and control loops of three stacks that run alternately.
 
     The stacks run until diagnostics of all nodes have arrived at any base, because Fast DDS may permanently lose a
@@ -136,9 +138,9 @@ def driven():
         run_alternately(robots)
         distances = {name: distance_to_reference(robot, name) for name, robot in robots.items()}
         statuses = [status for arrays in received for array in arrays for status in array.status]
-        end = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + PATIENCE
         while {status.name for status in statuses} < NAMES:
-            assert time.monotonic() < end, f"received only {sorted({status.name for status in statuses})}"
+            assert time.monotonic() < deadline, f"received only {sorted({status.name for status in statuses})}"
             run_alternately(robots, 1)
             statuses = [status for arrays in received for array in arrays for status in array.status]
         yield distances, statuses, [robot.loop for robot in robots.values()]
@@ -159,19 +161,19 @@ def distance_to_reference(robot, name):
 
 
 @pytest.mark.parametrize("name", PATHS)
-def test_each_robot_follows_its_own_path(driven, name):
-    distances, _, _ = driven
+def test_each_robot_follows_its_own_path(alternating_drives, name):
+    distances, _, _ = alternating_drives
     assert distances[name] < 0.05
-    others = [reference_at_end(robot) for robot in PATHS if robot != name]
-    assert all(np.hypot(*(reference_at_end(name)[:2] - end[:2])) > 0.1 for end in others)
+    other_ends = [reference_at_end(robot) for robot in PATHS if robot != name]
+    assert all(np.hypot(*(reference_at_end(name)[:2] - end[:2])) > 0.1 for end in other_ends)
 
 
-def test_diagnostics_name_each_robot(driven):
-    _, statuses, _ = driven
+def test_diagnostics_contain_the_name_of_each_robot(alternating_drives):
+    _, statuses, _ = alternating_drives
     assert {status.name for status in statuses} == NAMES
     assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}
 
 
-def test_robots_of_other_namespaces_are_not_reported(driven):
-    _, _, loops = driven
+def test_robots_of_other_namespaces_are_not_reported(alternating_drives):
+    _, _, loops = alternating_drives
     assert all(loop.warning == loop.objection == "" for loop in loops)

@@ -11,19 +11,19 @@ from diffdrive_mpc.models.logs.mapping import Topic
 
 
 def record_drive(folder, ticks, **parameters):
-    """Drive along the circle; return the file, and the commands that arrived at the base."""
+    """Drive along the circle; return the file and the commands that the base received."""
     # Diagnostics use wall time; a fast machine completes the drive in less than a second.
     settings = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
     with stack(drive=True, **settings, **parameters) as s:
         s.base.run(ticks)
-        sent = [*zip(s.base.times, s.base.commands, strict=True)]
+        received = [*zip(s.base.times, s.base.commands, strict=True)]
     (path,) = folder.iterdir()
-    return path, sent
+    return path, received
 
 
 @pytest.mark.parametrize("pose_topic", [pytest.param(False, marks=pytest.mark.system), True])
 def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
-    path, sent = record_drive(tmp_path / "drives", 150, pose_topic=pose_topic)
+    path, received = record_drive(tmp_path / "drives", 150, pose_topic=pose_topic)
     log = read_drive_log(path, plans=True)
     assert not log.cut and log.pose_sensor == pose_topic
     columns = log.columns
@@ -32,17 +32,17 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
         (samples,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
     assert np.array_equal(samples.value, commands)
-    stamps = dict(sent)
-    common = [row for row, stamp in enumerate(samples.stamped.tolist()) if stamp in stamps]
+    commands_by_stamp = dict(received)
+    common = [row for row, stamp in enumerate(samples.stamped.tolist()) if stamp in commands_by_stamp]
     assert len(common) >= 150
-    assert all(tuple(commands[row]) == stamps[int(samples.stamped[row])] for row in common)
-    driven = np.flatnonzero(columns["mode"] == "TRACKING")
-    assert len(driven) >= 145
-    assert np.allclose(np.diff(columns["t_s"][driven]), DT, atol=1e-6)
-    assert all(np.isfinite(columns[name][driven[2:]]).all() for name in ("v_wheel_m_s", "omega_gyro_rad_s"))
-    assert np.isfinite(columns["estimate_x_sd_m"][driven]).all()
-    assert all(log.plans[row] is not None for row in driven)
-    assert counts[REFERENCE] == 1 and counts[PLAN] >= len(driven) and counts[DIAGNOSTICS] >= 1
+    assert all(tuple(commands[row]) == commands_by_stamp[int(samples.stamped[row])] for row in common)
+    tracking_rows = np.flatnonzero(columns["mode"] == "TRACKING")
+    assert len(tracking_rows) >= 145
+    assert np.allclose(np.diff(columns["t_s"][tracking_rows]), DT, atol=1e-6)
+    assert all(np.isfinite(columns[name][tracking_rows[2:]]).all() for name in ("v_wheel_m_s", "omega_gyro_rad_s"))
+    assert np.isfinite(columns["estimate_x_sd_m"][tracking_rows]).all()
+    assert all(log.plans[row] is not None for row in tracking_rows)
+    assert counts[REFERENCE] == 1 and counts[PLAN] >= len(tracking_rows) and counts[DIAGNOSTICS] >= 1
     assert TRUE_POSE not in counts and ("/pose" in counts) == pose_topic
     assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
 

@@ -2,7 +2,7 @@
 
 A row has parameters of the node and steps. A step names methods of `Scenario` with their arguments, called in the order
 of the row; `$key` takes its value from each of the `cases`. From tick to tick no command changes by more than `change`:
-the slew, braking (the default) or `any`.
+the limit of slew, of braking (the default) or `any`.
 """
 
 import math
@@ -44,7 +44,7 @@ TYPES = {"TwistStamped": TwistStamped, "Empty": Empty, "Odometry": Odometry}
 
 
 class Scenario:
-    """Steps and expectations of a row; `commands` (n, 2) are those of the last `ticks`."""
+    """Steps and expectations of a row; `commands` (n, 2) are the commands of the last `ticks`."""
 
     def __init__(self, s, monkeypatch, capfd):
         self.s, self.base, self.monkeypatch, self.capfd = s, s.base, monkeypatch, capfd
@@ -67,17 +67,17 @@ class Scenario:
         assert self.base.silent(ticks) == 0
 
     def spin(self, count):
-        before = len(self.base.commands)
+        count_before = len(self.base.commands)
         for _ in range(count):
             self.base.spin()
-        assert len(self.base.commands) == before
+        assert len(self.base.commands) == count_before
 
     def odometry(self, change):
         """Change entries of odometry, given by dotted names; "lost" drops all messages, "good" changes none."""
 
         def tamper(message):
-            for place, value in change.items():
-                *parents, name = place.split(".")
+            for key, value in change.items():
+                *parents, name = key.split(".")
                 setattr(reduce(getattr, parents, message), name, value)
             return message
 
@@ -89,10 +89,10 @@ class Scenario:
         self.base.plant.reset(self.base.plant.true_pose)
 
     def fault(self, text):
-        def broken(*_, **__):
+        def fail(*_, **__):
             raise ZeroDivisionError(text)
 
-        self.monkeypatch.setattr(self.s.node._controller, "step", broken)
+        self.monkeypatch.setattr(self.s.node._controller, "step", fail)
 
     def mend(self, _):
         self.monkeypatch.undo()
@@ -179,9 +179,9 @@ class Scenario:
         assert not (self.commands if when == "throughout" else self.commands[-1]).any()
 
     def brakes_hard(self, _):
-        """Check that the last ticks come to rest as soon as the limit of braking allows."""
-        needed = math.ceil(self.all[-2][-1, 0] / (LIMITS.v_braking * DT) - 1e-9)
-        assert not self.commands[needed:].any()
+        """Check that the last ticks brake to rest at the braking limit."""
+        ticks = math.ceil(self.all[-2][-1, 0] / (LIMITS.v_braking * DT) - 1e-9)
+        assert not self.commands[ticks:].any()
 
     def last_sent(self, command):
         assert self.base.commands[-1] == tuple(command)
@@ -212,8 +212,8 @@ class Scenario:
         self.base.until(lambda: text in self.capfd.readouterr().err, text)
 
     def limited_to(self, v):
-        wanted = v if v is None else pytest.approx(v)
-        self.base.until(lambda: self.s.node._controller.speed_limit == wanted, "the limit")
+        expected = v if v is None else pytest.approx(v)
+        self.base.until(lambda: self.s.node._controller.speed_limit == expected, "the limit")
 
     def limit_fault(self, text):
         fault = self.s.node.parts["speed_limit"].fault
@@ -233,10 +233,10 @@ class Scenario:
         def is_reported():
             statuses = [message.status[0] for message in self.diagnosed]
             return any(
-                each.level == getattr(DiagnosticStatus, level)
-                and re.search(pattern, each.message)
-                and {(item.key, item.value) for item in each.values} >= {tuple(value) for value in values}
-                for each in statuses
+                status.level == getattr(DiagnosticStatus, level)
+                and re.search(pattern, status.message)
+                and {(item.key, item.value) for item in status.values} >= {tuple(value) for value in values}
+                for status in statuses
             )
 
         self.base.until(is_reported, f"diagnostics: {row}")
@@ -289,21 +289,21 @@ def rows():
 
 @pytest.mark.parametrize(("row", "case"), rows())
 def test_scenario(row, case, monkeypatch, capfd, request):
-    def filled(value):
+    def fill(value):
         return case[value[1:]] if isinstance(value, str) and value.startswith("$") else value
 
     if "compiler" in row.get("system", ()):
         request.getfixturevalue("ros_types")
-    parameters = {"drive": True, "diagnostics_rate": 20.0} | {key: filled(v) for key, v in row.get("node", {}).items()}
+    parameters = {"drive": True, "diagnostics_rate": 20.0} | {key: fill(v) for key, v in row.get("node", {}).items()}
     with stack(row.get("config"), **parameters) as s:
         scenario = Scenario(s, monkeypatch, capfd)
         for step in row["steps"]:
             for name, value in step.items():
-                getattr(scenario, name)(filled(value))
+                getattr(scenario, name)(fill(value))
     commands = np.vstack([np.empty((0, 2)), *scenario.all])
     assert np.isfinite(commands).all()
     assert (np.abs(commands) <= [LIMITS.v + 1e-9, LIMITS.omega + 1e-9]).all()
-    steps, grows = np.abs(np.diff(commands, axis=0)), np.diff(np.abs(commands), axis=0)
+    steps, increases = np.abs(np.diff(commands, axis=0)), np.diff(np.abs(commands), axis=0)
     change = row.get("change", "braking")
     assert (steps <= RATES[change] * DT + 1e-9).all()
-    assert (grows <= RATES["any" if change == "any" else "slew"] * DT + 1e-9).all()
+    assert (increases <= RATES["any" if change == "any" else "slew"] * DT + 1e-9).all()

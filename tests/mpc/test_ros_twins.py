@@ -1,4 +1,4 @@
-"""Two robots of one name over DDS, and drivers that are killed and started again."""
+"""Publishers with equal node names over DDS."""
 
 import pytest
 import rclpy
@@ -16,7 +16,7 @@ SHARED = "two publishers of /fake_base publish on /{}, and their messages cannot
 
 
 class Twin:
-    """A publisher under the name of the base, on the base's own thread."""
+    """Publisher in a second node with the name of the base, in the thread of the test."""
 
     def __init__(self, kind, topic, name="fake_base"):
         self.context = Context()
@@ -31,7 +31,7 @@ class Twin:
 
 @pytest.mark.system
 @pytest.mark.parametrize("topic", INPUTS)
-def test_activation_with_two_drivers_of_one_name_is_refused(topic):
+def test_activation_with_two_drivers_of_equal_names_is_rejected(topic):
     with (
         stack(autostart=False, sim_time=False, pose_topic=True, discovery_wait=5.0) as s,
         driver([topic]),
@@ -47,10 +47,10 @@ def test_activation_with_two_drivers_of_one_name_is_refused(topic):
 @pytest.mark.parametrize("topic", INPUTS)
 def test_node_brakes_for_the_third_message_of_a_twin(topic):
     with stack(drive=True, pose_topic=True) as s:
-        before = s.base.run(40)
+        commands = s.base.run(40)
         twin = Twin(KINDS[topic], topic)
         s.base.until(lambda: twin.publisher.get_subscription_count() == 1, "the node's subscription")
-        # A publisher that sends nothing is no second voice.
+        # A publisher without messages does not count.
         s.base.run(20)
         assert not s.loop.objection
         for _ in range(3):
@@ -59,9 +59,9 @@ def test_node_brakes_for_the_third_message_of_a_twin(topic):
         s.base.run(1)
         assert s.loop.objection == SHARED.format(topic)
         braking = s.base.run(60)
-        assert not braking[-1].any() and before[-1, 0] > 0.1
+        assert not braking[-1].any() and commands[-1, 0] > 0.1
         twin.close()
-        s.base.until(lambda: not s.loop.objection, "the end of it")
+        s.base.until(lambda: not s.loop.objection, "the end of the objection")
         s.base.run(2)
         assert s.trigger("resume").success
         assert s.base.run(40)[-1, 0] > 0.1

@@ -1,4 +1,4 @@
-"""External speed limit: the true robot respects it on its path, the reference waits, and the limit can be removed."""
+"""External speed limit: the robot respects the limit on its path, the reference waits, and the limit can be removed."""
 
 import math
 import pickle
@@ -27,41 +27,41 @@ def drive(controller, plant, reference, ticks, limits):
         if tick in limits:
             controller.limit_speed(limits[tick])
         step = controller.step(tick * DT, plant.measure())
-        before = plant.true_pose
+        previous_pose = plant.true_pose
         plant.advance(step.command)
         commands.append(step.command)
-        speeds.append(math.hypot(*(plant.true_pose - before)[:2]) / DT)
+        speeds.append(math.hypot(*(plant.true_pose - previous_pose)[:2]) / DT)
         distance.append(np.hypot(*(path - plant.true_pose[:2]).T).min())
         steps.append(step)
     return np.array(commands), np.array(speeds), np.array(distance), steps
 
 
 @pytest.mark.parametrize(
-    ("plant", "sensors", "excess", "off"),
+    ("plant", "sensors", "excess", "bound"),
     [("model:ssm+0.005", "perfect", 0.002, 0.01), ("mujoco", "default", 0.01, 0.02)],
 )
 @pytest.mark.parametrize("trajectory", ["circle", "s"])
-def test_robot_respects_the_speed_limit_on_a_curve_until_it_is_removed(trajectory, plant, sensors, excess, off):
+def test_robot_respects_the_speed_limit_on_a_curve_until_it_is_removed(trajectory, plant, sensors, excess, bound):
     limit, reference = 0.25, load_trajectory(trajectory)
     robot = make_plant(plant, surface="ideal" if sensors == "perfect" else "default", sensors=sensors, seed=3)
     controller = Controller(CONFIG)
     commands, speeds, distance, steps = drive(controller, robot, reference, 700, {100: limit, 400: None})
-    before = commands[99, 0]
-    assert before > 1.5 * limit
+    initial_speed = commands[99, 0]
+    assert initial_speed > 1.5 * limit
     assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
     # The command reaches the limit as fast as the slew permits; the robot follows within its lag.
-    reached = 100 + math.ceil((before - limit) / SLEW[0])
+    reached = 100 + math.ceil((initial_speed - limit) / SLEW[0])
     assert (np.abs(commands[reached:400, 0]) <= limit + 1e-9).all()
     zone = slice(reached + round(0.5 / DT), 400)
     assert speeds[zone].max() <= limit + excess
     assert np.median(speeds[zone]) > 0.85 * limit
-    assert distance.max() <= off
+    assert distance.max() <= bound
     assert all(step.mode is Mode.TRACKING for step in steps[:400])
-    # The reference waits, so that the robot does not have to rejoin it.
+    # The reference waits, so the robot does not need a return path.
     assert not any("rejoining" in step.message for step in steps)
     assert "limited to 0.25 m/s" in steps[300].message
     assert steps[399].reference_delay > 0.3 * (400 - reached) * DT
-    assert speeds[450:600].max() > before
+    assert speeds[450:600].max() > initial_speed
     assert "limited" not in steps[-1].message
 
 
@@ -101,7 +101,7 @@ def test_only_the_command_is_limited_without_reentry():
 
 
 @pytest.mark.parametrize("limit", [0.0, -0.1, math.nan, math.inf])
-def test_invalid_speed_limit_is_refused(limit):
+def test_invalid_speed_limit_raises_error(limit):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="give a positive number"):
         controller.limit_speed(limit)
@@ -109,11 +109,11 @@ def test_invalid_speed_limit_is_refused(limit):
 
 
 @given(value=st.floats(0.0, 1e6), percentage=st.booleans(), max_speed=st.floats(0.05, 5.0))
-def test_stated_speed_limit_is_none_or_between_the_minimum_and_the_maximum_speed(value, percentage, max_speed):
+def test_speed_limit_is_none_or_between_the_minimum_and_the_maximum_speed(value, percentage, max_speed):
     result = SpeedLimit(value, percentage).speed(max_speed)
     if value == 0.0:
         assert result is None
     else:
         assert MIN_SPEED_LIMIT <= result <= max_speed
-        stated = value * max_speed / 100 if percentage else value
-        assert result == pytest.approx(min(max(stated, MIN_SPEED_LIMIT), max_speed))
+        requested = value * max_speed / 100 if percentage else value
+        assert result == pytest.approx(min(max(requested, MIN_SPEED_LIMIT), max_speed))

@@ -20,12 +20,12 @@ CONFIG = load_config("ssm")
 DT, N, LIMITS = CONFIG.sample_time, CONFIG.horizon, CONFIG.limits
 MODEL = load_model("ssm").with_extra_dead_time([CONFIG.extra_dead_time.v, CONFIG.extra_dead_time.omega]).discretise(DT)
 FAR_AWAY = (10.0, 10.0)
-# With re-entry the reference waits for a blocked robot; without it, the robot drives around the obstacle.
+# With re-entry the reference waits for a blocked robot; without re-entry the robot drives around the obstacle.
 # These robots have no slip, unlike the mujoco plant for which the shipped estimator is tuned.
-# The weights of the terms below are tuned for this price of fast turning.
+# The weights of the terms below are tuned for these weights of the controller.
 WEIGHTS = {"weights.along": 250.0, "weights.v_increment": 40.0, "weights.omega_increment": 4.0}
-WAITS = WEIGHTS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0}
-SWERVES = WAITS | {"reentry.enabled": False}
+WITH_REENTRY = WEIGHTS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0}
+WITHOUT_REENTRY = WITH_REENTRY | {"reentry.enabled": False}
 
 FILE = """
 import casadi as ca
@@ -51,9 +51,9 @@ def commands(results):
 
 
 def check_limits(results):
-    sent = commands(results)
-    assert (np.abs(sent) <= np.array([LIMITS.v, LIMITS.omega]) + 1e-9).all()
-    assert (np.abs(np.diff(sent, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
+    sequence = commands(results)
+    assert (np.abs(sequence) <= np.array([LIMITS.v, LIMITS.omega]) + 1e-9).all()
+    assert (np.abs(np.diff(sequence, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
 
 
 # Distance from a moving point.
@@ -69,13 +69,13 @@ def crossing_point(t):
     return np.stack([2.0 + 0.0 * t, 1.8 - 0.4 * t], axis=-1)
 
 
-def drive_past(term, point, overrides, *, foreseen=True):
-    """Return results of a noisy drive past a point, and the minimum distance; `foreseen` adds predicted positions."""
+def drive_past(term, point, overrides, *, is_predicted=True):
+    """Return results and minimum distance of a noisy drive past a point; `is_predicted` adds predicted positions."""
     controller = Controller(load_config("ssm", overrides), terms=[term] if term else [])
 
     def set_point(k, measurement):
         if term:
-            ahead = DT * np.arange(N + 1) if foreseen else 0.0 * np.arange(N + 1)
+            ahead = DT * np.arange(N + 1) if is_predicted else 0.0 * np.arange(N + 1)
             controller.set_parameters(**{term.name: point(k * DT + ahead)})
         return measurement
 
@@ -84,19 +84,19 @@ def drive_past(term, point, overrides, *, foreseen=True):
 
 
 @pytest.mark.parametrize(
-    ("term", "point", "way", "clearance"),
+    ("term", "point", "overrides", "clearance"),
     [
-        (KEEP_OFF, crossing_point, WAITS, 0.39),
-        (PUSH_OFF, crossing_point, WAITS, 0.41),
-        (KEEP_OFF, crossing_point, SWERVES, 0.38),
-        (KEEP_OFF, resting_point, SWERVES, 0.36),
-        (PUSH_OFF, resting_point, SWERVES, 0.34),
+        (KEEP_OFF, crossing_point, WITH_REENTRY, 0.39),
+        (PUSH_OFF, crossing_point, WITH_REENTRY, 0.41),
+        (KEEP_OFF, crossing_point, WITHOUT_REENTRY, 0.38),
+        (KEEP_OFF, resting_point, WITHOUT_REENTRY, 0.36),
+        (PUSH_OFF, resting_point, WITHOUT_REENTRY, 0.34),
     ],
 )
-def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
-    _, without = drive_past(None, point, way)
-    results, distance = drive_past(term, point, way)
-    assert without < 0.26
+def test_distance_term_keeps_the_robot_away_from_a_point(term, point, overrides, clearance):
+    _, distance_without_term = drive_past(None, point, overrides)
+    results, distance = drive_past(term, point, overrides)
+    assert distance_without_term < 0.26
     assert distance > clearance
     assert {result.mode for result in results} == {Mode.TRACKING, Mode.FINISHED}
     check_limits(results)
@@ -104,13 +104,13 @@ def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
 
 
 def test_predicted_positions_of_the_point_increase_the_distance():
-    """One parameter row per future sample, compared with the current point at all samples."""
-    _, blind = drive_past(PUSH_OFF, crossing_point, SWERVES, foreseen=False)
-    _, foreseen = drive_past(PUSH_OFF, crossing_point, SWERVES)
-    assert foreseen > blind + 0.01
+    """Parameters with a row per future sample are compared with the current position at all samples."""
+    _, without_prediction = drive_past(PUSH_OFF, crossing_point, WITHOUT_REENTRY, is_predicted=False)
+    _, with_prediction = drive_past(PUSH_OFF, crossing_point, WITHOUT_REENTRY)
+    assert with_prediction > without_prediction + 0.01
 
 
-def test_violated_soft_limit_still_acts():
+def test_violated_soft_limit_reduces_the_speed():
     """A speed limit is set during the drive: the robot slows down, and the reference waits."""
     twist, limit = ca.SX.sym("twist", 2), ca.SX.sym("parameters", 1)
     function = ca.Function("slow", [twist, limit], [20 * (twist[0] - limit)], ["twist", "parameters"], ["excess"])
@@ -132,15 +132,15 @@ def test_violated_soft_limit_still_acts():
 # A lower weight of the heading near the goal.
 
 
-def test_residual_of_constant_weight_equals_the_shipped_cost():
-    """The heading error times the square root of its weight replaces the weight."""
+def test_residual_with_constant_weight_equals_the_shipped_cost():
+    """A residual of the heading error times the square root of its weight replaces the shipped weight."""
     pose, reference = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4)
     value = np.sqrt(28.0) * (pose[2] - reference[3])
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
-    # A term has no terminal weight, and no compensation of side slip that trades heading against lag.
-    plain = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
+    # A term has no terminal weight and does not take part in the compensation of side slip.
+    settings = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
     shipped, user_defined = (
-        drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
+        drive(Controller(load_config("ssm", settings | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
         for weight, terms, start in ((28.0, [], displaced_robot()), (0.0, [term], displaced_robot()))
     )
     assert commands(user_defined) == pytest.approx(commands(shipped), abs=1e-9)
@@ -154,15 +154,15 @@ def displaced_robot():
 # Terms together with shipped limits.
 
 
-def test_shipped_soft_limits_hold_together_with_terms():
+def test_shipped_soft_limits_are_satisfied_together_with_terms():
     corridor = {"limits.corridor": 0.05, "weights.soft": 500.0}
-    farthest = []
-    for overrides in (SWERVES, SWERVES | corridor):
+    max_offsets = []
+    for overrides in (WITHOUT_REENTRY, WITHOUT_REENTRY | corridor):
         results, distance = drive_past(PUSH_OFF, resting_point, overrides)
-        farthest.append(max(abs(result.estimate.pose[1]) for result in results))
+        max_offsets.append(max(abs(result.estimate.pose[1]) for result in results))
         assert distance > 0.25
-    assert farthest[0] > 0.1
-    assert farthest[1] < 0.055
+    assert max_offsets[0] > 0.1
+    assert max_offsets[1] < 0.055
 
 
 # Sources of terms.
@@ -179,15 +179,15 @@ def load_with_terms(folder, text, entries):
     return load_config(folder / "config.yaml")
 
 
-def test_configured_term_equals_the_term_given_in_python(tmp_path, monkeypatch):
+def test_configured_term_equals_the_term_in_python(tmp_path, monkeypatch):
     entries = term_entries() + term_entries(function="push_off", kind=..., lower=..., name="elbow")
     (tmp_path / "elsewhere").mkdir()
-    named = Controller(load_with_terms(tmp_path, FILE, entries))
+    configured = Controller(load_with_terms(tmp_path, FILE, entries))
     monkeypatch.chdir(tmp_path / "elsewhere")
-    named = pickle.loads(pickle.dumps(named))
+    configured = pickle.loads(pickle.dumps(configured))
     in_python = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
     drives = []
-    for controller in (named, in_python):
+    for controller in (configured, in_python):
         controller.set_parameters(keep_off=[1.0, 0.3], elbow=[1.5, -0.3])
         drives.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
     assert (drives[0] == drives[1]).all()
@@ -200,26 +200,26 @@ MINE = "term 'keep_off': "
 HEAD = "import casadi as ca\npose, p = ca.SX.sym('pose', 3), ca.SX.sym('parameters', 2)\n"
 
 
-def file_of(inputs, output="pose[0]", names=None):
-    """Return a file with a function of these inputs."""
-    named = names or inputs.split(", ")
-    return HEAD + f"x = ca.SX.sym('x', 2)\nkeep_off = ca.Function('f', [{inputs}], [{output}], {named}, ['out'])\n"
+def script(inputs, output="pose[0]", names=None):
+    """Return a script that defines a function of these inputs."""
+    labels = names or inputs.split(", ")
+    return HEAD + f"x = ca.SX.sym('x', 2)\nkeep_off = ca.Function('f', [{inputs}], [{output}], {labels}, ['out'])\n"
 
 
 @pytest.mark.parametrize(
     ("text", "changes", "message"),
     [
         (FILE, {"file": "none.py"}, "none.py: no such Python file; give the path of the term"),
-        (file_of("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; rename it to twist"),
-        (file_of("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
+        (script("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; rename it to twist"),
+        (script("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
         (FILE, {"lower": ...}, MINE + "kind soft without a limit; give upper or lower, or use kind residual"),
         (FILE, {"uper": [1.0]}, "unknown key 'terms.0.uper'; did you mean"),
     ],
 )
-def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, message):
-    with pytest.raises(ConfigError) as refused:
+def test_mistake_in_a_configured_term_raises_error_in_one_line(tmp_path, text, changes, message):
+    with pytest.raises(ConfigError) as caught:
         Controller(load_with_terms(tmp_path, text, term_entries(**changes)))
-    line = str(refused.value)
+    line = str(caught.value)
     assert message in line
     assert str(tmp_path) in line, "the message must name the file"
     assert "\n" not in line
@@ -234,9 +234,9 @@ def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, messa
 )
 def test_mistake_in_a_python_term_raises_config_error(changes, message):
     arguments = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError) as caught:
         Term(**(arguments | changes))
-    assert str(refused.value).startswith(message)
+    assert str(caught.value).startswith(message)
 
 
 def wide(rows):
@@ -271,9 +271,9 @@ def test_duplicate_term_names_raise_error():
 )
 def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, message):
     controller = Controller(CONFIG, terms=[KEEP_OFF, PUSH_OFF])
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError) as caught:
         controller.set_parameters(**{"keep_off": [5.0, 5.0], name: value})
-    assert str(refused.value) == message
+    assert str(caught.value) == message
     assert (controller._tick.parameters == np.tile(FAR_AWAY, 2)).all()
 
 

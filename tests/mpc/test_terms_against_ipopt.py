@@ -1,4 +1,4 @@
-"""Condensed problem of one tick with user terms, against IPOPT on the same nonlinear program."""
+"""The condensed problem of a tick with user terms, compared with IPOPT on the same nonlinear program."""
 
 import casadi as ca
 import numpy as np
@@ -10,7 +10,7 @@ from diffdrive_mpc import Controller, Term, load_config, load_trajectory
 
 CIRCLE = load_trajectory("circle")
 HORIZON = 15
-# Distance of the point to the left of the reference [m]: it turns with the robot, so that the plan becomes steady.
+# Offset of the point to the left of the reference [m]; the point moves with the reference, so that the plan is steady.
 LATERAL_OFFSET = 0.37
 FAR = (10.0, 10.0)
 
@@ -50,7 +50,7 @@ def speed_and_distance_limits(low, high):
     return Term("band", function, "soft", upper=[0.585, None, high], lower=[None, None, low], defaults=FAR)
 
 
-# Terms, and the tolerance [m/s, rad/s] of the comparison: exact penalties have kinks, which IPOPT smooths.
+# Terms and tolerance of the comparison [m/s, rad/s]; IPOPT smooths the kinks of exact penalties.
 CASES = {
     "no terms": ((), 1e-9),
     "residual": ((push_residual(500.0),), 1e-8),
@@ -80,12 +80,12 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
 
     controller = make()
     drive = record(controller, IdealRobot(controller._prediction.sampled, np.zeros(3)), CIRCLE, 160, set_points)
-    again, result = iterate_to_convergence(make, drive, CIRCLE, set_points)
-    plan, without = solve_with_ipopt(again, terms=terms), solve_with_ipopt(again)
+    converged, result = iterate_to_convergence(make, drive, CIRCLE, set_points)
+    plan, plain_plan = solve_with_ipopt(converged, terms=terms), solve_with_ipopt(converged)
     assert result.planned_commands == pytest.approx(plan, abs=tolerance)
     assert result.solver.soft_limits == (shipped == "limited" or any(term.soft for term in terms))
-    assert not terms or shipped == "limited" or np.abs(plan - without).max() > 100 * tolerance, "the terms must matter"
-    # In a steady turn, a single iteration per tick gives the same result.
+    assert not terms or shipped == "limited" or np.abs(plan - plain_plan).max() > 100 * tolerance, "terms must act"
+    # In a steady turn, one iteration per tick gives the same result.
     assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)
 
 
@@ -93,7 +93,7 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
     ("limit", "factor", "turn", "ticks"), [("min_commanded_radius", 1.1, 0.0, 60), ("min_turn_radius", 1.0, -0.2, 20)]
 )
 def test_rows_of_the_minimum_radii_converge_to_ipopts_solution_while_active(limit, factor, turn, ticks):
-    """A circle ten percent tighter than commands may be, and a robot that heads out of it."""
+    """The circle is ten percent tighter than the minimum radius of commands, or the robot heads out of the circle."""
     radius = factor * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
     overrides = {"horizon": HORIZON, "reentry.enabled": False, f"limits.{limit}": radius}
     config = load_config("ssm", overrides | NO_SLIP | EXACT)
@@ -104,8 +104,8 @@ def test_rows_of_the_minimum_radii_converge_to_ipopts_solution_while_active(limi
     controller = make()
     robot = IdealRobot(controller._prediction.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turn])
     drive = record(controller, robot, CIRCLE, ticks, lambda *_: None)
-    again, result = iterate_to_convergence(make, drive, CIRCLE, lambda *_: None)
-    plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {f"limits.{limit}": None}))
-    assert np.abs(plan - without).max() > 1e-2, "the rows must be active"
+    final, result = iterate_to_convergence(make, drive, CIRCLE, lambda *_: None)
+    plan, relaxed = solve_with_ipopt(final), solve_with_ipopt(final, load_config(config, {f"limits.{limit}": None}))
+    assert np.abs(plan - relaxed).max() > 1e-2, "the rows must be active"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)
     assert limit == "min_turn_radius" or (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()

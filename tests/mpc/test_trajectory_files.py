@@ -62,8 +62,8 @@ def test_timed_poses_reproduce_their_trajectory(tmp_path: Path, name: str) -> No
     copy = load_trajectory(write_poses(tmp_path / "copy.csv", times + 7.0, poses))
     assert copy.name == "copy"
     assert copy.duration == pytest.approx(original.duration)
-    between = np.linspace(0, original.duration, 3001)
-    expected, actual = original.sample(between), copy.sample(between)
+    instants = np.linspace(0, original.duration, 3001)
+    expected, actual = original.sample(instants), copy.sample(instants)
     # A corner of the speed, where the acceleration jumps by up to 2 rad/s^2, is rounded over about one row of 20 ms.
     np.testing.assert_allclose(actual.pose, expected.pose, rtol=0, atol=2 * 0.02**2 / 8)
     np.testing.assert_allclose(actual.twist, expected.twist, rtol=0, atol=2 * 0.02 / 4)
@@ -81,7 +81,7 @@ def test_two_rows_give_a_straight_line_at_constant_speed(tmp_path: Path) -> None
     np.testing.assert_allclose(sample.arc_length, [0, 0.5, 1, 1], atol=1e-14)
 
 
-def test_arc_length_never_falls_within_a_piece_with_two_sign_changes() -> None:
+def test_arc_length_never_decreases_within_a_piece_with_two_sign_changes() -> None:
     # v = (t - 0.113) (t - 0.5) over one piece of 1 s.
     first, second = 0.113, 0.5
     end = 1 / 3 - (first + second) / 2 + first * second
@@ -93,7 +93,7 @@ def test_arc_length_never_falls_within_a_piece_with_two_sign_changes() -> None:
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
 
 
-def test_cubic_pieces_equal_those_of_scipy() -> None:
+def test_cubic_pieces_equal_the_pieces_of_scipy() -> None:
     random = np.random.default_rng(3)
     times, (poses, rates) = np.append(0.0, np.cumsum(random.uniform(0.02, 0.7, 40))), random.normal(size=(2, 41, 3))
     trajectory = SplineTrajectory.through("test", times, poses, rates)
@@ -102,9 +102,9 @@ def test_cubic_pieces_equal_those_of_scipy() -> None:
     sample_times = random.uniform(0.0, times[-1], 200)
     sampled = trajectory.sample(sample_times)
     assert sampled.pose == pytest.approx(expected(sample_times), abs=1e-12)
-    change = expected(sample_times, 1)
-    forward = change[:, 0] * np.cos(sampled.pose[:, 2]) + change[:, 1] * np.sin(sampled.pose[:, 2])
-    assert sampled.twist == pytest.approx(np.column_stack([forward, change[:, 2]]), abs=1e-11)
+    derivative = expected(sample_times, 1)
+    forward = derivative[:, 0] * np.cos(sampled.pose[:, 2]) + derivative[:, 1] * np.sin(sampled.pose[:, 2])
+    assert sampled.twist == pytest.approx(np.column_stack([forward, derivative[:, 2]]), abs=1e-11)
 
 
 _LIMITS = TrajectoryLimits.of_robot()
@@ -114,7 +114,7 @@ def _wave(count: int) -> list[tuple[float, float]]:
     return [(0.2 * i, 0.3 * math.sin(0.05 * i)) for i in range(count)]
 
 
-def test_limits_hold_on_legs_with_few_pieces() -> None:
+def test_legs_with_few_pieces_satisfy_the_limits() -> None:
     """Speed, yaw rate and accelerations from differences of the twist, between and at the nodes."""
     path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
     times = np.arange(10.0, 40.0, 0.001)
@@ -127,12 +127,12 @@ def test_limits_hold_on_legs_with_few_pieces() -> None:
     assert np.abs(rate[:, 1]).max() <= _LIMITS.omega_acceleration * 1.01
 
 
-# The last has a long segment among short ones, which their joints alone would not reveal.
+# The last path has a long segment between short segments: a check of the joints alone would not find its length.
 LONG_PATHS = [[(0.4, 0.1, 1e9)], [(0.0, 0.1, 1e9)], [(0.5, -0.5, 0.003), (-0.5, 0.001, 1e6), (0.5, 0.8, 3.0)]]
 
 
 @pytest.mark.parametrize("rows", LONG_PATHS)
-def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(rows: list[tuple[float, float, float]]) -> None:
+def test_path_with_too_many_pieces_is_rejected_before_its_computation(rows: list[tuple[float, float, float]]) -> None:
     """The first path would need 149 GiB."""
     segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in rows]
     tracemalloc.start()
@@ -143,7 +143,7 @@ def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(rows: list[tupl
 
 
 def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> None:
-    """Each count is checked before any work on it."""
+    """Each count is checked before the computation of the path."""
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
         lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
@@ -154,15 +154,15 @@ def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> N
     segment = Segment(v=0.1, omega=0.0, duration=1.0)
     with pytest.raises(ConfigError, match=r"here: 100,001 segments"):
         lay_segments([segment] * (settings.most_segments + 1), _LIMITS, name="x", where="here")
-    bent = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.most_joints + 2)]
+    curved = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.most_joints + 2)]
     with pytest.raises(ConfigError, match=r"here: 5,001 different joints"):
-        lay_smooth(bent, _LIMITS, name="x", where="here")
+        lay_smooth(curved, _LIMITS, name="x", where="here")
 
 
 def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory is limited to that of the permitted rows, not of the existing ones."""
-    fewer = load_settings().model_copy(update={"max_pieces": 2000})
-    monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
+    """The memory is that of the permitted rows, not of all rows in the file."""
+    settings = load_settings().model_copy(update={"max_pieces": 2000})
+    monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: settings)
     file = tmp_path / "long.csv"
     file.write_text("t,x,y,theta\n" + "".join(f"{i},0,0,0\n" for i in range(200_000)), encoding="utf-8")
     tracemalloc.start()
@@ -173,7 +173,7 @@ def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatc
 
 
 def test_path_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
-    """The path has one piece: without an inner node the robot would never move."""
+    """The path has one piece: without an inner node its speed would be zero everywhere."""
     path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
     end = path.sample([path.duration]).pose[0]
     assert end == pytest.approx([0.002, 0.0, 0.0], abs=1e-9)
@@ -189,7 +189,7 @@ COLUMNS = {"t": TIMES, "x": X, "y": Y}
 
 
 @pytest.mark.parametrize(
-    ("more", "error"),
+    ("columns", "error"),
     [
         ({}, 1e-3),
         ({"theta": ANGLE}, 1e-6),
@@ -199,8 +199,8 @@ COLUMNS = {"t": TIMES, "x": X, "y": Y}
     ],
     ids=["positions", "headings", "wrapped headings", "speeds", "all"],
 )
-def test_arrays_of_a_circle_give_the_circle(more, error):
-    reference = Trajectory.from_arrays(TIMES + 100.0, X, Y, **more)
+def test_arrays_of_a_circle_give_the_circle(columns, error):
+    reference = Trajectory.from_arrays(TIMES + 100.0, X, Y, **columns)
     times = np.linspace(0.0, 9.99, 777)
     sample = reference.sample(times)
     angle = RATE * times
@@ -240,9 +240,9 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
 
 @pytest.mark.parametrize("name", ["circle", "slalom"])
 def test_start_delay_inserts_a_rest_before_the_trajectory(name):
-    plain, late = (load_trajectory(name, load_config("ssm", {"start_delay": delay})) for delay in (0.0, 0.3))
-    assert late.duration == plain.duration + 0.3
-    times = np.linspace(-0.5, late.duration + 0.5, 500)
-    for before, after in zip(plain.sample(times - 0.3), late.sample(times), strict=True):
-        assert np.allclose(before, after, rtol=0, atol=1e-12)
-    assert np.allclose(plain.drawn_distance(times - 0.3), late.drawn_distance(times), atol=1e-12)
+    original, delayed = (load_trajectory(name, load_config("ssm", {"start_delay": delay})) for delay in (0.0, 0.3))
+    assert delayed.duration == original.duration + 0.3
+    times = np.linspace(-0.5, delayed.duration + 0.5, 500)
+    for expected, actual in zip(original.sample(times - 0.3), delayed.sample(times), strict=True):
+        assert np.allclose(expected, actual, rtol=0, atol=1e-12)
+    assert np.allclose(original.drawn_distance(times - 0.3), delayed.drawn_distance(times), atol=1e-12)

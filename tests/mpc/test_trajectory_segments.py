@@ -32,21 +32,21 @@ def lay(*twists: tuple[float, float, float]) -> ArcTrajectory:
 
 
 @given(_segments)
-def test_random_sequences_respect_every_limit(segments: list[Segment]) -> None:
+def test_random_sequences_satisfy_every_limit(segments: list[Segment]) -> None:
     shares = largest_shares(lay_segments(segments, LIMITS, name="test"), LIMITS)
     assert np.all(shares <= 1 + 1e-8), shares
 
 
 @given(_segments)
-def test_no_segment_is_driven_faster_than_its_own_twist(segments: list[Segment]) -> None:
+def test_speeds_do_not_exceed_the_maximum_of_the_segments(segments: list[Segment]) -> None:
     trajectory = lay_segments(segments, LIMITS, name="test")
     twist = np.abs(trajectory.sample(np.linspace(0, trajectory.duration, 500)).twist)
-    slowest_cruise = np.max([(abs(s.v), abs(s.omega)) for s in segments], axis=0)
-    assert np.all(twist <= slowest_cruise * (1 + 1e-9))
+    max_twist = np.max([(abs(s.v), abs(s.omega)) for s in segments], axis=0)
+    assert np.all(twist <= max_twist * (1 + 1e-9))
 
 
 @given(_segments, _start)
-def test_end_is_the_product_of_the_exact_arcs(segments: list[Segment], start: tuple[float, float, float]) -> None:
+def test_end_equals_the_end_of_the_exact_arcs(segments: list[Segment], start: tuple[float, float, float]) -> None:
     trajectory = lay_segments(segments, LIMITS, name="test", start=start)
     expected: FloatArray = np.array(start)
     for segment in segments:
@@ -63,14 +63,14 @@ def test_twist_integrates_to_pose_and_arc_length(segments: list[Segment], start:
 
 
 @given(_segments)
-def test_arc_length_never_falls_and_ends_hold(segments: list[Segment]) -> None:
+def test_arc_length_never_decreases_and_the_robot_rests_beyond_the_ends(segments: list[Segment]) -> None:
     trajectory = lay_segments(segments, LIMITS, name="test")
     arc_length = trajectory.sample(np.linspace(-1, trajectory.duration + 1, 2000)).arc_length
     assert np.all(np.diff(arc_length) >= -1e-14)
     assert_holds_its_ends(trajectory)
 
 
-# Length over cruise speed, plus cruise speed over acceleration for each run between two stops.
+# Duration: length over cruise speed, plus cruise speed over acceleration for each part between two stops.
 @pytest.mark.parametrize(
     ("name", "duration", "end", "length"),
     [
@@ -93,17 +93,17 @@ def test_built_in_trajectories_end_at_the_ends_of_exact_arcs(
     assert np.all(largest_shares(trajectory, TrajectoryLimits.of_robot()) <= 1 + 1e-8)
 
 
-def test_equal_curvature_is_joined_without_a_stop() -> None:
+def test_segments_of_equal_curvature_are_joined_without_a_stop() -> None:
     trajectory = lay((0.5, 0.25, 2.0), (1.0, 0.5, 2.0), (0.4, 0.2, 2.0))
     speed_up, slow_down = 0.5, 0.4
-    inside = trajectory.sample(np.linspace(speed_up, trajectory.duration - slow_down, 500)).twist[:, 0]
-    assert inside.min() == pytest.approx(0.4, abs=1e-12)
-    assert inside.max() == pytest.approx(1.0, abs=1e-12)
+    v = trajectory.sample(np.linspace(speed_up, trajectory.duration - slow_down, 500)).twist[:, 0]
+    assert v.min() == pytest.approx(0.4, abs=1e-12)
+    assert v.max() == pytest.approx(1.0, abs=1e-12)
 
 
 @st.composite
 def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
-    """Draw two to six points; each leg turns by at most 1.2 rad against the previous one."""
+    """Draw two to six points; each leg turns by at most 1.2 rad relative to the previous leg."""
     scale = draw(st.floats(0.3, 5.0))
     legs = draw(st.lists(st.tuples(st.floats(0.5, 1.5), st.floats(-1.2, 1.2)), min_size=1, max_size=5))
     heading = np.cumsum([turn for _, turn in legs])
@@ -113,17 +113,17 @@ def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
 
 
 def violates_limits(
-    square: FloatArray, lengths: FloatArray, bend: FloatArray, bend_change: FloatArray, cruise: float
+    squared_speed: FloatArray, lengths: FloatArray, curvature: FloatArray, curvature_rate: FloatArray, cruise: float
 ) -> bool:
     """Return True if squared speeds at the ends of the pieces violate a limit by more than rounding."""
-    faster = np.maximum(square[:-1], square[1:])
-    acceleration = np.abs(np.diff(square)) / (2 * lengths)
-    yaw_acceleration = bend_change * faster + bend * acceleration
+    max_square = np.maximum(squared_speed[:-1], squared_speed[1:])
+    acceleration = np.abs(np.diff(squared_speed)) / (2 * lengths)
+    yaw_acceleration = curvature_rate * max_square + curvature * acceleration
     return bool(
         np.any(acceleration > LIMITS.v_acceleration * (1 + 1e-9))
         or np.any(yaw_acceleration > LIMITS.omega_acceleration * (1 + 1e-9))
-        or np.any(bend**2 * faster > LIMITS.omega**2 * (1 + 1e-9))
-        or np.any(faster > cruise**2 * (1 + 1e-9))
+        or np.any(curvature**2 * max_square > LIMITS.omega**2 * (1 + 1e-9))
+        or np.any(max_square > cruise**2 * (1 + 1e-9))
     )
 
 
@@ -131,18 +131,18 @@ _piece = st.tuples(st.floats(0.01, 0.5), st.floats(0.0, 20.0), st.floats(0.0, 50
 
 
 @given(st.lists(_piece, min_size=2, max_size=12), st.floats(0.1, 1.5))
-def test_speeds_along_a_path_satisfy_every_limit_and_none_can_be_raised(
+def test_speeds_along_a_path_are_the_maximum_within_every_limit(
     pieces: list[tuple[float, float, float]], cruise: float
 ) -> None:
-    lengths, bend, bend_change = np.array(pieces).T
-    square = squared_speeds(lengths, bend, bend_change, LIMITS, cruise)
-    assert square[0] == square[-1] == 0
-    assert np.all(square[1:-1] > 0)
-    assert not violates_limits(square, lengths, bend, bend_change, cruise)
-    for node in range(1, square.size - 1):
-        raised = square.copy()
+    lengths, curvature, curvature_rate = np.array(pieces).T
+    squared_speed = squared_speeds(lengths, curvature, curvature_rate, LIMITS, cruise)
+    assert squared_speed[0] == squared_speed[-1] == 0
+    assert np.all(squared_speed[1:-1] > 0)
+    assert not violates_limits(squared_speed, lengths, curvature, curvature_rate, cruise)
+    for node in range(1, squared_speed.size - 1):
+        raised = squared_speed.copy()
         raised[node] *= 1 + 1e-5
-        assert violates_limits(raised, lengths, bend, bend_change, cruise)
+        assert violates_limits(raised, lengths, curvature, curvature_rate, cruise)
 
 
 @settings(max_examples=25, deadline=None)
@@ -150,10 +150,10 @@ def test_speeds_along_a_path_satisfy_every_limit_and_none_can_be_raised(
 def test_bounds_of_each_piece_cover_its_curvature(waypoints: list[tuple[float, float]]) -> None:
     path = smooth_path(np.array(waypoints), "test")
     change = np.abs(np.diff(path.curvature)) / path.lengths
-    largest = path.bend_change.max() + 1e-9
+    max_rate = path.bend_change.max() + 1e-9
     assert np.all(path.bend >= np.abs(path.curvature[1:]))
-    # The curvature is smooth between waypoints: over one of 400 pieces the mean slope is near the maximum slope.
-    np.testing.assert_allclose(path.bend_change, change, rtol=0, atol=0.1 * largest)
+    # The curvature is smooth between waypoints: the mean slope over one of 400 pieces is near its maximum slope.
+    np.testing.assert_allclose(path.bend_change, change, rtol=0, atol=0.1 * max_rate)
     middle = (path.curvature[1:] + path.curvature[:-1]) / 2
     np.testing.assert_allclose(np.diff(path.heading) / path.lengths, middle, atol=1e-3 * np.abs(path.bend).max() + 1e-9)
 
@@ -169,7 +169,7 @@ def test_slalom_reaches_the_limits_without_exceeding_them() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(winding_waypoints())
-def test_random_paths_respect_every_limit_within_one_percent(waypoints: list[tuple[float, float]]) -> None:
+def test_random_paths_satisfy_every_limit_within_one_percent(waypoints: list[tuple[float, float]]) -> None:
     shares = largest_shares(lay_waypoints(waypoints, LIMITS, name="test"), LIMITS)
     assert np.all(shares <= 1.01), shares
 

@@ -1,4 +1,4 @@
-"""Transforms: algebra against matrices, chains and times against a known robot, and errors."""
+"""Transforms: composition compared with matrices, chains, interpolation in time, and errors."""
 
 import math
 
@@ -35,22 +35,22 @@ def planar(x, y, theta):
 
 
 @given(first=rigids(), second=rigids())
-def test_composition_and_inverse_are_those_of_matrices(first, second):
+def test_composition_and_inverse_equal_those_of_matrices(first, second):
     np.testing.assert_allclose(matrix(second.after(first)), matrix(second) @ matrix(first), atol=1e-9)
     np.testing.assert_allclose(matrix(first.inverse()), np.linalg.inv(matrix(first)), atol=1e-9)
 
 
 @given(first=rigids(), turn=st.floats(-3.0, 3.0), share=st.floats(0.0, 1.0))
-def test_interpolation_between_two_attitudes_turns_at_a_constant_rate(first, turn, share):
+def test_interpolation_between_two_attitudes_has_a_constant_rate(first, turn, share):
     axis = np.array([0.6, 0.0, 0.8])
-    whole, part = (
+    turn_rotation, partial_rotation = (
         Rigid(1.0, 2.0, 3.0, *Rotation.from_rotvec(angle * axis).as_quat().tolist()) for angle in (turn, share * turn)
     )
     start = first._replace(x=0.0, y=0.0, z=0.0)
-    result = start.towards(start.after(whole), share)
-    expected = Rotation.from_quat(start.after(part)[3:])
+    result = start.towards(start.after(turn_rotation), share)
+    expected = Rotation.from_quat(start.after(partial_rotation)[3:])
     assert (Rotation.from_quat(result[3:]) * expected.inv()).magnitude() < 1e-6
-    np.testing.assert_allclose(result[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
+    np.testing.assert_allclose(result[:3], share * np.array(start.after(turn_rotation)[:3]), atol=1e-9)
 
 
 @given(
@@ -83,8 +83,8 @@ def test_transform_between_two_stamps_is_interpolated(elapsed):
     np.testing.assert_allclose(result.transform.planar, [elapsed, 0.0, 0.1 * elapsed], atol=1e-6)
 
 
-def test_lookup_without_a_time_uses_the_newest_time_of_the_whole_chain():
-    """One localisation is slow, another has stamps in the future."""
+def test_lookup_without_a_time_uses_the_newest_common_time_of_the_chain():
+    """The localisation is slow at first; then its stamps are in the future."""
     buffer = moving_buffer()
     last = NOW + 1_900_000_000
     for stamp, x in ((NOW, 5.0), (NOW + 10**9, 6.0)):
@@ -119,7 +119,7 @@ def test_lookup_outside_the_received_times_raises_error(time, message):
         moving_buffer().lookup("odom", "base_link", NOW, time)
 
 
-def test_unconnected_frames_are_named():
+def test_error_for_unconnected_frames_contains_their_names():
     buffer = moving_buffer()
     buffer.insert("map", "robot2/odom", NOW, IDENTITY, NOW)
     with pytest.raises(TransformError, match="the frames are not connected"):
@@ -128,7 +128,7 @@ def test_unconnected_frames_are_named():
         buffer.lookup("mpa", "base_link", NOW)
 
 
-def test_frame_loop_is_named_and_does_not_hang():
+def test_frame_loop_raises_error_with_its_frames():
     buffer = TransformBuffer()
     for parent, child in (("a", "b"), ("b", "c"), ("c", "a")):
         buffer.insert(parent, child, NOW, IDENTITY, NOW)
@@ -136,7 +136,7 @@ def test_frame_loop_is_named_and_does_not_hang():
         buffer.lookup("odom", "c", NOW)
 
 
-def test_alternating_parents_raise_error_and_a_single_change_does_not():
+def test_alternating_parents_raise_error_but_a_single_change_does_not():
     buffer = moving_buffer()
     later = NOW + 2 * 10**9
     buffer.insert("map", "base_link", later, planar(1.0, 0.0, 0.0), later)
@@ -144,10 +144,10 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
     buffer.insert("odom", "base_link", later + 1, planar(2.0, 0.0, 0.0), later + 1)
     with pytest.raises(TransformError, match="'base_link' has two alternating parents, 'odom' and 'map'"):
         buffer.lookup("odom", "base_link", later + 1)
-    # Once it has been settled for as long as anything is kept, it is forgotten.
-    settled = later + limits.STORED_TIME + 2
-    buffer.insert("odom", "base_link", settled, planar(3.0, 0.0, 0.0), settled)
-    assert buffer.lookup("odom", "base_link", settled).transform.x == 3.0
+    # The change of parents is forgotten after the storage time.
+    last = later + limits.STORED_TIME + 2
+    buffer.insert("odom", "base_link", last, planar(3.0, 0.0, 0.0), last)
+    assert buffer.lookup("odom", "base_link", last).transform.x == 3.0
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
         (IDENTITY, NOW, ("odom", "odom"), "does not name two different frames"),
     ],
 )
-def test_unusable_transform_is_refused_without_effect(transform, stamp, frames, message):
+def test_unusable_transform_raises_error_without_effect(transform, stamp, frames, message):
     buffer = moving_buffer(count=1)
     with pytest.raises(TransformError, match=message):
         buffer.insert(*frames, stamp, transform, NOW)

@@ -1,4 +1,4 @@
-"""Limits with two sides: forward and reverse, left and right, growing and falling commands."""
+"""Two-sided limits: forward and reverse, left and right, acceleration and braking."""
 
 import pickle
 
@@ -30,7 +30,7 @@ TWO_SIDED = {
 }
 
 
-def test_scalar_and_two_sided_limits_survive_loading_and_dumping():
+def test_scalar_and_two_sided_limits_are_unchanged_by_dumping_and_loading():
     config = load_config("ssm", TWO_SIDED)
     assert config.limits.v.sides == (0.8, 0.2)
     assert config.limits.v == load_config("ssm", {"limits.v": {"reverse": 0.2, "forward": 0.8}}).limits.v
@@ -50,8 +50,8 @@ def test_scalar_and_two_sided_limits_survive_loading_and_dumping():
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
 def test_equal_sides_give_the_same_commands_as_a_scalar(method):
     runs = []
-    for sided in (False, True):
-        values = {key: dict.fromkeys(SIDES[key], value) if sided else value for key, value in TIGHT.items()}
+    for is_two_sided in (False, True):
+        values = {key: dict.fromkeys(SIDES[key], value) if is_two_sided else value for key, value in TIGHT.items()}
         config = load_config("ssm", {**values, "solver.method": method, "horizon": 15})
         run = simulate(Controller(config), make_plant("model:ssm", seed=1), load_trajectory("k_turn", limits=config))
         runs.append(run.command)
@@ -65,7 +65,7 @@ def random_slews(rng):
 
 
 def random_reference(rng):
-    """Return steps between twists of any sign, within the ranges of `TWO_SIDED`."""
+    """Return a reference with steps between random twists within the ranges of `TWO_SIDED`."""
     segments = [
         Segment(v=rng.uniform(-0.19, 0.7), omega=rng.uniform(-0.9, 0.9), duration=rng.uniform(0.2, 0.8))
         for _ in range(8)
@@ -101,7 +101,7 @@ def test_every_command_stays_inside_the_limits(method):
 
 
 def test_command_that_crosses_zero_uses_the_rest_of_the_tick_to_accelerate():
-    """Half of the tick brakes to zero, the other half accelerates: exact, not the sum of both rates."""
+    """The command brakes to zero in half of the tick and accelerates in the other half, without a sum of both rates."""
     config = load_config("ssm", {"limits.v_slew": {"accelerate": 4.0, "brake": 1.0}, "horizon": 15})
     controller, plant = Controller(config), make_plant("model:ssm", seed=0)
     controller.start(
@@ -128,20 +128,20 @@ def test_reference_is_compared_with_the_limit_of_its_side():
         controller.checked_reference(reference(0.1, -1.2))
 
 
-def test_late_robot_names_its_active_limit_until_it_has_caught_up():
-    """Reverse speed is limited during the drive: the reference waits, and catches up on its slow part."""
+def test_result_of_a_late_robot_contains_the_active_limit():
+    """The reverse speed is limited during the drive: the reference waits and catches up in its slow part."""
     segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
     reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="back and forth")
-    controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
+    controller, plant, states = Controller("ssm"), make_plant("model:ssm", seed=1), []
     controller.start(reference, plant.time)
     with pytest.warns(UserWarning, match=r"the robot will lag behind its reference: .* limits.v.reverse = 0.2"):
         controller.update(limits={"v.reverse": 0.2})
     while plant.time < 20.0:
         result = controller.step(plant.time, plant.measure())
-        if not late or late[-1][0] != result.state:
-            late.append((result.state, result.limited_by))
+        if not states or states[-1][0] != result.state:
+            states.append((result.state, result.limited_by))
         plant.advance(result.command)
-    assert late == [("TRACKING", ""), ("LATE", "limits.v.reverse"), ("TRACKING", ""), ("FINISHED", "")]
+    assert states == [("TRACKING", ""), ("LATE", "limits.v.reverse"), ("TRACKING", ""), ("FINISHED", "")]
 
 
 @pytest.mark.parametrize("model", ["kinematic", "mbm", "sm", "ssm"])
@@ -152,7 +152,7 @@ def test_shipped_models_are_never_late_on_the_shipped_paths(model):
 
 @pytest.mark.parametrize(("track", "slew"), [(1.0, 0.9), (1.0, 1.1), (1.3, 0.9)])
 def test_inner_wheel_is_not_reported_as_saturated_in_a_turn_at_full_slew(track, slew):
-    """v responds later than omega: the inner wheel is temporarily slower than each of the commands requires."""
+    """v responds later than omega: the inner wheel is temporarily slower than each command requires."""
     limits = {"v": 2.0, "predicted_v": 2.4, "omega": 2.5, "predicted_omega": 3.0, "wheel_speed": 3.2, "v_slew": slew}
     config = load_config(
         "ssm", {"wheels.track": track, "wheels.encoder_track": track} | {f"limits.{k}": v for k, v in limits.items()}
@@ -175,8 +175,8 @@ def test_smooth_timing_respects_the_speed_of_each_direction_and_both_rates():
     times = np.linspace(0.0, trajectory.duration, 4000)
     v = trajectory.sample(times).twist[:, 0]
     assert v.max() == pytest.approx(0.8, rel=1e-3) and v.min() == pytest.approx(-0.2, rel=1e-3)
-    rate = np.diff(np.abs(v)) / np.diff(times)
-    assert rate.max() == pytest.approx(0.5, rel=0.02) and rate.min() == pytest.approx(-0.2, rel=0.02)
+    acceleration = np.diff(np.abs(v)) / np.diff(times)
+    assert acceleration.max() == pytest.approx(0.5, rel=0.02) and acceleration.min() == pytest.approx(-0.2, rel=0.02)
     controller = Controller(config)
     assert controller.find_shortfall(controller.checked_reference(trajectory)) is None
 
@@ -191,7 +191,7 @@ def test_smooth_timing_respects_the_speed_of_each_direction_and_both_rates():
         ),
     ],
 )
-def test_base_with_two_sided_limits_tracks_as_well_as_one_without(tmp_path, base, limits):
+def test_base_with_two_sided_limits_has_similar_errors_as_the_default_base(tmp_path, base, limits):
     (tmp_path / "robot.yaml").write_text(f"description: a robot\nbase: {{{base}}}\n")
     config = load_config("ssm", limits)
     reference = load_trajectory("k_turn", limits=config, timing="smooth")
@@ -204,5 +204,5 @@ def test_base_with_two_sided_limits_tracks_as_well_as_one_without(tmp_path, base
 
 def test_state_late_ends_once_the_robot_is_on_time() -> None:
     run = simulate(Controller("ssm"), make_plant("model:ssm+0.25", seed=3), load_trajectory("circle"))
-    late = [k for k, state in enumerate(run.states) if state == "LATE"]
-    assert late and late[-1] < 100
+    late_ticks = [k for k, state in enumerate(run.states) if state == "LATE"]
+    assert late_ticks and late_ticks[-1] < 100

@@ -15,13 +15,13 @@ def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: 
 
     Each interval between `breaks`, within which the trajectory is smooth, is divided into `pieces`.
     """
-    share = np.arange(pieces) / pieces
-    times = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel(), breaks[-1])
-    inside = times[:-1, None] + np.diff(times)[:, None] * (_NODES + 1) / 2
-    sample = trajectory.sample(inside.ravel())
+    shares = np.arange(pieces) / pieces
+    times = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * shares).ravel(), breaks[-1])
+    nodes = times[:-1, None] + np.diff(times)[:, None] * (_NODES + 1) / 2
+    sample = trajectory.sample(nodes.ravel())
     v, omega = sample.twist.T
     theta = sample.pose[:, 2]
-    rates = np.stack([v * np.cos(theta), v * np.sin(theta), omega, np.abs(v)]).reshape(4, *inside.shape)
+    rates = np.stack([v * np.cos(theta), v * np.sin(theta), omega, np.abs(v)]).reshape(4, *nodes.shape)
     steps = (rates @ _WEIGHTS) * np.diff(times) / 2
     reference = trajectory.sample(times)
     sampled = np.column_stack([reference.pose, reference.arc_length]).T
@@ -29,7 +29,7 @@ def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: 
 
 
 def largest_shares(trajectory: Trajectory, limits: TrajectoryLimits, step: float = 1e-3) -> FloatArray:
-    """Return maximum speeds and finite-difference accelerations (4,), as shares of their limits, with both ends."""
+    """Return maximum speeds and finite-difference accelerations (4,), as shares of the limits, including both ends."""
     times = np.arange(-5 * step, trajectory.duration + 5 * step, step)
     twist = trajectory.sample(times).twist
     speed = np.abs(twist).max(axis=0) / (limits.v, limits.omega)
@@ -39,7 +39,7 @@ def largest_shares(trajectory: Trajectory, limits: TrajectoryLimits, step: float
 
 
 def assert_holds_its_ends(trajectory: Trajectory) -> None:
-    """Check that the robot rests at its start before it, and at its end after it."""
+    """Check that the robot rests at the start pose before the trajectory and at the end pose after it."""
     end = trajectory.duration
     sample = trajectory.sample([-10.0, -1e-9, 0.0, end, end + 1e-9, end + 10.0])
     assert np.array_equal(sample.pose[:2], sample.pose[[2, 2]])

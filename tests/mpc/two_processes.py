@@ -1,4 +1,4 @@
-"""Drive the simulated robot with the node, each in a separate process, over DDS."""
+"""Drives of the simulated robot by the node over DDS, each in a separate process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 _COMMAND = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()")
-# More ROS domains than this need ports that systems assign to other programs.
+# Higher ROS domains use ports that operating systems assign to other programs.
 _DOMAINS = 101
 # Time limit for a process to end after it was interrupted [s].
 _END_TIMEOUT = 20.0
@@ -24,12 +24,12 @@ _END_TIMEOUT = 20.0
 _MARGIN = 2.0
 _POLL_PERIOD = 0.05
 _MAX_OUTPUT = 1000
-# In lock step, a busy machine may delay a command by this [s]; continuing without it would change the drive.
+# Maximum delay of a command on a busy machine in lock step [s]; a tick without the command would change the drive.
 _RESPONSE_TIMEOUT = 20.0
 
 
 class DriveFailedError(DiffdriveMpcError, RuntimeError):
-    """Failure or timeout of one of the two processes; the message names it and quotes its last output."""
+    """Failure or timeout of one of the two processes; the message contains its name and last output."""
 
 
 def drive_over_dds(
@@ -53,15 +53,18 @@ def drive_over_dds(
     bag
         Folder for the recording.
     lock_step
-        True if clock and commands take turns; otherwise the drive runs in real time.
+        True if the clock waits for each command; otherwise the drive runs in real time.
     timeout
         Time limit of the drive [s].
     settings
-        File of the simulated base that replaces the shipped one.
+        Settings file of the simulated base; None for the shipped file.
     parameters
         File of the node's parameters; if None, poses come from the topic.
 
-    Raises DriveFailedError if a process fails or takes too long.
+    Raises
+    ------
+    DriveFailedError
+        If a process fails or exceeds the time limit.
     """
     robot = [
         *("sim-robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
@@ -95,13 +98,13 @@ def own_domain(folder: Path) -> dict[str, str]:
 
 
 class Process:
-    """One command of `diffdrive-mpc`, running.
+    """Running command of `diffdrive-mpc`.
 
     Parameters
     ----------
     name
         Name in messages.
-    words
+    arguments
         Command and options.
     environment
         Environment of the process.
@@ -109,24 +112,24 @@ class Process:
         Folder for its output.
     """
 
-    def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
+    def __init__(self, name: str, arguments: Sequence[str], environment: dict[str, str], folder: Path) -> None:
         self.name = name
         self._path = folder / name
         self._log = self._path.open("w", encoding="utf-8")
-        self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._log, stderr=self._log)
+        self.popen = subprocess.Popen([*_COMMAND, *arguments], env=environment, stdout=self._log, stderr=self._log)
 
     @property
     def output(self) -> str:
-        """Output so far."""
+        """Output up to now."""
         return self._path.read_text(encoding="utf-8")
 
     def failure(self, reason: str) -> DriveFailedError:
         """Return an error with the last output of this process."""
-        words = " ".join(self.output.split())[-_MAX_OUTPUT:]
-        return DriveFailedError(f"{self.name}: {reason}; output: {words or 'nothing'}")
+        output = " ".join(self.output.split())[-_MAX_OUTPUT:]
+        return DriveFailedError(f"{self.name}: {reason}; output: {output or 'nothing'}")
 
     def end(self) -> None:
-        """Interrupt the process as Ctrl-C does; kill it if it continues."""
+        """Interrupt the process with SIGINT; kill it after a timeout."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
             try:
@@ -138,21 +141,21 @@ class Process:
 
 
 @contextmanager
-def running(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
-    """Yield a process that does not outlive the context; parameters as for `Process`."""
-    process = Process(name, words, environment, folder)
+def running(name: str, arguments: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
+    """Yield a process that ends with the context; parameters as for `Process`."""
+    process = Process(name, arguments, environment, folder)
     try:
         yield process
     finally:
         process.end()
 
 
-def _wait(robot: Process, controller: Process, end: float) -> None:
-    """Wait until the robot ends by itself."""
+def _wait(robot: Process, controller: Process, deadline: float) -> None:
+    """Wait until the process of the robot ends."""
     while robot.popen.poll() is None:
         if controller.popen.poll() is not None:
             raise controller.failure(f"ended with code {controller.popen.returncode} while the robot was driving")
-        if time.monotonic() > end:
+        if time.monotonic() > deadline:
             raise controller.failure("the drive took too long")
         time.sleep(_POLL_PERIOD)
     if robot.popen.returncode:

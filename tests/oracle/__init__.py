@@ -1,6 +1,6 @@
-"""The oracle: a slow and plain implementation of a whole tick from measurement to command, to verify the product.
+"""The oracle: a slow, simple implementation of a whole tick from measurement to command, to verify the product.
 
-It shares with the product the velocity models, the configuration, the tables of references, re-entry and result types.
-Everything else is independent: derivatives come from complex steps, the quadratic program is solved with all its limits
-at every tick and its solution is certified, trajectories are sampled in NumPy.
+Oracle and product share velocity models, configuration, tables of references, re-entry and result types. The rest is
+independent: derivatives are computed by complex steps, the quadratic program is solved with all limits at every tick,
+its solution is certified, and trajectories are sampled with NumPy.
 """

@@ -1,4 +1,4 @@
-"""Checks of measurements: stamps, values, ranges, single spikes, and poses that jump."""
+"""Checks of measurements: stamps, values, ranges, single outliers, and jumps of the pose."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from oracle.motion import wrap
 _MAX_VARIANCE = 1e6
 _ASYMMETRY = 1e-6
 _FUTURE = 1e-3
-# This many successive poses that contradict the estimate but agree with each other are no outliers.
+# Number of successive rejected poses that count as valid if they agree with each other.
 _AGREEING = 3
 
 
 def numbers(value: Any, count: int) -> FloatArray | None:
-    """Return `value` as `count` finite numbers, or None if it is not."""
+    """Return `value` as an array of `count` finite numbers, or None if that is impossible."""
     try:
         array = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
@@ -44,7 +44,10 @@ def covariance(value: Any, size: int) -> FloatArray | None:
 
 
 def stamp_fault(stamp: object, t: float, last: float, history: float, delay: float) -> str:
-    """Return the fault of a stamp at tick `t` [s] after one at `last` [s], of a reading `delay` older; else ""."""
+    """Return the fault of a stamp at tick `t` [s], or "".
+
+    `last` [s] is the previous stamp; the reading is `delay` [s] older than its stamp.
+    """
     time = numbers(stamp, 1)
     if time is None:
         return "its stamp is not a finite number"
@@ -67,10 +70,7 @@ def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class CheckedPose:
-    """A pose of finite numbers with a plausible stamp: value (3,), covariance (3, 3), stamp [s].
-
-    The robot was there at `true_at` [s].
-    """
+    """Finite pose with a plausible stamp: value (3,), covariance (3, 3), stamp and time of validity `true_at` [s]."""
 
     value: FloatArray
     covariance: FloatArray
@@ -79,11 +79,11 @@ class CheckedPose:
 
 
 class PoseRate:
-    """Detector of too rare poses: counts those of the last five that came after the previous one was too old."""
+    """Detector of rare poses, from the number of late poses among the last five."""
 
     def __init__(self, dt: float, max_pose_age: float, history: float) -> None:
         self.dt, self.max_pose_age, self.history = dt, max_pose_age, history
-        # Initially, the first overdue pose is enough.
+        # Initially, one overdue pose is enough.
         self.overdue = [True]
         self.interval = self.latency = self.too_old = 0.0
         self.rare = False
@@ -128,7 +128,7 @@ class PoseRate:
 
 
 class PoseGate:
-    """Gate that checks poses and stores those that jump."""
+    """Gate that checks poses and stores the poses that jump."""
 
     def __init__(self, settings: Estimator, rate: PoseRate, known: PoseResponse) -> None:
         self.settings, self.rate, self.now = settings, rate, math.nan
@@ -137,7 +137,7 @@ class PoseGate:
         self.jumped: list[CheckedPose] = []
 
     def check(self, t: float, pose: Stamped | None, rejected: list[str]) -> CheckedPose | None:
-        """Return the pose in checked form; if it cannot be used, None, and a sentence in `rejected`."""
+        """Return the checked pose; for an unusable pose, return None and add a sentence to `rejected`."""
         if pose is None:
             return None
         s = self.settings
@@ -158,7 +158,7 @@ class PoseGate:
         return CheckedPose(value, matrix, self.last_stamp, self.last_stamp - self.delay)
 
     def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
-        """Return True if `pose` is near the `expected` one (3,); otherwise store it, and name it in `rejected`."""
+        """Return True if `pose` is near `expected` (3,); otherwise store it and add a sentence to `rejected`."""
         if self._near(pose.value, expected):
             self.accept(pose)
             return True
@@ -176,7 +176,7 @@ class PoseGate:
 
     @property
     def elsewhere(self) -> CheckedPose | None:
-        """Newest of several poses that agree with each other but not with the estimate: the robot was moved."""
+        """Latest of several poses that agree with each other but not with the estimate: the robot was moved."""
         return self.jumped[-1] if len(self.jumped) >= _AGREEING else None
 
     def _near(self, value: FloatArray, expected: FloatArray) -> bool:
@@ -190,7 +190,7 @@ def _difference(first: FloatArray, second: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class CheckedTwist:
-    """One component of a measured twist, valid at `stamp` [s]; `message` names its message."""
+    """One component of a measured twist, valid at `stamp` [s], with the name of its message."""
 
     message: str
     sensor: str
@@ -232,7 +232,7 @@ class TwistGate:
                 variances = np.diag(matrix) / self.known.scale**2
         if not fault:
             self.stamp, self.last = float(stamped.time), values
-            # A wheel that hits a wall really jumps, and stays at its value: the next sample confirms it.
+            # The speed of a wheel jumps if the robot hits a wall; the next sample then confirms the value.
             jumps = np.abs(values - last) > self.jump
             if jumps.any():
                 index = int(np.argmax(jumps))

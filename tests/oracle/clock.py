@@ -1,4 +1,4 @@
-"""Times of the calls of the controller, and their faults."""
+"""Checks of the times of controller calls."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ class TickKind(Enum):
     """Kind of a call of the controller."""
 
     NEW = auto()
-    """The next tick, perhaps after missed ones."""
+    """The next tick, possibly after missed ticks."""
     REPEATED = auto()
     """Less than half a sample after the last tick: too soon for a new command."""
     LEAPT = auto()
-    """Long after the last tick: a pause, or a glitch of the clock; the next tick decides."""
+    """Long after the last tick: a pause or a clock fault, to be decided at the next tick."""
     PAUSED = auto()
     """A pause after which the estimate is lost."""
     FAULTY = auto()
-    """A time that cannot be used."""
+    """An unusable time."""
 
 
 class TickClock:
-    """Classifies the time of each call; a pause of up to `max_pause` [s] can be bridged."""
+    """Classifier of the times of calls; the estimator can bridge pauses of up to `max_pause` [s]."""
 
     def __init__(self, dt: float, max_pause: float) -> None:
         self.dt, self.max_pause = dt, max_pause
         self.restart()
 
     def restart(self) -> None:
-        """Take the next tick as the first."""
+        """Reset: the next tick counts as the first tick."""
         self.last: float | None = None
         self.leap: float | None = None
 
@@ -44,7 +44,7 @@ class TickClock:
         if gap < 0.5 * self.dt:
             return TickKind.REPEATED, f"called {1e3 * gap:.1f} ms after the last tick; its command is repeated"
         if gap > self.max_pause:
-            # One leap may be a glitch of the clock; a second tick right after it shows a real pause.
+            # One leap may be a clock fault; a second tick shortly afterwards confirms a real pause.
             if leap is None or not 0 < t - leap <= self.max_pause:
                 self.leap = t
                 return TickKind.LEAPT, f"no tick for {gap:.2f} s"

@@ -1,4 +1,4 @@
-"""Commands that were sent, including those still delayed by the dead time."""
+"""Sent commands, including commands that the dead time still delays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 
 
 class PastCommands:
-    """Past commands, newest last, as far back as a history of `oldest` ticks and the dead time require."""
+    """Past commands, newest last, for a history of `oldest` ticks and the dead time."""
 
     def __init__(self, model: DiscreteModel, oldest: int, spare: int) -> None:
         self.model, self.oldest, self.spare = model, oldest, spare
@@ -26,17 +26,17 @@ class PastCommands:
         """Append the command (2,) sent at this tick."""
         self._sent.append(np.array(command, dtype=float))
 
-    def correct_last(self, sent: FloatArray) -> None:
-        """Replace the newest command by the one that the robot received (2,)."""
-        self._sent[-1] = np.array(sent, dtype=float)
+    def correct_last(self, received: FloatArray) -> None:
+        """Replace the newest command by the received command (2,)."""
+        self._sent[-1] = np.array(received, dtype=float)
 
-    def overrule(self, sent: FloatArray) -> None:
-        """Replace the newest commands by those of another sender (K, 2), oldest first."""
-        self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
+    def overrule(self, commands: FloatArray) -> None:
+        """Replace the newest commands by commands (K, 2) of another sender, oldest first."""
+        self._sent.extend([*list(self._sent)[: -len(commands)], *np.array(commands, dtype=float)])
 
     @property
     def memory(self) -> int:
-        """Number of commands that can still act in the future, including `spare` samples of unknown delay."""
+        """Number of commands that can act in the future, including `spare` samples of unknown delay."""
         return self.model.memory + self.spare + 1
 
     @property
@@ -51,11 +51,11 @@ class PastCommands:
 
     @property
     def recent(self) -> FloatArray:
-        """Commands (memory, 2) that still act in the future, oldest first."""
+        """Commands (memory, 2) that can act in the future, oldest first."""
         return np.array(self._sent)[-self.memory :]
 
     def acting(self, ticks_ago: int) -> FloatArray:
         """Return u[k - delay - i] (i, 2), i from 0 to spare + 2, for the interval of the command sent `ticks_ago`."""
         newest = len(self._sent) - 1 - ticks_ago - self.model.delay
-        back = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
-        return self.everything[back, [0, 1]]
+        indices = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
+        return self.everything[indices, [0, 1]]

@@ -1,4 +1,4 @@
-"""The oracle's controller: one tick from measurement to command, and the failure modes."""
+"""The oracle's controller: computation of a command from measurements, and failure modes."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ class OracleStep:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of the robot from a reference pose: outside the band, and delay [s]."""
+    """Deviation of the robot from a reference pose: True if outside the band, and delay [s]."""
 
     outside: bool
     late: float
 
 
 class OracleController:
-    """Equivalent of `mpc.Controller` with independent code; the same constructor, start, reset, step and update."""
+    """Independent implementation of `mpc.Controller` with the same constructor, start, reset, step and update."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | str | None = None) -> None:
         extra = config.extra_dead_time
@@ -121,14 +121,14 @@ class OracleController:
         self.reach.max_speed = config.limits.wheel_speed
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
+        """Start tracking `reference`; its time 0 is `t0` [s] on the clock of `step`."""
         self._forget()
         self.reference, self.t0 = with_numpy_samples(reference), t0
         self.fence = FenceWatch(self.config, reference)
         self.pursuit.start(self.reference, native=False)
 
     def reset(self) -> None:
-        """Restore the initial state, for a robot at rest. The reference is kept."""
+        """Restore the initial state of a robot at rest, with the current reference."""
         self._forget()
         self.estimator.commands.clear()
         self.last = np.zeros(2)
@@ -187,7 +187,7 @@ class OracleController:
             self.estimator.commands.append(outcome.command)
         else:
             outcome = self._lost_time(kind, notes)
-            # No interval of the model begins here: the active command has changed since the last tick.
+            # The tick does not start an interval of the model: the command replaces the command of the last tick.
             self.estimator.commands.correct_last(outcome.command)
         if not self.in_outage:
             self.last_good_time = self.time
@@ -210,7 +210,7 @@ class OracleController:
         return self.result
 
     def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
-        """Brake in a tick without usable time; send zero after a jump, because a base without commands has stopped."""
+        """Brake in a tick without usable time; send zero after a jump, because the base has stopped by then."""
         gap, limit = self.gap, self.config.failure.resume_within
         outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > limit) or gap < -limit)
         if kind is TickKind.PAUSED:
@@ -233,10 +233,10 @@ class OracleController:
             notes += rate.missing()
             return self._brake(notes, "no pose has arrived yet", outage=True)
         if estimator.moved:
-            before, reason = estimator.estimate.pose, "consecutive poses agree on a different position"
+            old_pose, reason = estimator.estimate.pose, "consecutive poses agree on a different position"
             if not self._restart():
                 return self._brake(notes, reason)
-            jump = np.hypot(*(estimator.estimate.pose - before)[:2])
+            jump = np.hypot(*(estimator.estimate.pose - old_pose)[:2])
             if self.has_driven and not jump <= failure.max_position_error:
                 return self._brake(notes, reason, waits=True)
         estimate = estimator.estimate
@@ -271,43 +271,43 @@ class OracleController:
         settings, estimate = self.config.reentry, self.estimator.estimate
         x, y, theta = estimate.pose - pose
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        along, across, heading_error = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
+        along, lateral, heading_error = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
         v, omega = twist
         ahead = math.copysign(along, along * v)
-        near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
+        is_near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
         # Uncertainty of the pose must not start re-entry.
         band = self.turn_tolerance + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
-        outside = abs(across) > band or abs(heading_error) > settings.heading_band or not near
+        outside = abs(lateral) > band or abs(heading_error) > settings.heading_band or not is_near
         if abs(v) > STANDING:
             return Deviation(outside, -ahead / settings.wait)
         # While the reference rests or turns on the spot, the delay is the time to reach it.
         turning = -math.copysign(1.0, omega) * heading_error if abs(omega) > TURNING else 0.0
-        distance = max(math.hypot(along, across) - self.turn_tolerance, 0.0)
+        distance = max(math.hypot(along, lateral) - self.turn_tolerance, 0.0)
         return Deviation(outside, max(distance / settings.wait, turning / settings.heading_wait))
 
     def _update_turn_tolerance(self, slip: Slip) -> None:
-        """Update the tolerance after turns on the spot, which is the displacement of the turning point over 1.5 rad."""
+        """Update the tolerance after turns on the spot: the displacement of the turning point over 1.5 rad."""
         self.turn_tolerance *= 1.0 - self.config.sample_time / _RETURN_TIME
         v, omega = np.abs(self.passed_twist)
         if v <= STANDING and omega > TURNING:
-            moves = math.hypot(slip.turn_ahead, slip.turn_left) + math.hypot(slip.slide_x, slip.slide_y)
-            self.turn_tolerance = max(self.turn_tolerance, _TURN_OF_DISPLACEMENT * moves)
+            displacement = math.hypot(slip.turn_ahead, slip.turn_left) + math.hypot(slip.slide_x, slip.slide_y)
+            self.turn_tolerance = max(self.turn_tolerance, _TURN_OF_DISPLACEMENT * displacement)
 
     def _is_astray(self) -> bool:
         """Return True if the robot is late or off the path."""
         pose, twist = self.target_pose, self.next_twists[1]
         x, y, _ = self.estimator.estimate.pose - pose
-        across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
+        lateral = np.cos(pose[2]) * y - np.sin(pose[2]) * x
         deviation = self._deviation(pose, twist)
-        return bool(deviation.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or deviation.outside)
+        return bool(deviation.late > ASTRAY or abs(lateral) > BESIDE * self.config.reentry.band or deviation.outside)
 
     def _restart(self) -> bool:
         """Restart the estimate at the position of the consistent rejected poses if the commands have been zero."""
-        standing = not self.estimator.commands.recent[-self.sampled_model.memory :].any()
-        return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
+        is_at_rest = not self.estimator.commands.recent[-self.sampled_model.memory :].any()
+        return is_at_rest and self.config.failure.resume and self.estimator.restart_elsewhere()
 
     def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
-        """Return True permanently after the robot rests at the end of its reference, or after the timeout."""
+        """Return True once the robot rests at the end of its reference, or after the timeout; the result is latched."""
         settings, reference = self.config.finish, self.reference
         assert reference is not None
         if self.finished or time < reference.duration:
@@ -326,7 +326,7 @@ class OracleController:
         report = SolverReport(status)
         if plan is not None:
             self.plan, self.plan_age = plan, 0
-            # Commands to a blocked base must stay small: on release it would jump.
+            # Commands to a blocked base must stay small, because it would jump on release.
             share = self.config.reentry.blocked_share if target.blocked_for else 1.0
             command = self._inside(plan.commands[0], limits, share)
             return Outcome(command, Mode.TRACKING, report, plan, target.blocked_for)
@@ -364,10 +364,10 @@ class OracleController:
         notes += reasons
         self.plan = self.guess = None
         self.in_outage = outage and not waits
-        lasting = self.in_outage and self.time - self.last_good_time > self.config.failure.resume_within
+        is_lasting = self.in_outage and self.time - self.last_good_time > self.config.failure.resume_within
         # Before the first drive and after the end, resuming is not possible.
         if self.has_driven and not self.finished:
-            self.latched |= waits or lasting or (failure and not self.config.failure.resume)
+            self.latched |= waits or is_lasting or (failure and not self.config.failure.resume)
         if self.latched:
             cause = f" ({self.cause})" if self.cause else ""
             self.cause = self.cause or "; ".join(notes)
@@ -376,7 +376,7 @@ class OracleController:
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _max_sent(self, sent: object) -> FloatArray:
-        """Return the maximum command (2,) that the base can have received in the direction of `sent`, with rounding."""
+        """Return the maximum command (2,) that the base can have received, with the signs of `sent` and a margin."""
         sides = np.transpose([self.config.limits.v.sides, self.config.limits.omega.sides])
         sent = np.zeros(2) if sent is None else np.asarray(sent, dtype=float)
         return 1.001 * np.maximum(np.where(sent < 0.0, sides[1], sides[0]), np.abs(self.last))

@@ -18,7 +18,7 @@ class Estimate:
     ----------
     values
         Time, pose age; mean and standard deviations (n + 16,) of the filter's state, see `oracle.kalman`; twist (2,)
-        and its standard deviations (2,); innovations (4,), NaN for missing ones.
+        and its standard deviations (2,); innovations (4,), NaN if missing.
     order
         Order n of the velocity model.
     """
@@ -70,7 +70,7 @@ class Estimate:
 
     @property
     def slip(self) -> Slip:
-        """Slip between the twist of the model and that of the body."""
+        """Slip between the twists of model and body."""
         return Slip(*self.mean[self._order : self._order + 10].tolist())
 
     @property
@@ -85,7 +85,7 @@ class Estimate:
 
     @property
     def delays(self) -> FloatArray:
-        """Delays (2,) of v and omega that the model lacks [s]."""
+        """Delays (2,) of v and omega that the model does not contain [s]."""
         return self.mean[-5:-3]
 
     @property

@@ -1,7 +1,7 @@
-"""Estimate pose, twist and slip from measurements that arrive at several rates and late.
+"""Estimation of pose, twist and slip from measurements with different rates and delays.
 
 A late measurement is inserted into the stored history at its stamp, and all later states are computed again, so that
-it counts as if it had arrived in time.
+its delay has no effect on the estimate.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _Node:
 
 
 class StateEstimator:
-    """Extended Kalman filter with a history; never raises on data."""
+    """Extended Kalman filter with a history; invalid data raise no errors."""
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class StateEstimator:
         self.forget()
 
     def forget(self) -> None:
-        """Drop the estimate, as before the first pose. Delayed commands are kept, because they still act."""
+        """Reset the estimate to the state before the first pose; keep the commands, because some still act."""
         self.nodes: list[_Node] = []
         self.innovations = dict.fromkeys(SENSORS, np.nan)
         self.rate = PoseRate(self.model.dt, self.max_pose_age, self.settings.history)
@@ -65,12 +65,12 @@ class StateEstimator:
 
     @property
     def ready(self) -> bool:
-        """True if there is an estimate: a pose has been received."""
+        """True if an estimate exists, that is, a pose has been received."""
         return bool(self.nodes)
 
     @property
     def moved(self) -> bool:
-        """True if poses agree with each other but not with the estimate: the robot is elsewhere."""
+        """True if poses agree with each other but not with the estimate: the robot was moved."""
         return self.pose_gate.elsewhere is not None
 
     @property
@@ -94,11 +94,11 @@ class StateEstimator:
         ]
         return Estimate(np.concatenate(values), self.model.order)
 
-    def correct_sent(self, sent: tuple[float, float] | None, largest: FloatArray) -> list[str]:
-        """Use the command that the robot reports for the last tick, up to `largest` (2,); else return the reason."""
+    def correct_sent(self, sent: tuple[float, float] | None, max_command: FloatArray) -> list[str]:
+        """Use the reported command of the last tick, up to `max_command` (2,); return a message if it is rejected."""
         if sent is None:
             return []
-        value = sent_command(sent, largest)
+        value = sent_command(sent, max_command)
         if value is None:
             return ["sent command rejected: it exceeds the command limits"]
         self.commands.correct_last(value)
@@ -149,7 +149,7 @@ class StateEstimator:
         return rejected
 
     def restart_elsewhere(self) -> bool:
-        """Restart at the place of the agreeing poses that jumped. The estimated motion is kept."""
+        """Restart at the position of the agreeing rejected poses, with the estimated motion."""
         pose = self.pose_gate.elsewhere
         if pose is not None:
             self._start(self.nodes[-1].time, pose, self.nodes[-1].posterior)

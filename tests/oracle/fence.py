@@ -16,7 +16,7 @@ _PLAY, _AT_REST = 0.02, 0.005
 
 
 class FenceWatch:
-    """Check that a robot stays inside its fence."""
+    """Monitor that checks whether a robot stays inside its fence."""
 
     def __init__(self, config: ControllerConfig, reference: Reference | None) -> None:
         self.fence, self.limits, self.dt = config.fence, config.limits, config.sample_time
@@ -45,13 +45,13 @@ class FenceWatch:
             commands.append(command)
             belief = estimator.filter.predict(belief, commands.acting(0))
             path.append(estimator.filter.pose(belief.mean, 0.0))
-            moving = commands.everything[-commands.memory - 1 :].any()
-            if not moving and abs((model.C @ belief.mean[: model.order])[0]) < _AT_REST:
+            is_active = commands.everything[-commands.memory - 1 :].any()
+            if not is_active and abs((model.C @ belief.mean[: model.order])[0]) < _AT_REST:
                 return path
             command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)
 
     def holds(self, estimator: StateEstimator, last: FloatArray) -> bool:
-        """Return True if the robot can stop inside; a robot that starts outside must not move further out."""
+        """Return True if the robot can stop inside; a robot outside must not move further out."""
         if not self.fence.enabled or self.left:
             return not self.left
         path = [self.distance_outside(pose) for pose in self.path_to_rest(estimator, last)]

@@ -1,4 +1,4 @@
-"""The arc of a constant twist, and derivatives by complex steps; functions accept real and complex numbers."""
+"""Arcs of constant twists, and derivatives by complex steps; functions accept real and complex numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# No difference is computed, so the square of the step may be negligible compared with 1.
+# Complex steps have no cancellation, so the square of the step can be negligible compared with 1.
 _STEP = 1e-30
 _SMALL = 1e-2
 
@@ -20,7 +20,7 @@ def wrap(angle: FloatArray) -> FloatArray:
 
 
 def sinc(x: FloatArray) -> FloatArray:
-    """Compute sin(x) / x, by its series if the quotient or its derivative would lose digits."""
+    """Compute sin(x) / x, by a series near zero, where the quotient and its derivative lose digits."""
     small = np.abs(x) < _SMALL
     square = x * x
     series = 1 - square / 6 + square**2 / 120 - square**3 / 5040
@@ -42,7 +42,7 @@ def arc(
 
 
 def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ahead: FloatArray | float) -> FloatArray:
-    """Compute the speed of the origin to the left [m/s]; it circles a point `ahead` of it [m] that slips outward."""
+    """Compute the lateral speed of the origin [m/s] (left) about a point `ahead` [m] of it, which slips outward."""
     outward = side_slip * v * omega
     return -omega * ahead - outward
 
@@ -52,7 +52,7 @@ def slid(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the displacement dx, dy [m] over `dt` of a robot that slides by `slide` [m/rad], x and y, per radian.
 
-    It slides by all of `slide` across its mean heading, and by half along it; at low yaw rates it hardly slides.
+    The component of `slide` along the mean heading acts by half; at low yaw rates the slide is small.
     """
     mean, chord = theta + 0.5 * omega * dt, dt * sinc(0.5 * omega * dt)
     angle = chord * (np.sqrt(omega**2 + 0.05**2) - 0.05)
@@ -74,7 +74,7 @@ def linearise(function: Callable[[FloatArray], FloatArray], point: FloatArray) -
 
 
 def jacobian(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> FloatArray:
-    """Return only the derivative."""
+    """Return the derivative (m, n) of `function` at `point` (n,)."""
     return linearise(function, point)[1]
 
 
@@ -103,10 +103,10 @@ def linearised_arc(
         sinc = math.sin(half) / half
         slope = (math.cos(half) - sinc) / half
     c, s, chord, crab = math.cos(theta + half), math.sin(theta + half), v * dt * sinc, side_slip * omega
-    # Along and across the mean heading the body moves by (chord, -chord crab).
+    # The body moves by (chord, -chord crab) along and across the mean heading.
     along, across = c + crab * s, s - crab * c
     turn, stretch = 0.5 * dt * chord, 0.5 * dt * v * dt * slope
-    after = np.array([x + chord * along, y + chord * across, theta + omega * dt])
+    end = np.array([x + chord * along, y + chord * across, theta + omega * dt])
     by_pose = np.array([[1.0, 0.0, -chord * across], [0.0, 1.0, chord * along], [0.0, 0.0, 1.0]])
     by_twist = np.array(
         [
@@ -115,4 +115,4 @@ def linearised_arc(
             [0.0, dt, 0.0],
         ]
     )
-    return after, by_pose, by_twist
+    return end, by_pose, by_twist

@@ -1,4 +1,4 @@
-"""The whole tracking problem as a CasADi nonlinear program for IPOPT, without linearisation or omissions."""
+"""The complete tracking problem as a CasADi nonlinear program for IPOPT, without linearisation."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def nonlinear_program(
     """Build the program with x = (U, p, m), p and m >= 0 (5 N each) the excesses above and below, and its bounds.
 
     The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) fixes the turning points [m];
-    without it they depend on the plan.
+    if None, they depend on the plan.
     """
     N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
     U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
-    # The model's twists are linear in the commands: the free response, and the effect of each command.
-    free = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)), tick.late)[:, :, 0]
-    none = np.zeros(model.order), np.zeros_like(tick.past)
-    added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N), tick.late)
-    model_twist = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
+    # The twists of the model are linear in the commands: the free response plus the response to each command.
+    free_response = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)), tick.late)[:, :, 0]
+    zero_inputs = np.zeros(model.order), np.zeros_like(tick.past)
+    command_response = roll_out(model, *zero_inputs, np.eye(2 * N).reshape(N, 2, 2 * N), tick.late)
+    model_twist = ca.DM(free_response.T) + ca.reshape(ca.DM(command_response.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
     wheels = model_twist + ca.DM(slip.offset)
     point = ca.diag(slip.gains) @ wheels
     twist = ca.vertcat(point[0, :] + slip.turn_left * point[1, :], point[1, :])

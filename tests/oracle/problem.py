@@ -2,13 +2,13 @@
 
 With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weighted sum of squares of
 
-* the position error along and across the path and the error of the heading at the samples 1 to N, the last one weighted
-  `terminal` times,
-* the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1} less those of the feed-forward,
-  u_{-1} being the last command,
+* the position error along and across the path and the error of the heading at the samples 1 to N, the last
+  sample with the factor `terminal`,
+* the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1} minus those of the feed-forward,
+  with the last command as u_{-1},
 
-plus an exact penalty on each exceeded soft limit. Functions take k plans at once (N, 2, k), and the distances `ahead`
-(N,) of the turning point [m] on the N arcs, which count as fixed along a plan.
+plus an exact penalty on each exceeded soft limit. Functions accept k plans (N, 2, k) and the distances `ahead` (N,) of
+the turning point [m] on the N arcs, which are fixed along a plan.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from oracle.tick import Tick
 class QuadraticProgram:
     """Minimise x'Hx/2 + g'x + price |excess|_1 + quadratic |excess|^2 / 2 subject to lower <= rows x <= upper.
 
-    The excess is that of soft_rows x beyond soft_lower and soft_upper. x (2 N,) are the commands of N steps.
+    The excess is the amount of soft_rows x beyond soft_lower and soft_upper; x (2 N,) are the commands of N steps.
     """
 
     H: FloatArray
@@ -45,23 +45,23 @@ class QuadraticProgram:
 
 
 def roll_out(
-    model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray, late: FloatArray | None = None
+    model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray, delay: FloatArray | None = None
 ) -> FloatArray:
     """Predict twists (N + 1, 2, k) of the model at the samples 0 to N from `state` (n,), `past` (m, 2) and `plan`.
 
-    Commands act `late` (2,) samples later than in the model.
+    Commands act `delay` (2,) samples later than in the model.
     """
     steps, _, k = plan.shape
-    sent = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
-    whole = np.zeros(2, dtype=int) if late is None else np.floor(late).astype(int)
-    rest = 0.0 if late is None else (late - whole)[:, None]
-    now = len(past) + np.arange(steps)[:, None] - model.delay - whole
+    commands = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
+    whole_samples = np.zeros(2, dtype=int) if delay is None else np.floor(delay).astype(int)
+    fraction = 0.0 if delay is None else (delay - whole_samples)[:, None]
+    indices = len(past) + np.arange(steps)[:, None] - model.delay - whole_samples
 
     def acting(index: FloatArray) -> FloatArray:
-        near, far = sent[index, [0, 1]], sent[np.maximum(index - 1, 0), [0, 1]]
-        return near + rest * (far - near)
+        near, far = commands[index, [0, 1]], commands[np.maximum(index - 1, 0), [0, 1]]
+        return near + fraction * (far - near)
 
-    recent, older = acting(now), acting(now - 1)
+    recent, older = acting(indices), acting(indices - 1)
     x = np.repeat(state[:, None], k, axis=1).astype(plan.dtype)
     outputs = [model.C @ x]
     for step in range(steps):
@@ -72,18 +72,18 @@ def roll_out(
 
 def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
     """Return bounds (steps, 2); a bound below the last command is approached at the slew limit."""
-    fallen = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
+    slew = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
     (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
-    return np.minimum(last_command + fallen, [-reverse, -right]), np.maximum(last_command - fallen, [forward, left])
+    return np.minimum(last_command + slew, [-reverse, -right]), np.maximum(last_command - slew, [forward, left])
 
 
 def reachable_commands(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the minimum and maximum command (2,) after a tick, with the time until the command is zero."""
     bounds = []
-    for command, (grows, falls) in zip(last, (limits.v_slew.sides, limits.omega_slew.sides), strict=True):
+    for command, (rise, fall) in zip(last, (limits.v_slew.sides, limits.omega_slew.sides), strict=True):
         size, sign = abs(command), -1.0 if command < 0.0 else 1.0
-        falling = min(dt, size / falls)
-        ends = sorted([sign * (size + grows * dt), sign * (size - falls * falling - grows * (dt - falling))])
+        fall_time = min(dt, size / fall)
+        ends = sorted([sign * (size + rise * dt), sign * (size - fall * fall_time - rise * (dt - fall_time))])
         bounds.append(ends)
     low, high = np.transpose(bounds)
     return low, high
@@ -96,7 +96,7 @@ class TrackingProblem:
         if config.horizon < model.memory:
             raise ValueError(f"horizon = {config.horizon}: set horizon to {model.memory} or more")
         self.config, self.model, self.steps = with_increments(config, model), model, config.horizon
-        # Speed that the wheels are known to reach [m/s].
+        # Attainable speed of the wheels [m/s].
         self.reach = np.inf
 
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
@@ -111,15 +111,15 @@ class TrackingProblem:
         return np.asarray(tick.slip.turn_ahead - tick.slip.load_shift * np.diff(v) / self.model.dt)
 
     def poses(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
-        """Compute poses (N + 1, 3, k) for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
+        """Compute poses (N + 1, 3, k) for `twist` (N + 1, 2, k) along arcs with the mean twist of both ends."""
         v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
-        before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
-        dx, dy, _ = arc(before, v, omega, self.model.dt, sideways(v, omega, tick.slip.side_slip, ahead[:, None]))
-        by_slide = slid(before, omega, self.model.dt, (tick.slip.slide_x, tick.slip.slide_y))
+        start_heading = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
+        dx, dy, _ = arc(start_heading, v, omega, self.model.dt, sideways(v, omega, tick.slip.side_slip, ahead[:, None]))
+        by_slide = slid(start_heading, omega, self.model.dt, (tick.slip.slide_x, tick.slip.slide_y))
         dx, dy = dx + by_slide[0], dy + by_slide[1]
-        after = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
-        return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
+        ends = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
+        return np.concatenate([np.broadcast_to(tick.pose[:, None], ends[:1].shape), ends])
 
     def errors(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
         """Compute the errors (N + 1, 3, k) along, across and in heading."""
@@ -130,25 +130,25 @@ class TrackingProblem:
 
     def residuals(self, tick: Tick, plan: FloatArray, errors: FloatArray) -> FloatArray:
         """Compute errors, deviations and increments (m, k), each times the root of its weight."""
-        w, before = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
+        w, last_commands = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
         pose_weights = np.tile([w.along, w.across, w.heading], (self.steps, 1))
         pose_weights[-1] *= w.terminal
         weighted = errors[1:] * np.sqrt(pose_weights)[:, :, None]
         deviations = (plan - tick.feed_forward[:, :, None]) * np.sqrt([[w.v], [w.omega]])
         by_reference = np.diff(np.vstack([tick.fed_before, tick.feed_forward]), axis=0)[:, :, None]
-        increments = plan - np.concatenate([before, plan[:-1]]) - by_reference
+        increments = plan - np.concatenate([last_commands, plan[:-1]]) - by_reference
         increments = increments * np.sqrt([[w.v_increment], [w.omega_increment]])
         return np.concatenate([weighted, deviations, increments], axis=1).reshape(-1, plan.shape[2])
 
     def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:
         """Compute the values (5, N + 1, k) with soft limits: v, omega, right and left wheel speed, lateral distance.
 
-        The wheels do not slip as the body does: their speeds are those of the turning point without the slip gains.
+        The wheel speeds follow from the motion of the turning point without the slip gains.
         """
         v, omega = twist.swapaxes(0, 1)
         wheels_v, wheels_omega = (v - tick.slip.turn_left * omega) / tick.slip.gains[0], omega / tick.slip.gains[1]
-        rim = 0.5 * self.config.wheels.track * wheels_omega
-        return np.stack([v, omega, wheels_v + rim, wheels_v - rim, errors[:, 1]])
+        half_difference = 0.5 * self.config.wheels.track * wheels_omega
+        return np.stack([v, omega, wheels_v + half_difference, wheels_v - half_difference, errors[:, 1]])
 
     def outcome(self, tick: Tick, plan: FloatArray, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the residuals (m, k) and soft values (5, N + 1, k) of a plan (N, 2, k)."""
@@ -156,21 +156,21 @@ class TrackingProblem:
         errors = self.errors(tick, twist, ahead)
         return self.residuals(tick, plan, errors), self.soft_values(tick, twist, errors)
 
-    def soft_limits(self, now: FloatArray) -> FloatArray:
-        """Return the limits (5,) for present values `now` (5,): a value beyond its limit may not get worse."""
+    def soft_limits(self, current: FloatArray) -> FloatArray:
+        """Return the limits (5,); a current value of `current` (5,) beyond its limit must not get worse."""
         lim = self.config.limits
         wheels = min(lim.wheel_speed, self.reach)
         configured = [lim.predicted_v, lim.predicted_omega, wheels, wheels, lim.corridor]
-        return np.maximum(configured, np.abs(now))
+        return np.maximum(configured, np.abs(current))
 
     def hard_limits(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return rows (4 N, 2 N) of commands and increments with their bounds; the signs are those of `plan`."""
+        """Return rows (4 N, 2 N) of commands and increments with their bounds, for the signs of `plan`."""
         n, limits, dt = 2 * self.steps, self.config.limits, self.model.dt
         box = command_box(limits, dt, tick.last_command, self.steps)
-        grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
+        rise, fall = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
         first = reachable_commands(limits, dt, tick.last_command)
-        lower = np.vstack([first[0], -np.where(plan[:-1] > 0.0, falls, grows)])
-        upper = np.vstack([first[1], np.where(plan[:-1] < 0.0, falls, grows)])
+        lower = np.vstack([first[0], -np.where(plan[:-1] > 0.0, fall, rise)])
+        upper = np.vstack([first[1], np.where(plan[:-1] < 0.0, fall, rise)])
         rows = np.vstack([np.eye(n), np.eye(n) - np.eye(n, k=-2)])
         return rows, np.concatenate([box[0].ravel(), lower.ravel()]), np.concatenate([box[1].ravel(), upper.ravel()])
 

@@ -1,6 +1,6 @@
 """Baseline for an identification: a second-order lag with dead time for each channel, fitted by least squares.
 
-With `clip`, the command has a limit as well.
+With `clip`, a limit of the command is fitted as well.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ _LEVELS = np.linspace(0.4, 0.95, 12)
 
 
 def response(parameters, command, first, dt):
-    """Simulate (K,) from the command (K,) alone, settled at the `first` reading.
+    """Simulate the output (K,) from the command (K,), starting at rest at the `first` reading.
 
     Parameters are gain, two lags [s], dead time [s], offset and, optionally, the limit of the command.
     """
@@ -21,20 +21,20 @@ def response(parameters, command, first, dt):
         command = np.clip(command, -level, level)
     steps = int(dead_time / dt)
     fraction = dead_time / dt - steps
-    line = np.concatenate([np.full(steps + 1, (first - offset) / gain), command])
-    drive = (1 - fraction) * line[1 : len(command) + 1] + fraction * line[: len(command)] - line[0]
+    delay_line = np.concatenate([np.full(steps + 1, (first - offset) / gain), command])
+    drive = (1 - fraction) * delay_line[1 : len(command) + 1] + fraction * delay_line[: len(command)] - delay_line[0]
     for lag in (slow, fast):
-        keep = np.exp(-dt / lag)
-        drive = signal.lfilter([0.0, 1.0 - keep], [1.0, -keep], drive)
-    return gain * (drive + line[0]) + offset
+        decay = np.exp(-dt / lag)
+        drive = signal.lfilter([0.0, 1.0 - decay], [1.0, -decay], drive)
+    return gain * (drive + delay_line[0]) + offset
 
 
-def fit_second_order(commands, readings, fresh, dt, clip=False):
-    """Fit parameters (5,), or (6,) with `clip`, to lists of stretches of one channel: commands, readings, validity."""
-    firsts = [y[np.argmax(f)] for y, f in zip(readings, fresh, strict=True)]
+def fit_second_order(commands, readings, valid, dt, clip=False):
+    """Fit parameters (5,), or (6,) with `clip`, to lists of commands, readings and their validity of one channel."""
+    firsts = [y[np.argmax(f)] for y, f in zip(readings, valid, strict=True)]
 
     def errors(parameters):
-        runs = zip(commands, readings, fresh, firsts, strict=True)
+        runs = zip(commands, readings, valid, firsts, strict=True)
         return np.concatenate([(y - response(parameters, u, first, dt))[f] for u, y, f, first in runs])
 
     bounds = ([0.05, 0.01, 0.005, 0.0, -0.3], [5.0, 4.0, 2.0, 0.6, 0.3])

@@ -15,7 +15,7 @@ from oracle.motion import arc
 
 
 class _Resampled:
-    """Trajectory with the name and duration of another one."""
+    """Trajectory with the name and duration of its original."""
 
     original: ArcTrajectory | SplineTrajectory
 
@@ -44,7 +44,7 @@ class Arcs(_Resampled):
         tau = t - start
         progress = offset + rate * tau + half_acceleration * tau**2
         speed = rate + 2 * half_acceleration * tau
-        # Over its progress the path is the arc of a constant twist.
+        # As a function of progress, the path is an arc of constant twist.
         dx, dy, _ = arc(theta, forward * progress, turn * progress, 1.0)
         pose = np.column_stack([x + dx, y + dy, theta + turn * progress])
         twist = np.column_stack([forward * speed, turn * speed])
@@ -67,13 +67,13 @@ class Splines(_Resampled):
         x, y, theta, arc_length = a * tau**3 + b * tau**2 + c * tau + d
         x_rate, y_rate, omega, _ = 3 * a * tau**2 + 2 * b * tau + c
         v = x_rate * np.cos(theta) + y_rate * np.sin(theta)
-        inside = (times == t)[:, None]
-        twist = np.where(inside, np.column_stack([v, omega]), 0.0)
+        is_inside = (times == t)[:, None]
+        twist = np.where(is_inside, np.column_stack([v, omega]), 0.0)
         return ReferenceSample(np.column_stack([x, y, theta]), twist, arc_length)
 
 
 def with_numpy_samples(reference: Reference) -> Reference:
-    """Return the reference; if it has a table, its samples are computed in this module."""
+    """Return the reference, with samples computed by this module if it has a table."""
     if isinstance(reference, MovedReference):
         return replace(reference, original=with_numpy_samples(reference.original))
     if isinstance(reference, ArcTrajectory):
