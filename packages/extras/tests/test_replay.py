@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.replay.replay import replay
 DT = 0.0202
 EQUAL = "recorded and replayed commands are equal at every tick"
 
-# All kinds of models, and all causes of other modes or solver paths.
+# Cases for all kinds of models, and for all causes of other modes or solver paths.
 CASES = {
     "circle": Case(),
     "sm": Case(model="sm", trajectory="square"),

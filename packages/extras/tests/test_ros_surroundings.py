@@ -64,8 +64,8 @@ def test_costmap_is_converted_to_rectangles():
 def test_points_are_converted_to_discs():
     message = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
     assert message.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
-    standing = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
-    assert standing.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
+    static = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
+    assert static.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
     assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)
 
 
@@ -146,7 +146,7 @@ def test_invalid_points_are_refused_in_one_line(name):
         read_obstacles(serialize_message(corrupt(cloud(0, POINT))))
 
 
-def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
+def test_invalid_messages_do_not_affect_driving_while_valid_messages_arrive(capfd):
     """Invalid messages at 20 Hz on both topics cause no exception, no missing command and few warnings."""
     with stack(
         FREE_SPACE,
@@ -164,26 +164,26 @@ def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
                 BAD_CLOUDS,
             ),
         )
-        refusals = {watch.name: set() for watch, *_ in topics}
-        queues = {watch.name: list(bad.values()) for watch, _, _, bad in topics}
+        refusals = {topic_input.name: set() for topic_input, *_ in topics}
+        queues = {topic_input.name: list(bad.values()) for topic_input, _, _, bad in topics}
 
-        def send(publisher, message, watch, count):
-            before = getattr(watch, count)
+        def send(publisher, message, topic_input, count):
+            previous = getattr(topic_input, count)
             publisher.publish(message)
-            base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
+            base.until(lambda: getattr(topic_input, count) > previous, f"{topic_input.name} {count}")
 
         def drive(ticks, *, with_valid):
             """Send an invalid message in two of five ticks, and a valid message in every tenth tick."""
             for tick in range(ticks):
-                for watch, publisher, message, _ in topics:
+                for topic_input, publisher, message, _ in topics:
                     if with_valid and tick % 10 == 0:
-                        send(publisher, message(base.now), watch, "accepted")
+                        send(publisher, message(base.now), topic_input, "accepted")
                     if tick % 5 in (1, 3):
-                        corrupt, pattern = queues[watch.name][0]
-                        queues[watch.name] = queues[watch.name][1:] + queues[watch.name][:1]
-                        send(publisher, corrupt(message(base.now)), watch, "refused")
-                        assert re.search(pattern, watch.last_refusal), (pattern, watch.last_refusal)
-                        refusals[watch.name].add(pattern)
+                        corrupt, pattern = queues[topic_input.name][0]
+                        queues[topic_input.name] = queues[topic_input.name][1:] + queues[topic_input.name][:1]
+                        send(publisher, corrupt(message(base.now)), topic_input, "refused")
+                        assert re.search(pattern, topic_input.last_refusal), (pattern, topic_input.last_refusal)
+                        refusals[topic_input.name].add(pattern)
                 base.step()
             return s.loop.last
 
@@ -191,12 +191,12 @@ def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
         assert drive(80, with_valid=True).mode == Mode.TRACKING
         assert base.commands[-1][0] > 0.1
         assert {name: len(patterns) for name, patterns in refusals.items()} == {
-            watch.name: len({pattern for _, pattern in bad.values()}) for watch, _, _, bad in topics
+            topic_input.name: len({pattern for _, pattern in bad.values()}) for topic_input, _, _, bad in topics
         }
         max_warnings = 1 + (time.monotonic() - start) / 5.0
         output = capfd.readouterr().err
-        for watch, *_ in topics:
-            assert 1 <= output.count(f"{watch.name} refused") <= max_warnings
+        for topic_input, *_ in topics:
+            assert 1 <= output.count(f"{topic_input.name} refused") <= max_warnings
         assert "Traceback" not in output and "\x1b" not in output.replace("\x1b[0m", "").replace("\x1b[33m", "")
         last = drive(45, with_valid=False)
         assert last.mode == Mode.STOPPED and "the surroundings are" in last.message

@@ -135,8 +135,8 @@ def test_obstacle_behind_a_wall_is_not_visible(tmp_path: Path) -> None:
 
 def test_costmap_is_unknown_behind_obstacles_and_outside_the_field_of_view(tmp_path: Path) -> None:
     walls = "walls: [{start: [1, -3], end: [1, 3], thickness: 0.1}]\n"
-    text = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
-    grid = ObstacleSensors(load_world(write_world(tmp_path, text)), 0).observe(0.0, [0, 0, 0]).grid
+    content = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
+    grid = ObstacleSensors(load_world(write_world(tmp_path, content)), 0).observe(0.0, [0, 0, 0]).grid
 
     def cell(x: float, y: float) -> int:
         return int(grid.cells[math.floor((y - grid.origin[1]) / 0.05), math.floor((x - grid.origin[0]) / 0.05)])
@@ -174,17 +174,17 @@ def test_person_track_has_the_true_velocity_and_the_configured_noise(tmp_path: P
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.06 and errors[:, 2:].std() < 0.2
 
 
-@pytest.mark.parametrize("through", [False, True])
-def test_drawn_worlds_are_passable_and_reproducible(through: bool) -> None:
+@pytest.mark.parametrize("is_path_blocked", [False, True])
+def test_drawn_worlds_are_passable_and_reproducible(is_path_blocked: bool) -> None:
     settings, densities = drawn_world_settings(), []
     for seed in range(6):
-        world = drawn_world(seed, through=through)
+        world = drawn_world(seed, through=is_path_blocked)
         drawn_world.cache_clear()
-        assert drawn_world(seed, through=through) == world
+        assert drawn_world(seed, through=is_path_blocked) == world
         densities.append(len(world.posts))
         assert is_passable(world, settings.disc_radius)
         clearance = world.shapes(0.0).distance(dense_path(np.array(world.way.waypoints))).min()
-        if through:
+        if is_path_blocked:
             # A post on the path blocks the robot's hull.
             assert clearance < WIDTH / 2
         else:
