@@ -175,7 +175,7 @@ def test_links_resolve(document):
             assert (document.parent / target).exists(), f"{name_of(document)}: {target}"
 
 
-@pytest.mark.parametrize("entry", REPORTS, ids=lambda entry: shown.name)
+@pytest.mark.parametrize("entry", REPORTS, ids=lambda entry: entry.name)
 def test_pages_link_the_committed_report_and_show_its_tables(entry):
     """README shows the tables of `bench`; a report without a page of tables states its own revision and date."""
     report = (ROOT / "docs" / entry.name / f"{entry.name}.md").read_text(encoding="utf-8")

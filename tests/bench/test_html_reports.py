@@ -48,8 +48,8 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_command(tmp_path_factory.mktemp("single"), "simulate", *QUICK)
 
 
-def run_command(folder: Path, *words: str) -> Path:
-    invoke(app, *words, "--out", folder)
+def run_command(folder: Path, *arguments: str) -> Path:
+    invoke(app, *arguments, "--out", folder)
     return folder / "report.html"
 
 
@@ -64,21 +64,21 @@ def test_pointing_at_one_view_marks_the_same_tick_in_the_other(run_page: Path) -
 
 def test_plotly_accepts_every_figure(run_page: Path, tmp_path: Path, outcome: RunOutcome) -> None:
     path = tmp_path / "report.html"
-    path.write_text(page_text(every_kind("a", outcome)), encoding="utf-8")
+    path.write_text(page_text(page_of_all_views("a", outcome)), encoding="utf-8")
     for report in (run_page, path):
         views = content_of(report)["views"]
         figures = [view.get(name) for view in views for name in ("figure", "plane", "times")]
-        shown = [Figure(figure) for figure in figures if figure]
-        assert len(shown) == len(views) + 1  # the view of runs has two figures
-        assert all({"labels", "group"} == set(trace.meta) for figure in shown for trace in figure.data)
+        plotly_figures = [Figure(figure) for figure in figures if figure]
+        assert len(plotly_figures) == len(views) + 1  # the view of runs has two figures
+        assert all({"labels", "group"} == set(trace.meta) for figure in plotly_figures for trace in figure.data)
     plane, times = (Figure(content_of(run_page)["views"][0][name]) for name in ("plane", "times"))
-    driven = next(trace for trace in plane.data if trace.name == "driven")
+    driven_trace = next(trace for trace in plane.data if trace.name == "driven")
     lateral = times.data[0]
-    assert driven.meta == lateral.meta
-    assert len(driven.x) == len(lateral.x)
+    assert driven_trace.meta == lateral.meta
+    assert len(driven_trace.x) == len(lateral.x)
 
 
-def every_kind(name: str, outcome: RunOutcome) -> Page:
+def page_of_all_views(name: str, outcome: RunOutcome) -> Page:
     """Build a page with every kind of view; every name that can come from a file is `name`."""
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
@@ -103,14 +103,14 @@ def every_kind(name: str, outcome: RunOutcome) -> Page:
 def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: RunOutcome) -> None:
     name = HOSTILE
     path = tmp_path / "report.html"
-    path.write_text(page_text(every_kind(name, outcome)), encoding="utf-8")
+    path.write_text(page_text(page_of_all_views(name, outcome)), encoding="utf-8")
     check_report(path)
     with open_offline(path) as page:
         assert page.title() == name
         assert page.locator("#title").inner_text() == name
         assert page.locator("main script, main b:not(svg b)").count() == 0
-        drawn = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((label) => label.textContent)")
-        assert name in drawn
+        labels = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((label) => label.textContent)")
+        assert name in labels
 
 
 def test_content_cannot_end_its_script() -> None:

@@ -79,8 +79,8 @@ def test_existing_file_is_not_replaced(tmp_path):
 def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
     with file_size_limit(300_000):
         recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + TIMEOUT
-    while not recorder.fault and time.monotonic() < end:
+    k, deadline = 0, time.monotonic() + TIMEOUT
+    while not recorder.fault and time.monotonic() < deadline:
         record_tick(recorder, k)
         recorder.poll()
         k += 1
@@ -134,8 +134,8 @@ def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
     arguments = [sys.executable, "-c", KILLED_RECORDER, str(tmp_path), *sys.path]
     completed = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=TIMEOUT)
     assert completed.returncode == -signal.SIGKILL, completed.stderr
-    end = time.monotonic() + TIMEOUT
-    while is_running(int(completed.stdout)) and time.monotonic() < end:
+    deadline = time.monotonic() + TIMEOUT
+    while is_running(int(completed.stdout)) and time.monotonic() < deadline:
         time.sleep(0.01)
     log = read_drive_log(tmp_path / "drive.mcap")
     assert not log.cut and len(log.rows) == 100
@@ -143,8 +143,8 @@ def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
 
 def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + TIMEOUT
-    while recorder.path.stat().st_size < 20_000 and time.monotonic() < end:
+    k, deadline = 0, time.monotonic() + TIMEOUT
+    while recorder.path.stat().st_size < 20_000 and time.monotonic() < deadline:
         record_tick(recorder, k)
         k += 1
         time.sleep(0.001)
@@ -173,8 +173,8 @@ def test_tick_is_read_back(hold):
         assert result.time == original.time and np.array_equal(result.value, original.value)
         assert (result.covariance is None) == (original.covariance is None)
     assert np.array_equal(parsed.measurement.pose.covariance, POSE.covariance)
-    nothing = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
-    assert TickRecord.read(nothing.line()).measurement == Measurement()
+    empty_record = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
+    assert TickRecord.read(empty_record.line()).measurement == Measurement()
 
 
 def test_drive_is_read_back():
@@ -184,6 +184,6 @@ def test_drive_is_read_back():
 
 @pytest.mark.parametrize("line", ["", "[1]", "{}", json.dumps({"format": 99}), json.dumps({"format": 1})])
 def test_invalid_line_raises_error(line):
-    for kind in (TickRecord, DriveRecord):
+    for record_type in (TickRecord, DriveRecord):
         with pytest.raises(TickRecordError):
-            kind.read(line)
+            record_type.read(line)

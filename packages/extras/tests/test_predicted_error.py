@@ -57,10 +57,10 @@ def test_features_and_coefficients_are_not_negative(population):
         assert scale.everywhere > scale.at_each_place
 
 
-def widths_at(predicted, direction, places):
-    """Return half widths [m] at places, which are fractions of the path length."""
-    share = predicted.arc_length / predicted.arc_length[-1]
-    return np.interp(places, share, getattr(predicted, direction).everywhere)
+def widths_at(predicted, direction, fractions):
+    """Return half widths [m] at `fractions` of the path length."""
+    fraction = predicted.arc_length / predicted.arc_length[-1]
+    return np.interp(fractions, fraction, getattr(predicted, direction).everywhere)
 
 
 @pytest.mark.parametrize("population", POPULATIONS)
