@@ -20,9 +20,9 @@ def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[s
     return run_python(f"import sys; {missing}sys.argv = {arguments}; from diffdrive_mpc.app.cli import main; main()")
 
 
-def is_running(number: int) -> bool:
+def is_running(pid: int) -> bool:
     """Return True if a process runs, that is, it has not ended or become a zombie."""
     try:
-        return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False

@@ -38,8 +38,8 @@ LOADED = {
 }
 
 
-def run(*words):
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout
+def run(*arguments):
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.parametrize("case", LOADED)
@@ -66,16 +66,16 @@ def test_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_dia
     """All modules of the package count, including empty ones, with the shipped configuration."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     command = COMMAND.format(["node", "--autostart", "--ros-args", "-p", "discovery_wait:=0.0"])
-    # The loop of the executor begins after the activation.
+    # The loop of the executor starts after the activation.
     activated, *loaded = (
         run("-c", f"{NODE}{command}\nprint(next(spins, 'activated'), *sys.modules)").splitlines()[-1].split()
     )
     assert activated == "activated"
-    ours = {name for name in loaded if name.partition(".")[0] == "diffdrive_mpc"}
-    assert "diffdrive_mpc.mpc.ros.control_loop" in ours
-    assert len(ours) <= 160
+    modules = {name for name in loaded if name.partition(".")[0] == "diffdrive_mpc"}
+    assert "diffdrive_mpc.mpc.ros.control_loop" in modules
+    assert len(modules) <= 160
     folders = ("sim", "bench", "models.logs.diagnosis")
-    assert not [name for name in ours if name.removeprefix("diffdrive_mpc.").startswith(folders)]
+    assert not [name for name in modules if name.removeprefix("diffdrive_mpc.").startswith(folders)]
 
 
 def test_robot_needs_neither_mujoco_nor_matplotlib():

@@ -24,13 +24,15 @@ def all_modules():
 
 def test_every_error_of_the_project_has_the_common_base():
     errors = {
-        kind
+        error_type
         for module in all_modules()
-        for _, kind in inspect.getmembers(module, inspect.isclass)
-        if issubclass(kind, BaseException) and kind.__module__.startswith("diffdrive_mpc.")
+        for _, error_type in inspect.getmembers(module, inspect.isclass)
+        if issubclass(error_type, BaseException) and error_type.__module__.startswith("diffdrive_mpc.")
     }
     assert {diffdrive_mpc.ConfigError, diffdrive_mpc.ModelError, diffdrive_mpc.RobotLostError} <= errors
-    assert [kind for kind in errors if not issubclass(kind, (diffdrive_mpc.DiffdriveMpcError, Warning))] == []
+    assert [
+        error_type for error_type in errors if not issubclass(error_type, (diffdrive_mpc.DiffdriveMpcError, Warning))
+    ] == []
 
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)
@@ -59,8 +61,8 @@ print(step.mode, step.command[0] > 0.1)
 
 
 def test_script_runs_next_to_files_named_like_the_folders(tmp_path):
-    for room in ("models", "mpc", "sim", "bench", "app"):
-        (tmp_path / f"{room}.py").write_text("'of the user'\n")
+    for folder in ("models", "mpc", "sim", "bench", "app"):
+        (tmp_path / f"{folder}.py").write_text("'of the user'\n")
     (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.stdout == "TRACKING True\n", done.stderr
+    result = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert result.stdout == "TRACKING True\n", result.stderr

@@ -38,19 +38,19 @@ ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
 
 
 @pytest.mark.parametrize(
-    ("package", "word", "remedy"),
+    ("package", "command", "remedy"),
     [("mujoco", "simulate", r"[^\n]*--plant model:ssm"), ("rclpy", "node", ROS), ("rclpy", "sim-robot", ROS)],
 )
-def test_missing_package_is_one_line_with_the_remedy(package: str, word: str, remedy: str) -> None:
-    done = run_command(word, without=package)
-    assert done.returncode == 1
-    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", done.stderr)
+def test_missing_package_is_reported_in_one_line_with_the_remedy(package: str, command: str, remedy: str) -> None:
+    result = run_command(command, without=package)
+    assert result.returncode == 1
+    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", result.stderr)
 
 
-@pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
-def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error_type", [NotCompiledError, NotReproducibleError, MissingPackageError])
+def test_project_error_has_exit_code_1(error_type: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> None:
-        raise kind("no compiler;\n  get one")
+        raise error_type("no compiler;\n  get one")
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_models", fail)
     result = runner.invoke(app, ["models", "list"])
@@ -88,10 +88,10 @@ def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) ->
     assert len(read_log(log, mapping).records) == 2
 
 
-@pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
-def test_interrupted_command_prints_one_line(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error_type", [KeyboardInterrupt, typer.Abort])
+def test_interrupted_command_prints_one_line(error_type: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
-        raise kind
+        raise error_type
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupt)
     result = invoke(app, "models", "show", "ssm", code=130)
@@ -114,7 +114,7 @@ def test_sigterm_leaves_no_draft_and_no_process(jobs: str, tmp_path: Path) -> No
     assert process.returncode == 143
     assert stderr.strip() == "error: ended by SIGTERM"
     assert not list(tmp_path.rglob("*"))
-    for _ in range(100):  # killed processes need a moment; idle ones would stay for two minutes
+    for _ in range(100):  # killed processes end after a short time; idle processes would remain for two minutes
         if session not in sessions():
             return
         time.sleep(0.1)

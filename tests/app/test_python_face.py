@@ -1,4 +1,4 @@
-"""The Python interface: names in place of objects, sweeps, and one line for each mistake."""
+"""Python interface: names in place of objects, and sweeps."""
 
 import warnings
 from dataclasses import replace
@@ -36,16 +36,16 @@ def test_names_are_accepted_in_place_of_objects(controller):
     config = load_config("ssm")
     plant = make_plant(PLANT, sample_time=config.sample_time)
     expected = simulate(Controller(config), plant, load_trajectory("circle", config))
-    named = simulate("ssm", PLANT, "circle")
-    np.testing.assert_array_equal(named.true_pose, expected.true_pose)
-    np.testing.assert_array_equal(named.command, expected.command)
+    run = simulate("ssm", PLANT, "circle")
+    np.testing.assert_array_equal(run.true_pose, expected.true_pose)
+    np.testing.assert_array_equal(run.command, expected.command)
     controller.start("circle", 0.0)
     assert controller.reference.name == "circle"
 
 
 def test_plant_by_name_has_the_sample_time_of_the_controller_and_may_be_a_model():
-    mine = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
-    run = simulate({"model": "ssm", "sample_time": 0.05}, mine, STRAIGHT)
+    model = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
+    run = simulate({"model": "ssm", "sample_time": 0.05}, model, STRAIGHT)
     assert run.sample_time == 0.05
     assert run.metrics.completed
 

@@ -45,9 +45,9 @@ def test_remaining_models_are_listed(tmp_path):
     ],
 )
 def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, arguments, subject, package):
-    done = run(tmp_path, *arguments)
+    result = run(tmp_path, *arguments)
     line = f"error: {subject} is in the package diffdrive-mpc-{package}: pip install 'diffdrive-mpc[{package}]'\n"
-    assert (done.returncode, done.stderr) == (1, line)
+    assert (result.returncode, result.stderr) == (1, line)
 
 
 @pytest.mark.system

@@ -28,10 +28,10 @@ def help_of(command: str) -> str:
 
 
 def test_timing_selects_another_reference_of_a_trajectory() -> None:
-    filed, stopping, commanded = (
+    from_file, stopping, commanded = (
         load_reference(Case(trajectory="slalom", timing=timing)) for timing in ("file", "stop", "commanded")
     )
-    assert commanded.duration < filed.duration < stopping.duration
+    assert commanded.duration < from_file.duration < stopping.duration
 
 
 @pytest.mark.parametrize(

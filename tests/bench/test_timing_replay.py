@@ -79,7 +79,7 @@ QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
 
 @pytest.fixture(autouse=True)
 def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frozen clock, so that no retry times out on a busy machine."""
+    """Freeze the clock, so that no retry times out on a busy machine."""
     monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
 
 

@@ -108,7 +108,7 @@ def result(tmp_path_factory):
         yield identification, load_model(folder / "written" / "model.yaml")
 
 
-def test_true_values_and_the_limit_lie_within_the_intervals(result):
+def test_true_values_and_the_limit_are_within_the_intervals(result):
     parameters = result[0].report.fitted.identified.parameters
     truth = {f"{name}.{key}": value for name in CHANNELS for key, value in TRUTH[name].items()}
     truth |= {f"{name}.dead_time": DEAD_TIME[name] for name in CHANNELS} | {"v.forward": LIMIT, "v.reverse": LIMIT}

@@ -47,8 +47,8 @@ def test_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_ne
 
 @given(st.integers(1, 6), st.integers(0, 1000))
 def test_parts_add_up_to_the_mean_square_for_any_errors(seeds, key):
-    random = np.random.default_rng(key)
-    rows = [row(random.normal(size=100), random.normal(size=100)) for _ in range(seeds)]
+    rng = np.random.default_rng(key)
+    rows = [row(rng.normal(size=100), rng.normal(size=100)) for _ in range(seeds)]
     total = np.mean([parts["across"] ** 2 + parts["along"] ** 2 for parts in rows])
     assert decompose(DataFrame(rows)).total == pytest.approx(total)
 

@@ -126,7 +126,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
 
 
-def robot(path, gain, dead_time):
+def write_robot(path, gain, dead_time):
     channels = {name: {"gain": gain, "natural_frequency": 14.0, "damping": 1.1} for name in ("v", "omega")}
     content = {
         "name": "other",
@@ -148,7 +148,7 @@ def test_drive_stays_in_the_room_on_robots_with_other_gains(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
     excitation.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
-        run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
+        run = drive_of(excitation, tmp_path, write_robot(tmp_path / "other.yaml", gain, dead_time))
         check_drive(run, excitation.room)
         assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
 
@@ -157,7 +157,7 @@ def test_drive_stays_in_the_room_on_robots_with_other_gains(tmp_path):
 def test_robot_that_leaves_the_room_raises_config_error(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
     excitation.write(tmp_path / "drive.yaml")
-    run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
+    run = drive_of(excitation, tmp_path, write_robot(tmp_path / "other.yaml", 1.0, 0.04))
     with pytest.raises(ConfigError, match=r"the robot left the room after \d+\.\d s"):
         check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), excitation.room)
 

@@ -51,8 +51,8 @@ def test_sliding_without_rotation_has_the_force_of_friction_times_weight():
 def test_stiff_tread_in_a_slow_turn_has_the_coulomb_torque():
     # At low speed there is no centripetal force; for small K all tyres slide mostly sideways, and the moments balance.
     torques = side_torques(CENTRED.model_copy(update={"drag_torque": 0.0}), ground(0.6, 1e-6), 1.0, 0.01)
-    share = BOT.wheel_base / np.hypot(BOT.track, BOT.wheel_base)
-    assert torques.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * share, rel=0.02)
+    ratio = BOT.wheel_base / np.hypot(BOT.track, BOT.wheel_base)
+    assert torques.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * ratio, rel=0.02)
     assert torques.inner[0] == pytest.approx(-torques.outer[0], rel=0.02)
     assert torques.twist[0, 2] == pytest.approx(0.01 / (1 + (BOT.wheel_base / BOT.track) ** 2), rel=0.02)
 
