@@ -88,17 +88,15 @@ def sizes(root: Path = ROOT) -> dict[str, Size]:
     areas: defaultdict[str, list[Size]] = defaultdict(list)
     for name in tracked_files(root):
         areas[area_of(name)].append(file_size(root / name))
-    area_sizes = {name: total(parts) for name, parts in sorted(areas.items())}
+    by_area = {name: total(parts) for name, parts in sorted(areas.items())}
     members = {
-        "root wheel": [name for name in area_sizes if name in ROOMS],
-        "all packages": [name for name in area_sizes if name.startswith("packages/") and name.count("/") == 1],
-        "all studies": [name for name in area_sizes if name.endswith("studies")],
-        "all tests": [name for name in area_sizes if name.endswith("tests")],
-        "all files": [*area_sizes],
+        "root wheel": [name for name in by_area if name in ROOMS],
+        "all packages": [name for name in by_area if name.startswith("packages/") and name.count("/") == 1],
+        "all studies": [name for name in by_area if name.endswith("studies")],
+        "all tests": [name for name in by_area if name.endswith("tests")],
+        "all files": [*by_area],
     }
-    return area_sizes | {
-        name: total([area_sizes[area] for area in names] or [Size()]) for name, names in members.items()
-    }
+    return by_area | {name: total([by_area[area] for area in names] or [Size()]) for name, names in members.items()}
 
 
 def table(root: Path = ROOT) -> str:

@@ -24,15 +24,13 @@ def all_modules():
 
 def test_every_error_of_the_project_has_the_common_base():
     errors = {
-        error_type
+        cls
         for module in all_modules()
-        for _, error_type in inspect.getmembers(module, inspect.isclass)
-        if issubclass(error_type, BaseException) and error_type.__module__.startswith("diffdrive_mpc.")
+        for _, cls in inspect.getmembers(module, inspect.isclass)
+        if issubclass(cls, BaseException) and cls.__module__.startswith("diffdrive_mpc.")
     }
     assert {diffdrive_mpc.ConfigError, diffdrive_mpc.ModelError, diffdrive_mpc.RobotLostError} <= errors
-    assert [
-        error_type for error_type in errors if not issubclass(error_type, (diffdrive_mpc.DiffdriveMpcError, Warning))
-    ] == []
+    assert [cls for cls in errors if not issubclass(cls, (diffdrive_mpc.DiffdriveMpcError, Warning))] == []
 
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)

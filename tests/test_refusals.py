@@ -59,17 +59,11 @@ def started_controller():
     return controller
 
 
-FUNCTIONS = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
-FUNCTIONS += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
-FUNCTIONS += (single_settings, started_controller, sweep_settings)
+CALLS = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
+CALLS += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
+CALLS += (single_settings, started_controller, sweep_settings)
 NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__}
-NAMES |= {function.__name__: function for function in FUNCTIONS} | {
-    "SM": SM,
-    "SSM": SSM,
-    "T": TIMES,
-    "np": np,
-    "pd": pd,
-}
+NAMES |= {function.__name__: function for function in CALLS} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
 NAMES |= {"X": np.sin(0.5 * TIMES), "Y": 1.0 - np.cos(0.5 * TIMES), "SYSTEM": control.tf([1.0], [0.1, 1.0])}
 NAMES |= {"diffdrive_mpc": diffdrive_mpc, "tf": control.tf}
 """Names in the expressions of refusals.yaml."""

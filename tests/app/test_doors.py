@@ -47,7 +47,7 @@ def _record_event(event, arguments):
 sys.addaudithook(_record_event)
 
 
-class PickledCommand:
+class Payload:
     """Object that creates a folder when it is unpickled."""
 
     def __init__(self, folder):
@@ -64,7 +64,7 @@ def untrusted(tmp_path):
     folder.mkdir()
     for name in ("term.py", "stranger_code.py", "code.so", "terms.c", "model.yaml"):
         (folder / name).write_text(TERM)
-    (folder / "evil.npz").write_bytes(pickle.dumps(PickledCommand(folder)))
+    (folder / "evil.npz").write_bytes(pickle.dumps(Payload(folder)))
     return folder
 
 
@@ -128,9 +128,7 @@ def _read_bag(untrusted, folder):
         for time in range(5):
             writer.add_message(channel, time, b"\0\1\0\0" + bytes(48), time)
         writer.add_attachment(0, 0, "term.py", "text/x-python", TERM.encode())
-        writer.add_attachment(
-            0, 0, f"{untrusted}/evil.pkl", "application/x-pickle", pickle.dumps(PickledCommand(untrusted))
-        )
+        writer.add_attachment(0, 0, f"{untrusted}/evil.pkl", "application/x-pickle", pickle.dumps(Payload(untrusted)))
         writer.add_metadata("configuration", {"yaml": f"model: {untrusted}/model.yaml"})
         writer.finish()
     call("identify", folder / "bag.mcap", "--out", folder / "out.png")
@@ -164,7 +162,7 @@ def _read_drive_log(untrusted, folder):
             for time in range(3):
                 row = {"t_s": 0.02 * time, "mode": f"\x1b[2J{untrusted}/term.py", "message": "!!python/name:os.mkdir"}
                 writer.add_message(channel, time, json.dumps(row).encode(), time)
-            writer.add_attachment(0, 0, "evil.pkl", "application/x-pickle", pickle.dumps(PickledCommand(untrusted)))
+            writer.add_attachment(0, 0, "evil.pkl", "application/x-pickle", pickle.dumps(Payload(untrusted)))
             writer.add_metadata("configuration", {"yaml": text})
             writer.add_metadata("case", {"plant": f"mujoco:{untrusted}/model.yaml"})
             writer.finish()
@@ -174,7 +172,7 @@ def _read_drive_log(untrusted, folder):
 def _read_ticks(untrusted, _):
     """Read tick records of a node, as a bag may contain them."""
     lines = [json.dumps({"format": 1, "py/object": "os.mkdir", "drive": f"{untrusted}/term.py"}), "[" * 100_000, "1"]
-    for line in [*lines, pickle.dumps(PickledCommand(untrusted)).decode("latin-1")]:
+    for line in [*lines, pickle.dumps(Payload(untrusted)).decode("latin-1")]:
         for record_type in (TickRecord, DriveRecord):
             with pytest.raises(ValueError, match=r"not a record|not valid JSON|format"):
                 record_type.read(line)
@@ -183,7 +181,7 @@ def _read_ticks(untrusted, _):
 def _read_messages(untrusted, _):
     for message_type in ("std_msgs/msg/String", "nav_msgs/msg/Path", "trajectory_msgs/msg/MultiDOFJointTrajectory"):
         with pytest.raises(Exception):  # noqa: B017 - the library's own kinds
-            decoded(message_type, pickle.dumps(PickledCommand(untrusted)))
+            decoded(message_type, pickle.dumps(Payload(untrusted)))
     from diffdrive_mpc.mpc.ros.conversions import MessageError, check_frame
     from diffdrive_mpc.mpc.ros.parameters import fields
 

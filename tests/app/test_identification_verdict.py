@@ -32,23 +32,16 @@ def identification(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def sound_verdict(identification):
+def valid(identification):
     return judge_by_drives(identification)
 
 
-def test_valid_log_gives_yes_with_error_bounds_that_its_drives_satisfy(identification, sound_verdict):
-    assert (
-        sound_verdict.grade == "Yes" and sound_verdict.reasons == () and sound_verdict.identification is identification
-    )
-    assert [(drive.plant, drive.path) for drive in sound_verdict.drives] == [
-        (p, s) for p in (ITSELF, HELD_OUT) for s in PATHS
-    ]
-    drives = (
-        *(drive for drive in sound_verdict.drives if drive.path in trial_settings().curved),
-        *sound_verdict.unexplained,
-    )
-    lateral, position = (float(size) for size in re.findall(r"([\d.]+) cm", sound_verdict.promise))
-    assert len(sound_verdict.unexplained) == trial_settings().unexplained
+def test_valid_log_gives_yes_with_error_bounds_that_its_drives_satisfy(identification, valid):
+    assert valid.grade == "Yes" and valid.reasons == () and valid.identification is identification
+    assert [(drive.plant, drive.path) for drive in valid.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
+    drives = (*(drive for drive in valid.drives if drive.path in trial_settings().curved), *valid.unexplained)
+    lateral, position = (float(size) for size in re.findall(r"([\d.]+) cm", valid.promise))
+    assert len(valid.unexplained) == trial_settings().unexplained
     assert lateral >= 100 * max(drive.metrics.lateral_max_m for drive in drives) > 0.3 * lateral
     assert position >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * position
 

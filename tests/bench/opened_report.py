@@ -44,10 +44,8 @@ def check_page(page: Any) -> None:
     page.set_viewport_size(PHONE)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     page.emulate_media(media="print")
-    visible_controls = (
-        "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
-    )
-    assert page.evaluate(visible_controls) == 0
+    script = "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
+    assert page.evaluate(script) == 0
     page.emulate_media(media="screen")
     page.set_viewport_size(DESK)
 

@@ -25,23 +25,19 @@ def min_lateral_error(step: float) -> float:
     dt, count = 0.01, 160
     path = np.where(np.arange(count) < count // 2, 0.0, step)
     # Variables: omega, heading error and e at each instant, then the bound of |e|.
-    shift, identity, zeros = np.diff(np.eye(count), axis=0), np.eye(count)[:-1], np.zeros((count - 1, count))
-    dynamics = np.block(
-        [[-dt * identity, shift, zeros, zeros[:, :1]], [zeros, -dt * SPEED * identity, shift, zeros[:, :1]]]
-    )
-    constants = np.concatenate([-dt * path[:-1], np.zeros(count - 1)])
+    shift, eye, zeros = np.diff(np.eye(count), axis=0), np.eye(count)[:-1], np.zeros((count - 1, count))
+    dynamics = np.block([[-dt * eye, shift, zeros, zeros[:, :1]], [zeros, -dt * SPEED * eye, shift, zeros[:, :1]]])
+    rhs = np.concatenate([-dt * path[:-1], np.zeros(count - 1)])
     slew = np.hstack([shift, zeros, zeros, zeros[:, :1]])
     errors = np.hstack([np.zeros((count, 2 * count)), np.eye(count)])
     bounded = np.vstack([np.hstack([sign * errors, -np.ones((count, 1))]) for sign in (1.0, -1.0)])
     upper = np.concatenate([np.full(2 * (count - 1), Limits().omega_slew * dt), np.zeros(2 * count)])
-    variable_bounds = [(None, None)] * (3 * count) + [(0.0, None)]
+    ranges = [(None, None)] * (3 * count) + [(0.0, None)]
     for first, values in ((0, path), (count, np.zeros(count)), (2 * count, np.zeros(count))):
         for column in (0, count - 1):
-            variable_bounds[first + column] = (values[column], values[column])
+            ranges[first + column] = (values[column], values[column])
     cost = np.append(np.zeros(3 * count), 1.0)
-    result = linprog(
-        cost, np.vstack([slew, -slew, bounded]), upper, dynamics, constants, bounds=variable_bounds, method="highs"
-    )
+    result = linprog(cost, np.vstack([slew, -slew, bounded]), upper, dynamics, rhs, bounds=ranges, method="highs")
     assert result.status == 0
     return float(result.fun)
 

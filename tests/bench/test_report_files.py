@@ -62,11 +62,9 @@ def outcome() -> RunOutcome:
 @pytest.fixture(scope="module")
 def results(outcome: RunOutcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
-    short_horizon = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
+    horizon = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
-    return ComparisonResults(
-        settings, rows_of(outcome, peer), rows_of(short_horizon, outcome), TimingPass(0.9, 0.2, 1.4e-5)
-    )
+    return ComparisonResults(settings, rows_of(outcome, peer), rows_of(horizon, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
 def write_out(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:

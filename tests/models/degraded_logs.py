@@ -183,17 +183,13 @@ class Base:
         }[name]
 
 
-_SIMULATED_NAMES = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
+_NAMES = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
 SMALL = {"lag": 0.05, "dead_time": 0.04, "skid": 0.95, "radius": 0.05, "track": 0.3, "gain": (0.97, 1.02), "seed": 31}
 HEAVY = {"lag": 0.25, "dead_time": 0.14, "skid": 0.5, "radius": 0.25, "track": 0.8, "gain": (1.05, 0.9), "seed": 32}
 BASES = {
-    "simulated": Base(robot, SIMULATED, *_SIMULATED_NAMES),
-    "small": Base(
-        lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_SIMULATED_NAMES
-    ),
-    "heavy": Base(
-        lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_SIMULATED_NAMES
-    ),
+    "simulated": Base(robot, SIMULATED, *_NAMES),
+    "small": Base(lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_NAMES),
+    "heavy": Base(lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_NAMES),
 }
 REAL_NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)
 REAL_BASES = {
@@ -645,10 +641,8 @@ def with_late_encoder(columns, seconds, side):
 
 
 def without_slow_readings(columns, share):
-    threshold = share * max(np.abs(columns[side]).max() for side in ("left", "right"))
-    return columns | {
-        side: np.where(np.abs(columns[side]) < threshold, 0.0, columns[side]) for side in ("left", "right")
-    }
+    limit = share * max(np.abs(columns[side]).max() for side in ("left", "right"))
+    return columns | {side: np.where(np.abs(columns[side]) < limit, 0.0, columns[side]) for side in ("left", "right")}
 
 
 FIRST_TEN, SOUND, SCALES, TIMES, READINGS, CAUSES, FAULTS = (tuple(read_cases(group)) for group in TABLE)

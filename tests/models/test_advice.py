@@ -118,11 +118,9 @@ def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
         gains = [(advice.after.fit - advice.before.fit).max(), advice.after.agreement - advice.before.agreement]
         assert max(gains) > 1 or name == "yaw in degrees"
     advice.write(tmp_path)
-    corrected_mapping = tmp_path / "fixed.yaml"
-    assert load_mapping(corrected_mapping) == advice.mapping
-    assert not any(
-        finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", corrected_mapping).findings
-    )
+    corrected = tmp_path / "fixed.yaml"
+    assert load_mapping(corrected) == advice.mapping
+    assert not any(finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", corrected).findings)
 
 
 NOT_CORRECTED = {

@@ -65,11 +65,10 @@ def test_motor_commands_are_whole_steps_within_the_command(twist):
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
 def test_side_speed_is_monotone_in_its_command(left, right, opposite):
     """Each side is monotone with the other fixed; coasting, which depends on the other side, is excluded."""
-    without_coasting = STEPS.model_copy(update={"coasting_speed": 0.0})
+    no_coast = STEPS.model_copy(update={"coasting_speed": 0.0})
     low, high = sorted([left, right])
     slower, faster = (
-        without_coasting.sides(without_coasting.apply(without_coasting.twist(np.array([side, opposite]))))[0]
-        for side in (low, high)
+        no_coast.sides(no_coast.apply(no_coast.twist(np.array([side, opposite]))))[0] for side in (low, high)
     )
     assert faster >= slower - 1e-9
 

@@ -99,10 +99,7 @@ def test_shipped_name_precedes_a_file_of_that_name(tmp_path: Path, monkeypatch: 
 
 
 def test_ctrl_c_during_schema_construction_raises_keyboard_interrupt(monkeypatch):
-    for message, expected in (
-        ('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt),
-        ("no such type", SchemaError),
-    ):
-        monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(message)))
-        with pytest.raises(expected):
+    for text, error in (('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt), ("no such type", SchemaError)):
+        monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(text)))
+        with pytest.raises(error):
             check(LogMapping, {}, "x.yaml")

@@ -49,13 +49,11 @@ def test_fit_is_computed_from_a_free_run_that_starts_at_the_first_reading():
 
 def test_limit_and_offset_are_part_of_the_prediction():
     drive = noisy_drive(MODEL, 2, limit=0.6, noise=(0.0, 0.0))
-    incomplete = system(MODEL)
-    complete = LinearSystem(
-        *incomplete[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]])
-    )
+    partial = system(MODEL)
+    complete = LinearSystem(*partial[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
     drive = record(drive.command, drive.twist + [0.0, 0.05])
     assert validate(complete, [drive]).fit_percent.min() > 99.0
-    assert validate(incomplete, [drive]).fit_percent[1] < 80.0
+    assert validate(partial, [drive]).fit_percent[1] < 80.0
 
 
 def test_white_residuals_pass_and_coloured_residuals_do_not():

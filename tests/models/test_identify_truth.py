@@ -275,21 +275,12 @@ def test_uneven_command_times_do_not_shorten_the_dead_time():
     """At 20 Hz with 8 ms of jitter, using only the active command at each grid point would lose 16 ms."""
     period, fine, seconds, rng = 0.05, 0.001, 80.0, np.random.default_rng(0)
     count = int(seconds / period)
-    command_times, read = period * np.arange(count) + np.clip(rng.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
+    times, read = period * np.arange(count) + np.clip(rng.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
     commands, grid = set_points(1, count, (0.8, 1.5), 12), np.arange(0, seconds + 1, fine)
-    twist = SM.discretise(fine).simulate(
-        commands[np.clip(np.searchsorted(command_times, grid, side="right") - 1, 0, None)]
-    )
+    twist = SM.discretise(fine).simulate(commands[np.clip(np.searchsorted(times, grid, side="right") - 1, 0, None)])
     readings = twist[np.searchsorted(grid, read)] + rng.normal(0, (0.01, 0.03), (count, 2))
     signals = {"twist": Signal(read, readings), "yaw_rate": Signal(read, readings[:, 1:])}
-    even = resample(
-        "log",
-        RawStretch(command_times, Signal(command_times, commands), signals),
-        0.0,
-        seconds,
-        period,
-        check_settings(),
-    )
+    even = resample("log", RawStretch(times, Signal(times, commands), signals), 0.0, seconds, period, check_settings())
     parameters = identify_sm([even], limits=False).parameters
     for channel in ("v", "omega"):
         lags = [

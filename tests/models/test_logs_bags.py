@@ -205,9 +205,7 @@ def test_definitions_inside_a_bag_are_not_used(tmp_path):
 
 
 def test_commands_sent_on_change_are_held(tmp_path):
-    bag = altered_bag(
-        tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays]
-    )  # commands change every 25 rows
+    bag = altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays])  # one row per change
     text = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom, imu: /imu}\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "map.yaml", text)).records
     assert record.dt == pytest.approx(0.02)

@@ -20,7 +20,7 @@ def read_modified(tmp_path, changes, mask=None):
     return read_log(write_csv(tmp_path / "log.csv", columns), write_mapping(tmp_path / "map.yaml"))
 
 
-def messages_of(log, kind):
+def texts(log, kind):
     return [str(finding) for finding in log.findings if finding.kind == kind]
 
 
@@ -37,7 +37,7 @@ def test_correct_log_has_no_findings(tmp_path):
 def test_gap_ends_the_stretch(tmp_path):
     mask = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.0)
     log = read_modified(tmp_path, {}, mask)
-    assert messages_of(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch starts"]
+    assert texts(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch starts"]
     assert [round(record.start, 2) for record in log.records] == [0.0, 7.02]
     assert sum(len(record.command) for record in log.records) == mask.sum()
 
@@ -59,13 +59,13 @@ def test_no_command_is_held_across_a_gap(tmp_path):
 def test_jitter_is_measured(tmp_path):
     rng = np.random.default_rng(1)
     log = read_modified(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.012, 1000)})
-    assert "dead times are uncertain" in messages_of(log, "jitter")[0]
-    assert messages_of(read_modified(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.003, 1000)}), "jitter") == []
+    assert "dead times are uncertain" in texts(log, "jitter")[0]
+    assert texts(read_modified(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.003, 1000)}), "jitter") == []
 
 
 def test_time_that_runs_backwards_starts_a_new_stretch(tmp_path):
     log = read_modified(tmp_path, {"t": np.where(np.arange(1000) < 600, COLUMNS["t"], COLUMNS["t"] - 12.0)})
-    assert messages_of(log, "time backwards") == [
+    assert texts(log, "time backwards") == [
         "log.csv, line 602: time goes backwards by 11.980 s, to 0.000 s; a new stretch starts"
     ]
     assert [len(record.command) for record in log.records] == [600, 400]
@@ -73,14 +73,14 @@ def test_time_that_runs_backwards_starts_a_new_stretch(tmp_path):
 
 def test_repeated_time_is_a_finding(tmp_path):
     log = read_modified(tmp_path, with_value("t", 500, COLUMNS["t"][499]))
-    assert messages_of(log, "time stands still") == [
+    assert texts(log, "time stands still") == [
         "log.csv, line 502: 1 rows have the time of the row before; the last row of each time is used"
     ]
 
 
 def test_nan_rows_of_a_sensor_are_omitted(tmp_path):
     log = read_modified(tmp_path, with_value("gyro", [100, 101, 300], np.nan))
-    assert messages_of(log, "NaN rows") == [
+    assert texts(log, "NaN rows") == [
         "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; these rows are left out"
     ]
     (record,) = log.records
@@ -90,7 +90,7 @@ def test_nan_rows_of_a_sensor_are_omitted(tmp_path):
 def test_numbers_too_large_to_be_squared_are_not_readings(tmp_path):
     """The squares of these numbers would overflow."""
     log = read_modified(tmp_path, with_value("gyro", [100, 300], 1e308))
-    assert "column 'gyro' is not finite in 2 rows" in messages_of(log, "NaN rows")[0]
+    assert "column 'gyro' is not finite in 2 rows" in texts(log, "NaN rows")[0]
     for value in (1e308, -1e308, np.nan):
         with pytest.raises(ConfigError, match="column 'v_ref' holds no usable number in any row"):
             read_modified(tmp_path, with_value("v_ref", slice(None), value))
@@ -98,16 +98,14 @@ def test_numbers_too_large_to_be_squared_are_not_readings(tmp_path):
 
 def test_unknown_command_ends_the_stretch(tmp_path):
     log = read_modified(tmp_path, with_value("v_ref", 400, np.nan))
-    assert "column 'v_ref' is not finite in 1 rows" in messages_of(log, "NaN rows")[0]
+    assert "column 'v_ref' is not finite in 1 rows" in texts(log, "NaN rows")[0]
     assert [len(record.command) for record in log.records] == [400, 599]
 
 
 def test_short_stretches_are_omitted(tmp_path):
     mask = (COLUMNS["t"] < 5.0) | ((COLUMNS["t"] > 6.0) & (COLUMNS["t"] < 6.2)) | (COLUMNS["t"] > 7.0)
     log = read_modified(tmp_path, {}, mask)
-    assert messages_of(log, "short stretch") == [
-        "log.csv, 6.0 to 6.2 s: 9 samples, fewer than 20; the stretch is left out"
-    ]
+    assert texts(log, "short stretch") == ["log.csv, 6.0 to 6.2 s: 9 samples, fewer than 20; the stretch is left out"]
     assert len(log.records) == 2
 
 
@@ -121,7 +119,7 @@ def test_readings_of_a_stuck_sensor_are_omitted(tmp_path, name, sensor, mask):
         changes |= with_value("omega_wheels", rows, COLUMNS["omega_wheels"][300])
     log = read_modified(tmp_path, changes)
     message = f"the {sensor} read the same for 4.0 s while the robot should move; these readings are left out"
-    assert messages_of(log, "stuck sensor") == [f"log.csv, 6.0 to 10.0 s: {message}"]
+    assert texts(log, "stuck sensor") == [f"log.csv, 6.0 to 10.0 s: {message}"]
     fresh = getattr(log.records[0], mask)
     assert not fresh[301:500].any() and fresh[:301].all() and fresh[500:].all()
 
@@ -132,7 +130,7 @@ def test_sensors_of_a_robot_at_rest_are_not_stuck(tmp_path):
     changes = {}
     for name in names:
         changes |= with_value(name, rows, 0.0)
-    assert messages_of(read_modified(tmp_path, changes), "stuck sensor") == []
+    assert texts(read_modified(tmp_path, changes), "stuck sensor") == []
 
 
 @pytest.mark.parametrize(("fraction", "count"), [(0.9, 1), (0.1, 0)])
@@ -141,7 +139,7 @@ def test_resting_wheels_are_stuck_only_for_a_large_command(tmp_path, fraction, c
     rows = slice(300, 500)
     changes = with_value("v_ref", rows, fraction * np.abs(COLUMNS["v_ref"]).max()) | with_value("omega_ref", rows, 0.0)
     changes |= with_value("v", rows, 0.0) | with_value("omega_wheels", rows, 0.0)
-    assert len(messages_of(read_modified(tmp_path, changes), "stuck sensor")) == count
+    assert len(texts(read_modified(tmp_path, changes), "stuck sensor")) == count
 
 
 @pytest.mark.parametrize(
@@ -150,7 +148,7 @@ def test_resting_wheels_are_stuck_only_for_a_large_command(tmp_path, fraction, c
 )
 def test_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read_modified(tmp_path, {name: -COLUMNS[name]})
-    (message,) = messages_of(log, "wrong sign")
+    (message,) = texts(log, "wrong sign")
     assert message.startswith(f"log.csv: {reading} has the opposite sign of the command (correlation -")
     with pytest.raises(ConfigError, match="sign: -1"):
         log.require_sound()
@@ -165,9 +163,7 @@ def test_plausible_gains_give_no_finding(tmp_path, gain):
 @pytest.mark.parametrize("count", [20, 35, 49])
 def test_stretch_shorter_than_the_maximum_lag_has_no_error(tmp_path, count):
     """The maximum lag of 1 s is 50 samples: a shorter stretch does not determine lag or sign."""
-    log = read_modified(
-        tmp_path, {}, np.isin(np.arange(1000), np.arange(15, 15 + count))
-    )  # commands change every 25 samples
+    log = read_modified(tmp_path, {}, np.isin(np.arange(1000), np.arange(15, 15 + count)))  # 25 samples per command
     assert [len(record.command) for record in log.records] == [count]
     assert {finding.severity for finding in log.findings} <= {"note", "warning"}
 
@@ -192,4 +188,4 @@ def test_limit_of_the_base_is_not_reported_as_a_wrong_unit(tmp_path, upper, lowe
         pose[k] = integrate_pose(pose[k - 1], speed[k], COLUMNS["gyro"][k], 0.02)
     noisy = speed + np.random.default_rng(0).normal(0, 0.005, 1000)
     log = read_modified(tmp_path, {"v_ref": command, "v": noisy, **dict(zip(("x", "y", "theta"), pose.T, strict=True))})
-    assert messages_of(log, "wrong unit") == []
+    assert texts(log, "wrong unit") == []

@@ -165,14 +165,12 @@ def husky():
     record = read_log(log_path("husky_tile"), "husky_tile").records[0]
     parts = [record.part(0, 6000), record.part(6000, 8400)]
     train, held_out = (weight_readings(sensor_experiments([part])) for part in parts)
-    start_values = {name: values[2] for name, values in effect_settings().parameters.items()}
-    linear = fit_effects(
-        {name: start_values[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train
-    )
+    initial = {name: values[2] for name, values in effect_settings().parameters.items()}
+    linear = fit_effects({name: initial[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
     effect_parameters = [
         name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]
     ]
-    start = {**linear.point, **{name: start_values[name] for name in effect_parameters}}
+    start = {**linear.point, **{name: initial[name] for name in effect_parameters}}
     return linear, fit_effects(start, [*LINEAR, *effect_parameters], train), held_out
 
 

@@ -56,16 +56,14 @@ def write_log(folder, with_gyro=False, heading=True, y_sign=1):
     """Write 90 s of a robot with gains 0.9 and 0.8, delayed by 0.25 s and 0.3 s; return the log and its mapping."""
     stream, dt, count = np.random.default_rng(5), 0.05, 1800
     command = np.repeat(stream.uniform([-0.5, -0.8], [0.5, 0.8], (count // 30, 2)), 30, axis=0)
-    substeps = round(dt / FINE)
-    twist = np.empty((count * substeps, 2))
+    ratio = round(dt / FINE)
+    twist = np.empty((count * ratio, 2))
     for column, (gain, dead, lag) in enumerate([(0.9, 0.1, 0.15), (0.8, 0.1, 0.2)]):
-        delayed = np.concatenate([np.zeros(round(dead / FINE)), np.repeat(command[:, column], substeps)])[
-            : count * substeps
-        ]
+        delayed = np.concatenate([np.zeros(round(dead / FINE)), np.repeat(command[:, column], ratio)])[: count * ratio]
         decay = np.exp(-FINE / lag)
         twist[:, column] = gain * signal.lfilter([1 - decay], [1.0, -decay], delayed)
-    pose = drive(twist)[::substeps] + stream.normal(size=(count, 3)) * [0.003, 0.003, 0.004]
-    gyro = twist[::substeps, 1] + 0.005 * stream.normal(size=count)
+    pose = drive(twist)[::ratio] + stream.normal(size=(count, 3)) * [0.003, 0.003, 0.004]
+    gyro = twist[::ratio, 1] + 0.005 * stream.normal(size=count)
     table = np.column_stack([dt * np.arange(count), command, pose, *([gyro] if with_gyro else [])])
     np.savetxt(folder / "log.csv", table, "%.6f", ",", header="t,v,w,x,y,th" + ",g" * with_gyro, comments="")
     lines = ["source: drawn", "columns:", "  time: {column: t, unit: s}"]

@@ -35,12 +35,12 @@ RNG = np.random.default_rng(3)
 # Single precision, as in the messages.
 VOLTAGE, CURRENT = (np.float32(x).astype(float) for x in (12.0 + 0.1 * RNG.normal(size=300), 2 + RNG.random(300)))
 MOTORS = np.float32(RNG.normal(size=(300, 4))).astype(float)
-COMMAND_AND_ODOMETRY = "topics:\n  command: /cmd_vel\n  odometry: /odom\n"
+TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n"
 WHEELS = "wheels: {radius: 0.1, track: 0.4}\n"
 JOINTS = "  motors:\n    left: {topic: /joints, joints: [fl, rl]}\n    right: {topic: /joints, joints: [fr, rr]}\n"
 
 
-def write_test_bag(tmp_path, battery=-CURRENT, **more):
+def write_log(tmp_path, battery=-CURRENT, **more):
     topics = bag_topics(COLUMNS) | {
         "/battery": ("sensor_msgs/msg/BatteryState", T + 0.003, T, np.column_stack([VOLTAGE, battery])),
         "/joints": ("sensor_msgs/msg/JointState", T + 0.002, T, MOTORS),
@@ -51,9 +51,7 @@ def write_test_bag(tmp_path, battery=-CURRENT, **more):
 
 
 def read_bag(tmp_path, text, **more):
-    return read_log(
-        write_test_bag(tmp_path, **more), write_mapping(tmp_path / "m.yaml", COMMAND_AND_ODOMETRY + text + WHEELS)
-    )
+    return read_log(write_log(tmp_path, **more), write_mapping(tmp_path / "m.yaml", TOPICS + text + WHEELS))
 
 
 @pytest.mark.parametrize(("topic", "current"), [("/battery", -CURRENT), ("{topic: /battery, sign: -1}", CURRENT)])

@@ -48,13 +48,11 @@ def messages(path):
 
 def messages_on(path, topic):
     """Return (log time [ns], message) of one topic."""
-    message_type = KINDS[topic]
-    return [
-        (m.log_time, STORE.deserialize_cdr(m.data, message_type)) for name, *_, m in messages(path) if name == topic
-    ]
+    schema = KINDS[topic]
+    return [(m.log_time, STORE.deserialize_cdr(m.data, schema)) for name, *_, m in messages(path) if name == topic]
 
 
-def columns_are_equal(first, second):
+def is_equal(first, second):
     return np.array_equal(first, second) if first.dtype == object else np.array_equal(first, second, equal_nan=True)
 
 
@@ -62,13 +60,13 @@ def test_mcap_library_reads_every_column_back_bit_for_bit(run, file):
     rows = [json.loads(message.data) for topic, *_, message in messages(file) if topic == STATE]
     for name, column in run.columns.items():
         missing = "" if column.dtype == object else np.nan
-        assert columns_are_equal(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
+        assert is_equal(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
 
 
 def test_log_reader_returns_columns_measurements_and_plans(run, file):
     log = read_drive_log(file, plans=True)
     columns = log.columns
-    assert all(columns_are_equal(columns[name], column) for name, column in run.columns.items())
+    assert all(is_equal(columns[name], column) for name, column in run.columns.items())
     for actual, expected in zip(log.measurements, run.measurements, strict=True):
         for name in ("pose", "wheel_twist", "yaw_rate"):
             first, second = getattr(actual, name), getattr(expected, name)
@@ -169,10 +167,7 @@ def test_csv_log_is_read_back_bit_for_bit(sparse_run: Run, tmp_path: Path) -> No
     log_csv.write_log(sparse_run, tmp_path / "run.csv")
     log = read_columns(tmp_path / "run.csv")
     assert tuple(log) == tuple(sparse_run.columns)
-    assert all(
-        columns_are_equal(np.array(log[name], dtype=column.dtype), column)
-        for name, column in sparse_run.columns.items()
-    )
+    assert all(is_equal(np.array(log[name], dtype=column.dtype), column) for name, column in sparse_run.columns.items())
     assert np.isfinite(sparse_run.measured_pose[:, 0]).sum() == 11
     assert log["pose_t_s"][5] == pytest.approx(0.08)
 

@@ -187,9 +187,7 @@ def test_fallback_ticks_are_counted_by_mode() -> None:
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
     assert run.metrics.fallbacks == 3
     assert run.metrics.completed and run.metrics.stopped
-    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, (
-        "a late start is not a stop"
-    )
+    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "the start is late"
 
 
 def test_every_mode_of_the_controller_is_classified() -> None:
@@ -254,10 +252,8 @@ def sequential_distances(path, points, arc_length):
         if piece is not None:
             # Also search around the previous nearest piece, widened by twice the distance between the points.
             reach = min(WINDOW, 2.0 * np.hypot(*(point - points[i - 1])))
-            near_previous = (path.arc_end >= path.arc_start[piece] - reach) & (
-                path.arc_start <= path.arc_end[piece] + reach
-            )
-            searched = np.flatnonzero(near | near_previous)
+            nearby = (path.arc_end >= path.arc_start[piece] - reach) & (path.arc_start <= path.arc_end[piece] + reach)
+            searched = np.flatnonzero(near | nearby)
             near[searched[0] : searched[-1] + 1] = True
         offset = point - path.start
         along = np.clip((offset * path.direction).sum(axis=1), 0.0, path.length)

@@ -144,14 +144,9 @@ def test_sample_time_of_constant_commands_has_no_effect(name: str, dt: float) ->
     for plant in plants:
         while plant.time < 2.0 - 1e-9:
             plant.advance([0.4, 0.5])
-    default_plant, resampled = plants
+    base, resampled = plants
     # Steps of the physics differ by a few per cent, and the ends of the drives by less than a tick.
-    expected = integrate_pose(
-        default_plant.true_pose,
-        default_plant.true_twist[0],
-        default_plant.true_twist[2],
-        resampled.time - default_plant.time,
-    )
+    expected = integrate_pose(base.true_pose, base.true_twist[0], base.true_twist[2], resampled.time - base.time)
     assert resampled.sample_time == dt
     np.testing.assert_allclose(resampled.true_pose, expected, atol=2e-3)
 

@@ -35,12 +35,10 @@ def commands(ticks=TICKS, seed=0):
     return np.repeat(rng.uniform([-0.5, -1.0], [0.8, 1.0], (ticks // 10, 2)), 10, axis=0)
 
 
-def record(
-    bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **options
-):
+def record(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **opts):
     """Drive in lock step and record; return the driver."""
     base = base or settings()
-    with Driver(rows, DT, stamped=base.stamped, **options) as driver:
+    with Driver(rows, DT, stamped=base.stamped, **opts) as driver:
         run_robot(
             make_plant(plant, seed=seed),
             start,

@@ -164,18 +164,15 @@ def test_unstated_noise_is_not_in_the_covariance(name: str, noise: float) -> Non
     np.testing.assert_allclose(stated, [pose_sensor.position_sd, pose_sensor.position_sd, pose_sensor.heading_sd])
 
 
-def _drive_intact_and_faulty(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
+def _drive_pair(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
     """Return time, intact and faulty measurement of each tick; the states of both robots are bitwise equal."""
     for fault in (fault for entries in faults.values() for fault in entries):
         fault |= {"start": START, "duration": END - START}
     scenario = check(Scenario, {"description": "test", **faults}, "test")
-    intact_samples = _drive(make_plant(name, seed=1))
-    faulty_samples = _drive(DisturbedPlant(make_plant(name, seed=1), scenario, load_robot()))
-    assert [true for _, _, true in intact_samples] == [true for _, _, true in faulty_samples]
-    return [
-        (time, intact, affected)
-        for (time, intact, _), (_, affected, _) in zip(intact_samples, faulty_samples, strict=True)
-    ]
+    healthy = _drive(make_plant(name, seed=1))
+    faulty = _drive(DisturbedPlant(make_plant(name, seed=1), scenario, load_robot()))
+    assert [true for _, _, true in healthy] == [true for _, _, true in faulty]
+    return [(time, intact, affected) for (time, intact, _), (_, affected, _) in zip(healthy, faulty, strict=True)]
 
 
 def _check_only(
@@ -205,7 +202,7 @@ def _check_only(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
 def test_stuck_sensor_repeats_its_last_value_with_new_stamps(plant: str, sensor: str, fields: set[str]) -> None:
-    ticks = _drive_intact_and_faulty(plant, stuck_sensors=[{"sensor": sensor}])
+    ticks = _drive_pair(plant, stuck_sensors=[{"sensor": sensor}])
     during = _check_only(ticks, fields)
     last = [intact for time, intact, _ in ticks if time < START][-1]
     for field in fields:
@@ -218,7 +215,7 @@ def test_stuck_sensor_repeats_its_last_value_with_new_stamps(plant: str, sensor:
 
 def test_dead_encoder_corrupts_the_twist_of_its_side() -> None:
     during = _check_only(
-        _drive_intact_and_faulty("mujoco", dead_encoders=[{"wheels": ["rear_left"]}]), {"wheel_twist", "wheel_speeds"}
+        _drive_pair("mujoco", dead_encoders=[{"wheels": ["rear_left"]}]), {"wheel_twist", "wheel_speeds"}
     )
     robot = load_robot()
     for _, intact, faulty in during:
@@ -229,15 +226,13 @@ def test_dead_encoder_corrupts_the_twist_of_its_side() -> None:
 
 
 def test_biased_gyro_has_a_constant_error() -> None:
-    for _, intact, faulty in _check_only(
-        _drive_intact_and_faulty("mujoco", gyro_biases=[{"bias": 0.05}]), {"yaw_rate"}
-    ):
+    for _, intact, faulty in _check_only(_drive_pair("mujoco", gyro_biases=[{"bias": 0.05}]), {"yaw_rate"}):
         assert _value(faulty.yaw_rate)[0] - _value(intact.yaw_rate)[0] == pytest.approx(0.05)  # type: ignore[index]
 
 
 def test_pose_error_jumps_and_drifts_from_its_start_and_the_heading_stays_wrapped() -> None:
     error = {"x": 0.3, "y": -0.2, "heading": 6.0, "x_rate": 0.1, "heading_rate": -0.5}
-    for time, intact, faulty in _check_only(_drive_intact_and_faulty("mujoco", pose_errors=[error]), {"pose"}):
+    for time, intact, faulty in _check_only(_drive_pair("mujoco", pose_errors=[error]), {"pose"}):
         difference = np.subtract(_value(faulty.pose), _value(intact.pose))  # type: ignore[arg-type]
         elapsed = time - START
         np.testing.assert_allclose(difference[:2], [0.3 + 0.1 * elapsed, -0.2], atol=1e-12)

@@ -37,14 +37,12 @@ def test_firmware_file_states_the_fit_of_the_plant(fits: list[PredictionFit]) ->
 def test_stated_encoder_noise_equals_that_of_the_counting_encoders() -> None:
     """The sensor set changes measurements, not physics, so `perfect` gives the true values for `default`."""
     commands = random_commands(9, smooth=False)
-    estimated, exact = (
-        drive_open_loop(make_plant("mujoco", sensors=name), commands) for name in ("default", "perfect")
-    )
-    np.testing.assert_array_equal(estimated.true_pose, exact.true_pose)
+    noisy, exact = (drive_open_loop(make_plant("mujoco", sensors=name), commands) for name in ("default", "perfect"))
+    np.testing.assert_array_equal(noisy.true_pose, exact.true_pose)
     is_settled = np.ones(len(commands), dtype=bool)
     for change in np.flatnonzero(np.any(np.diff(commands, axis=0, prepend=0.0) != 0, axis=1)):
         is_settled[change : change + 25] = False
-    error = (estimated.wheel_speeds - exact.wheel_speeds)[is_settled]
+    error = (noisy.wheel_speeds - exact.wheel_speeds)[is_settled]
     assert error.std() == pytest.approx(load_sensor_set("default").encoders.speed_sd, rel=0.15)
     assert abs(error.mean()) < 0.2 * error.std()
 

@@ -185,18 +185,16 @@ def test_factor_replaces_only_its_own_value_in_the_robot_file(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("factors", "message"),
+    ("factors", "text"),
     [
         ({"robot.robot.mas": 8.0}, "unknown key 'robot.mas'; did you mean 'robot.mass'?"),
         ({"robot.robot.mass": 8.0, "plant": "model:sm"}, "the plant 'model:sm' has no robot file"),
     ],
 )
-def test_invalid_factor_is_reported_before_the_first_run(
-    factors: dict[str, object], message: str, tmp_path: Path
-) -> None:
+def test_invalid_factor_is_reported_before_the_first_run(factors: dict[str, object], text: str, tmp_path: Path) -> None:
     with ProgressBar("") as bar, pytest.raises(ConfigError) as error:
         drive_all([Definition.from_factors({}), Definition.from_factors(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
-    assert message in str(error.value)
+    assert text in str(error.value)
     assert "a run with " in str(error.value)
     assert not Store(tmp_path).keys()
 

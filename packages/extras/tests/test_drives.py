@@ -48,10 +48,8 @@ def simulate_by_hand(u: np.ndarray) -> np.ndarray:
         has_reversed = direction * reference < 0
         is_rising = slope > REST_SPEED / 0.1
         is_stuck = has_reversed and is_rising and abs(reference) < PARAMETERS["least"] + PARAMETERS["by_slope"] * slope
-        blocked_fraction = abs(direction) if is_stuck else 0.0
-        speed += (1 - np.exp(-DT / PARAMETERS["lag"])) * (
-            PARAMETERS["gain"] * reference * (1 - blocked_fraction) - speed
-        )
+        loss = abs(direction) if is_stuck else 0.0
+        speed += (1 - np.exp(-DT / PARAMETERS["lag"])) * (PARAMETERS["gain"] * reference * (1 - loss) - speed)
         direction *= np.exp(-DT / 10.0)
         if abs(speed) > REST_SPEED:
             direction = np.sign(speed)

@@ -199,15 +199,11 @@ def test_moving_robot_never_touches_a_crossing_disc(seed):
     rng = np.random.default_rng(seed)
     speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
     arrival, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
-    radius, forward_speed = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
+    radius, vx = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
 
     def surroundings_at(t):
         return Surroundings(
-            discs=[
-                MovingDisc(
-                    x + forward_speed * (t - arrival), side * speed * (t - arrival), radius, forward_speed, side * speed
-                )
-            ],
+            discs=[MovingDisc(x + vx * (t - arrival), side * speed * (t - arrival), radius, vx, side * speed)],
             time=t,
         )
 

@@ -26,13 +26,7 @@ def draw_surroundings(random: Random) -> Any:
         result["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
     if random.random() < 0.6:
         result["discs"] = [
-            [
-                _position(random),
-                _position(random),
-                abs(_odd_or_gaussian(random, 0.2)),
-                _odd_or_gaussian(random, 0.5),
-                _odd_or_gaussian(random, 0.5),
-            ]
+            [_offset(random), _offset(random), abs(_number(random, 0.2)), _number(random, 0.5), _number(random, 0.5)]
             for _ in range(random.choice((1, 2, 10)))
         ]
     if random.random() < 0.3:
@@ -41,16 +35,16 @@ def draw_surroundings(random: Random) -> Any:
             "shape": [rows, columns],
             "seed": random.randrange(1000),
             "share": random.choice((0.0, 0.02, 0.2, 1.0)),
-            "resolution": random.choice((0.05, 0.05, 0.2, abs(_odd_or_gaussian(random, 0.1)))),
-            "origin": [_position(random), _position(random), _odd_or_gaussian(random, 1.0)],
+            "resolution": random.choice((0.05, 0.05, 0.2, abs(_number(random, 0.1)))),
+            "origin": [_offset(random), _offset(random), _number(random, 1.0)],
         }
     if random.random() < 0.3:
         count = random.choice((0, 1, 2, 5, 50))
-        lengths = sorted(abs(_odd_or_gaussian(random, 3.0)) for _ in range(count))
+        lengths = sorted(abs(_number(random, 3.0)) for _ in range(count))
         result["corridor"] = [
             lengths if random.random() < 0.9 else lengths[::-1],
-            [abs(_odd_or_gaussian(random, 0.5)) for _ in range(count)],
-            [abs(_odd_or_gaussian(random, 0.5)) for _ in range(count)],
+            [abs(_number(random, 0.5)) for _ in range(count)],
+            [abs(_number(random, 0.5)) for _ in range(count)],
         ]
     return result
 
@@ -78,21 +72,18 @@ def make_surroundings(case: Any, pose: np.ndarray, t: float) -> Surroundings | N
 
 
 def _polygon(random: Random) -> list[list[float]]:
-    x, y, size = _position(random), _position(random), random.choice((0.05, 0.2, 1.0, 1e-6))
+    x, y, size = _offset(random), _offset(random), random.choice((0.05, 0.2, 1.0, 1e-6))
     if random.random() < 0.7:
         return [[x, y], [x + size, y], [x + size, y + size], [x, y + size]]
-    return [
-        [x + _odd_or_gaussian(random, size), y + _odd_or_gaussian(random, size)]
-        for _ in range(random.choice((0, 2, 3, 3, 4, 6)))
-    ]
+    return [[x + _number(random, size), y + _number(random, size)] for _ in range(random.choice((0, 2, 3, 3, 4, 6)))]
 
 
-def _position(random: Random) -> float:
+def _offset(random: Random) -> float:
     """Draw a position, mostly near the robot and rarely at the robot."""
-    return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _odd_or_gaussian(random, 1.0)))
+    return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _number(random, 1.0)))
 
 
-def _odd_or_gaussian(random: Random, scale: float) -> float:
+def _number(random: Random, scale: float) -> float:
     return odd.number(random) if random.random() < 0.04 else random.gauss(0.0, scale)
 
 

@@ -264,10 +264,8 @@ def test_reverse_and_turns_on_the_spot_permit_shorter_plans():
     costs = load_turn_costs("fsu_bot-default")
     reverse_plan = plan(costs, ORIGIN, (-3.0, 0.0, 0.0), reverse=True)
     assert reverse_plan.commands[:, 0].max() < 1e-6 and reverse_plan.length == pytest.approx(3.0, abs=0.05)
-    turn_plan = plan(
-        load_turn_costs("fsu_bot-slippery"), ORIGIN, (0.0, 2.0, math.pi), minimise="distance", on_the_spot=True
-    )
-    assert turn_plan.length < 3.0 and turn_plan.poses[-1] == pytest.approx([0.0, 2.0, math.pi], abs=1e-6)
+    turn = plan(load_turn_costs("fsu_bot-slippery"), ORIGIN, (0.0, 2.0, math.pi), minimise="distance", on_the_spot=True)
+    assert turn.length < 3.0 and turn.poses[-1] == pytest.approx([0.0, 2.0, math.pi], abs=1e-6)
 
 
 def test_unfinished_polish_is_reported_and_the_plan_ends_at_the_goal():

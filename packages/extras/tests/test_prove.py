@@ -48,26 +48,15 @@ def write_proof(folder: Path) -> Path:
 def proof_result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
     """Folder of a proof, and the arguments of its command."""
     folder = tmp_path_factory.mktemp("proven")
-    arguments = (
-        "prove",
-        "sm",
-        "--campaign",
-        write_proof(folder),
-        "--out",
-        folder / "out",
-        "--jobs",
-        "1",
-        "--worst",
-        "3",
-    )
-    call(*arguments)
-    return folder / "out", arguments
+    args = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
+    call(*args)
+    return folder / "out", args
 
 
 def test_proof_writes_report_table_figures_and_worst_runs(
     proof_result: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, arguments = proof_result
+    out, args = proof_result
     report = (out / "prove.md").read_text(encoding="utf-8")
     for part in ("Outcomes", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
         assert f"## {part}\n" in report
@@ -91,17 +80,15 @@ def test_proof_writes_report_table_figures_and_worst_runs(
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof uses the stored runs and prints the same output.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
-    call(*arguments)
+    call(*args)
     body = report.partition("## Outcomes")[2]
     assert (out / "prove.md").read_text(encoding="utf-8").partition("## Outcomes")[2] == body
 
 
 def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    proof_content = yaml.safe_load(proof.read_text(encoding="utf-8"))
-    proof.write_text(
-        yaml.safe_dump({key: proof_content[key] for key in ("description", "runs", "factors")}), encoding="utf-8"
-    )
+    data = yaml.safe_load(proof.read_text(encoding="utf-8"))
+    proof.write_text(yaml.safe_dump({key: data[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
     call("prove", "ssm", "--campaign", proof, "--out", out, "--jobs", "1", "--runs", "2", "--worst", "1")
     (path,) = (out / "worst").iterdir()
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -115,7 +102,7 @@ def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "error"),
     [
         (
             ("trajectory: short", "model: sm\n  trajectory: short"),
@@ -124,14 +111,12 @@ def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path
         (("low: 0.0, high", "low: 0.4, high"), "low (0.4) must be below high (0.3)"),
     ],
 )
-def test_invalid_proof_raises_one_line_error(
-    change: tuple[str, str], message: str, proof: Path, tmp_path: Path
-) -> None:
+def test_invalid_proof_raises_one_line_error(change: tuple[str, str], error: str, proof: Path, tmp_path: Path) -> None:
     text = proof.read_text(encoding="utf-8")
     assert change[0] in text
     proof.write_text(text.replace(*change, 1), encoding="utf-8")
     output = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
-    assert message in " ".join(output.split())
+    assert error in " ".join(output.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -104,13 +104,11 @@ def held_out(
     Paths, robots and seeds are held out.
     """
     factors = ROBOTS | SHIPPED.passport.surfaces[surface] | {"seed": {"each": 90000}, "trajectory": {"one_of": []}}
-    passport_reference = (
-        {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
-    )
+    entry = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
     files = []
     for name in paths:
         path = folder / f"{name}-{surface}-{tolerance:g}-{passport is not None}.yaml"
-        path.write_text(yaml.safe_dump({"timing": "smooth", **make_path(name), **passport_reference}), encoding="utf-8")
+        path.write_text(yaml.safe_dump({"timing": "smooth", **make_path(name), **entry}), encoding="utf-8")
         files.append(str(path))
     factors["trajectory"] = {"one_of": files}
     campaign = Campaign(description="held out", runs=runs, sampler="random", draw_seed=90, factors=factors)

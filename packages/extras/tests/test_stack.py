@@ -64,19 +64,17 @@ def drawn_log(
     """
     settings, build = POPULATION, draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
-    parameters = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN_PARAMETERS}
+    values = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN_PARAMETERS}
     dt, track, radius = settings.sample_time, build.robot.track, build.robot.wheel_radius
     stride = round(dt / _FINE)
     count = round((seconds or settings.seconds) / dt)
-    max_command = np.array([parameters["speed"], parameters["turning"]])
-    hold = round(parameters["hold"] / dt)
+    max_command = np.array([values["speed"], values["turning"]])
+    hold = round(values["hold"] / dt)
     command = max_command * np.repeat(stream.uniform(-1, 1, (count // hold + 1, 2)), hold, axis=0)[:count]
-    effective_track = track * (1.0 if build.twin.chassis.castors else parameters["widening"])
+    effective_track = track * (1.0 if build.twin.chassis.castors else values["widening"])
     gain = np.array([1.0, build.firmware.track / effective_track])
-    level, slew = (limit or parameters["limit"]) * max_command, max_command / parameters["slew_time"]
-    lags = np.array(
-        [[build.firmware.lag_v, parameters["second_lag"]], [build.firmware.lag_omega, parameters["second_lag"]]]
-    )
+    level, slew = (limit or values["limit"]) * max_command, max_command / values["slew_time"]
+    lags = np.array([[build.firmware.lag_v, values["second_lag"]], [build.firmware.lag_omega, values["second_lag"]]])
     twist = _motor_response(
         np.repeat(np.clip(command, -level, level), stride, axis=0), slew, lags, build.twin.link.dead_time, damping
     )
@@ -96,7 +94,7 @@ def drawn_log(
         sensor.heading_sd,
     ]
     fresh = np.diff(np.floor(dt * np.arange(-1, count) / max(sensor.period or dt, dt) + 1e-9)) > 0
-    rate = twist[::stride, 1] + noise * (parameters["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
+    rate = twist[::stride, 1] + noise * (values["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
     record = Record(
         f"robot {seed}",
         0.0,

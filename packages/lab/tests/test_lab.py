@@ -118,9 +118,7 @@ def test_c_formulas_equal_those_of_the_plant() -> None:
     assert moved == pytest.approx(expected, abs=1e-15)
 
 
-def test_missing_compiler_is_reported_in_one_line_with_the_remedy(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_missing_compiler_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     result = CliRunner().invoke(app, ["lab", "--out", str(tmp_path / "lab.html")])
     assert result.exit_code == 1
@@ -137,16 +135,10 @@ def test_drives_equal_those_of_python(page_file: Path) -> None:
     settings_by_model = {"ssm": (700, 6), "sm": (333.3, 3), "mbm": (1500, 7.25)}
     with laboratory(page_file, "path=s") as page:
         evaluated_rmse(page)
-        default_choices = choices(page)
+        default = choices(page)
         for model, (across, slew) in settings_by_model.items():
             for path in PATHS:
-                selected = default_choices | {
-                    "model": model,
-                    "robot": model,
-                    "path": path,
-                    "across": across,
-                    "slew": slew,
-                }
+                selected = default | {"model": model, "robot": model, "path": path, "across": across, "slew": slew}
                 result = page.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", selected)
                 config = configuration(model, {"told": 0.04, "across": across, "slew": slew})
                 reference, plant = load_trajectory(path, config), f"model:{model}+0.04"

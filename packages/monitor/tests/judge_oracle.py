@@ -181,11 +181,9 @@ class OracleJudge:
             current = np.array(row[1:4])
             latest = self.integrated([newest[0]])[0] if newest is not None else None
             if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
-                motion_then = motion[k]
-                displacement = (latest[0] - motion_then[0] + 1j * (latest[1] - motion_then[1])) * np.exp(
-                    1j * (row[3] - motion_then[2])
-                )
-                current = current + [displacement.real, displacement.imag, latest[2] - motion_then[2]]
+                prev = motion[k]
+                displacement = (latest[0] - prev[0] + 1j * (latest[1] - prev[1])) * np.exp(1j * (row[3] - prev[2]))
+                current = current + [displacement.real, displacement.imag, latest[2] - prev[2]]
             pose_times = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
             dt = min(row[0] - pose_times[-1], 1.0) if pose_times else 0.0
             place = current.copy() if place is None else place
@@ -250,13 +248,11 @@ class OracleJudge:
     def _check_interval(self, moving):
         r = self.rules.commands
         middle = 0.5 * (r.slowest + r.quickest)
-        interval = middle
-        for previous, command in zip([None, *self.commands], self.commands, strict=False):
-            interval = (
-                interval + 0.05 * (min(command[0] - previous[0], 1.0) - interval) if previous and command[4] else middle
-            )
-        self.judge("slow", moving and interval > r.slowest)
-        self.judge("flood", interval < r.quickest)
+        mean = middle
+        for prior, command in zip([None, *self.commands], self.commands, strict=False):
+            mean = mean + 0.05 * (min(command[0] - prior[0], 1.0) - mean) if prior and command[4] else middle
+        self.judge("slow", moving and mean > r.slowest)
+        self.judge("flood", mean < r.quickest)
 
     def tick(self, now):
         self.now = now
@@ -268,10 +264,8 @@ class OracleJudge:
         output = self.sent[-1][1] if self.sent else (0.0, 0.0)
         is_moving = self.moves(output)
         self.judge("silent", is_moving and now - self.commands[-1][0] > r.commands.silence)
-        is_stop_overdue = (
-            self.report is not None and not self.report[1] and now - self.report[0] > r.commands.stop_within
-        )
-        self.judge("not_to_move", is_moving and is_stop_overdue, r.path.grace)
+        is_late = self.report is not None and not self.report[1] and now - self.report[0] > r.commands.stop_within
+        self.judge("not_to_move", is_moving and is_late, r.path.grace)
         for name, readings, max_age in (
             ("odometry", self.odometry, r.sensors.odometry_age),
             ("pose", self.poses, r.sensors.pose_age),

@@ -58,11 +58,9 @@ class FaultyController:
 class Scene:
     """Base, faulty controller and process of the monitor, in simulated time."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *args):
         self.process = subprocess.Popen(
-            [COMMAND, "monitor", "--ros-args", "-p", "use_sim_time:=true", *arguments],
-            stderr=subprocess.PIPE,
-            text=True,
+            [COMMAND, "monitor", "--ros-args", "-p", "use_sim_time:=true", *args], stderr=subprocess.PIPE, text=True
         )
         self.base = FakeBase(lambda: time.sleep(0.001))
         self.controller = FaultyController(self.base)
@@ -213,13 +211,11 @@ def test_no_command_passes_after_the_monitor_ends(scene, signal_number):
 
 
 def test_invalid_input_ends_with_a_one_line_error():
-    for arguments, line in (
+    for args, line in (
         (["--rules", "defualt"], "unknown rules 'defualt'"),
         (["--ros-args", "-p", "rules:=nowhere.yaml"], "unknown rules 'nowhere.yaml'"),
         (["--rls", "default"], "unknown argument '--rls'"),
     ):
-        result = subprocess.run(
-            [COMMAND, "monitor", *arguments], capture_output=True, text=True, timeout=60, check=False
-        )
+        result = subprocess.run([COMMAND, "monitor", *args], capture_output=True, text=True, timeout=60, check=False)
         errors = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
         assert result.returncode == 2 and len(errors) == 1 and line in errors[0], result.stderr
