@@ -58,7 +58,7 @@ def open_report(page: Any, report: Path) -> None:
 
 
 def screenshot(report: Path, picture: Path, width: int = 1280, height: int = 1500) -> None:
-    """Write a screenshot of the top of a report [pixels]; a height of 0 captures the whole page."""
+    """Write a screenshot of the top of a report [pixels]; a height of 0 captures the complete page."""
     if not report.is_file():
         raise ConfigError(f"{report}: no such report")
     with open_browser() as browser:

@@ -290,8 +290,8 @@ def main() -> None:
             fate = "explained" if mutant.change in explained else "killed" if tree.kills(mutant) else "SURVIVES"
             fates[fate].append(mutant)
             print(f"{fate:9} {mutant}", flush=True)
-    killed, known, survivors = map(len, fates.values())
-    print(f"seed {options.seed}: {killed} killed, {known} explained, {survivors} survive")
+    killed, explained_count, survivors = map(len, fates.values())
+    print(f"seed {options.seed}: {killed} killed, {explained_count} explained, {survivors} survive")
     print(*fates["SURVIVES"], sep="\n")
     sys.exit(killed < GOAL * (killed + survivors))
 

@@ -13,10 +13,10 @@ def run_python(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
 
 
-def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[str]:
+def run_command(*command: str, without: str = "") -> subprocess.CompletedProcess[str]:
     """Run the command line as a program, as if the package `without` were not installed."""
     missing = f"sys.modules[{without!r}] = None; " if without else ""
-    arguments = ["diffdrive-mpc", *words]
+    arguments = ["diffdrive-mpc", *command]
     return run_python(f"import sys; {missing}sys.argv = {arguments}; from diffdrive_mpc.app.cli import main; main()")
 
 

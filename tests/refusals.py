@@ -12,4 +12,4 @@ def one_line_error(error_type, *parts, match=None):
         yield error
     message = str(error.value)
     assert "\n" not in message
-    assert all(word in message for word in parts), message
+    assert all(part in message for part in parts), message

@@ -69,7 +69,7 @@ def name_of(document):
 def as_system_test(document):
     """Return the document as a parameter of the system suite, with the needs of its commands."""
     commands = "".join(body for language, body in blocks(document) if language == "sh")
-    needs = [need for word, need in NEEDS.items() if word in commands]
+    needs = [need for option, need in NEEDS.items() if option in commands]
     return pytest.param(document, marks=pytest.mark.system(*needs))
 
 
@@ -88,18 +88,18 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
             exec(compile(body, name_of(document), "exec"), names)
         elif language == "sh":
             for line in body.strip().splitlines():
-                words = shlex.split(line)
-                if words[0] == "make":
+                arguments = shlex.split(line)
+                if arguments[0] == "make":
                     assert RUN_BY_CI.match(line), f"{name_of(document)}: `{line}` is run by no test"
                 elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line:
                     raise AssertionError(f"{name_of(document)}: .ci/run does not have `{line}`")
-                elif words[:3] == ["python", "-m", "studies"]:
-                    invoke_command(studies_app, words[3:], "python -m studies")
+                elif arguments[:3] == ["python", "-m", "studies"]:
+                    invoke_command(studies_app, arguments[3:], "python -m studies")
                 else:
-                    assert words[0] == "diffdrive-mpc"
-                    command(words[1:], tmp_path)
+                    assert arguments[0] == "diffdrive-mpc"
+                    command(arguments[1:], tmp_path)
         else:
             raise AssertionError(f"{name_of(document)}: nothing runs a block of {language}")
 
@@ -136,7 +136,7 @@ def hand_written():
 
 
 def test_hand_written_documents_are_short():
-    """Pages are those of the site, except for the tables of parameters; words of other documents also count."""
+    """Count the pages of the site without the tables of parameters, and the words of all documents."""
     texts = hand_written()
     words = {name_of(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
     pages = {*texts} & {*DOCUMENTS, *PAGES} - {ROOT / "docs" / "parameters.md"}
@@ -158,10 +158,10 @@ def test_files_named_by_documents_and_ci_exist():
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_commands_run_in_tests_match_the_documents(line, file):
     """Every word of the line is quoted in the file of the test, except for paths."""
-    words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
-    expected_words = [f'"{word}"' for word in words if "." not in word and word not in RESULT_FOLDERS]
+    parts = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
+    expected_words = [f'"{part}"' for part in parts if "." not in part and part not in RESULT_FOLDERS]
     test = (ROOT / file).read_text(encoding="utf-8")
-    assert all(word in test for word in expected_words), expected_words
+    assert all(part in test for part in expected_words), expected_words
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 

@@ -70,7 +70,7 @@ def untrusted(tmp_path):
 
 def call(*arguments):
     """Run a command; bad input must end in one line, without a traceback."""
-    result = CliRunner().invoke(app, [str(word) for word in arguments])
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exception is None or isinstance(result.exception, SystemExit), (arguments, result.exception)
     assert result.exit_code in (0, 1, 2), (arguments, result.output)
     if result.exit_code == 2:

@@ -85,7 +85,7 @@ def test_division_contains_every_row_once_and_in_order(counts, fraction):
 
 
 def wheel_drive(radius, track, effective, firmware, gyro=True):
-    """Return a drive of wheels without lag; `firmware` is the track of commands, `effective` that of the body."""
+    """Return a drive of wheels without lag; `firmware` and `effective` are the tracks of commands and body [m]."""
     command = np.random.default_rng(0).uniform([-1.0, -1.5], [1.0, 1.5], (200, 2))
     requested = WheelKinematics(radius, firmware).body_to_wheels @ command.T
     wheels = np.column_stack([requested[[0, 2]].mean(axis=0), requested[[1, 3]].mean(axis=0)])

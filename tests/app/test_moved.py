@@ -84,7 +84,7 @@ def test_each_name_of_0_2_0_exists_or_is_listed():
 
 
 def test_former_keys_are_listed_on_the_page():
-    missing = [before for before in former_keys() if before in NAMES["keys"] and not is_listed(before)]
+    missing = [key for key in former_keys() if key in NAMES["keys"] and not is_listed(key)]
     assert missing == []
 
 

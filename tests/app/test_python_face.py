@@ -79,7 +79,7 @@ def test_argument_error_is_a_type_error():
 def test_sweep_returns_a_table_with_one_row_per_run():
     shipped = load_model("sm")
     converted = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")
-    # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.
+    # Use the provenance of the same robot, because the yaw ratio of a model built in Python is less certain.
     mine = replace(converted, provenance=shipped.provenance)
     values = {"horizon": [10, 30], "weights.across": 150.0}
     table = sweep(model=["sm", mine], trajectory=STRAIGHT, seeds=range(2), plant=PLANT, jobs=1, **values)

@@ -1,4 +1,4 @@
-"""Fast plant and ready-made outcomes for tests of the bench."""
+"""Fast plant, and outcomes of short runs, for tests of the bench."""
 
 from dataclasses import dataclass
 

@@ -27,7 +27,7 @@ def test_identified_model_tracks_slow_and_ringing_robots_better_than_two_delays(
 
 
 def test_accelerating_slow_wheels_are_not_reported_as_saturated():
-    """A false report kept this robot at half of its speed, 1.3 m behind its reference."""
+    """A false report would limit this robot to half of its speed, 1.3 m behind its reference."""
     metrics = drive("hauler", "figure8", "sm", 2)
     assert metrics.completed
     assert metrics.position_rmse_m < 0.03

@@ -67,18 +67,20 @@ def results(outcome: RunOutcome) -> ComparisonResults:
     return ComparisonResults(settings, rows_of(outcome, peer), rows_of(horizon, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
-def write_out(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
+def write_out(
+    results: ComparisonResults, folder: Path, on_figure: Callable[[], None] = lambda: None
+) -> dict[str, object]:
     """Write the report into `folder`; return its `meta` part."""
     study = ComparisonStudy(results.settings)
     report = study.report(results, 12.3)
     meta = describe_run(12.3) | report.meta
-    write_report(study, report, meta, folder, done)
+    write_report(study, report, meta, folder, on_figure)
     return meta
 
 
 def test_report_is_complete_and_valid(results: ComparisonResults, outcome: RunOutcome, tmp_path: Path) -> None:
-    done: list[int] = []
-    write_out(results, tmp_path, lambda: done.append(1))
+    drawn_figures: list[int] = []
+    write_out(results, tmp_path, lambda: drawn_figures.append(1))
     data = json.loads((tmp_path / "bench.json").read_text())
     assert set(data) == {"meta", "runs"}
     assert [list(run) for run in data["runs"]] == [list(FIELDS)] * 3
@@ -89,7 +91,7 @@ def test_report_is_complete_and_valid(results: ComparisonResults, outcome: RunOu
     figures = sorted(path.name for path in (tmp_path / "figures").iterdir())
     expected = ["horizon.png", "overview.png", "ssm-cane.png", "step-time.png"]
     assert figures == expected
-    assert len(done) == len(drawings(results)) == len(expected)
+    assert len(drawn_figures) == len(drawings(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()
     assert all(f"(figures/{name})" in text for name in expected)
     assert all(f"## {table.title}" in text for table in report_tables(results))

@@ -1,4 +1,4 @@
-"""The timing pass replays a run exactly or raises an error; every outcome gets its own times."""
+"""The timing pass replays a run exactly or raises an error; every outcome has separate times."""
 
 import time
 from dataclasses import replace

@@ -138,8 +138,8 @@ def low_passed(values, lag, dt):
 
 def ramped(twist, step, track):
     """Limit the change of the rim speeds of twists (n, 2) to `step` [m/s] per row."""
-    half = 0.5 * track * twist[:, 1]
-    rims = np.column_stack([twist[:, 0] - half, twist[:, 0] + half])
+    half_difference = 0.5 * track * twist[:, 1]
+    rims = np.column_stack([twist[:, 0] - half_difference, twist[:, 0] + half_difference])
     for k in range(1, len(rims)):
         rims[k] = rims[k - 1] + np.clip(rims[k] - rims[k - 1], -step, step)
     return np.column_stack([rims.mean(axis=1), (rims[:, 1] - rims[:, 0]) / track])
@@ -474,7 +474,7 @@ def logs_of(case, folder):
     return paths, mapping
 
 
-def verdict(case, findings, raised=None):
+def verdict(case, findings, error=None):
     """Compare the findings with the cause of the case; return "right", "half", "wrong" or "missed".
 
     Notes are ignored unless the case expects a note.
@@ -482,18 +482,18 @@ def verdict(case, findings, raised=None):
     kinds, fragments = case.kind.split("; "), case.says.split("; ")
     matching = [finding for finding in findings if finding.kind in kinds]
     # For a file that cannot be read, the only text is the error message.
-    has_others = raised is None and any(
+    has_others = error is None and any(
         finding.severity != "note" and finding.kind not in (*kinds, case.also) for finding in findings
     )
     if not case.kind:
-        return "wrong" if has_others or raised else "right"
-    texts = [*map(str, matching), *([] if raised is None else [raised])]
-    is_complete = any(all(word in sentence for word in fragments) for sentence in texts)
+        return "wrong" if has_others or error else "right"
+    texts = [*map(str, matching), *([] if error is None else [error])]
+    is_complete = any(all(fragment in sentence for fragment in fragments) for sentence in texts)
     if is_complete and not has_others:
         return "right"
     if matching or is_complete:
         return "half"
-    return "wrong" if has_others or raised else "missed"
+    return "wrong" if has_others or error else "missed"
 
 
 SIDES = "{left: left, right: right}"
@@ -610,8 +610,8 @@ TABLE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="u
 
 def read_cases(group):
     """Read the cases of a group of degraded_logs.yaml."""
-    for base, description, change, *rest in TABLE[group]:
-        kind, says, refused, mapping, also = (*rest, *("", "", False, None, "")[len(rest) :])
+    for base, description, change, *options in TABLE[group]:
+        kind, says, refused, mapping, also = (*options, *("", "", False, None, "")[len(options) :])
         yield Case(base, description, eval(change), kind, says, refused, eval(mapping) if mapping else str, also)
 
 

@@ -206,8 +206,8 @@ def test_each_sample_is_held_out_once():
     folds = blocks(experiments)
     samples = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
     assert sorted(samples) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
-    for rest, block in folds:
-        assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
+    for training, block in folds:
+        assert not {(i, k) for i, a, b in training for k in range(a, b)} & {
             (i, k) for i, a, b in block for k in range(a, b)
         }
 
@@ -227,7 +227,7 @@ def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
     estimate = fit_result.identified.parameters
     truth = {"v.gain": 0.95, "omega.gain": 0.57, "v.natural_frequency": 14.0, "omega.natural_frequency": 20.0}
     truth |= {"encoders.delay": 0.05, "gyro.offset": 0.02, "wheels.track": 0.54} | EFFECT_VALUES
-    scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
+    scores = {name: (estimate.value(name) - value) / estimate.deviation(name) for name, value in truth.items()}
     assert max(map(abs, scores.values())) < 4, scores
     assert fit_result.point["wheels.resolution"] == pytest.approx(0.02)
 
@@ -278,8 +278,8 @@ def test_position_and_delay_of_a_pose_sensor_are_estimated():
     with_pose = replace(record, pose=measured, fresh_pose=None)
     estimate = pose_sensor([with_pose], {**POINT, "gyro.offset": 0.02})
     truth = {"pose.travel": travel, "mount.ahead": 0.2, "mount.left": -0.05, "mount.heading": 0.03}
-    for name, true in truth.items():
-        assert abs(estimate.value(name) - true) < max(4 * estimate.deviation(name), 2e-3), name
+    for name, value in truth.items():
+        assert abs(estimate.value(name) - value) < max(4 * estimate.deviation(name), 2e-3), name
     assert estimate.value("pose.delay") == pytest.approx(delay_steps * DT, abs=0.2 * DT)
 
 
@@ -307,9 +307,9 @@ def test_effects_never_worsen_the_prediction_of_held_out_rows(effects, clip, gyr
 @pytest.mark.long
 def test_top_speed_determines_the_track_missing_in_a_log():
     fit_result = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
-    for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
-        assert abs(fit_result.value(name) - true) < 4 * fit_result.deviation(name), name
-        assert fit_result.deviation(name) < 0.05 * true
+    for name, value in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
+        assert abs(fit_result.value(name) - value) < 4 * fit_result.deviation(name), name
+        assert fit_result.deviation(name) < 0.05 * value
 
 
 EFFECTS = {

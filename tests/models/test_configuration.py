@@ -87,10 +87,10 @@ def test_each_side_is_written_with_its_own_limit():
 
 
 def test_saturation_of_the_motors_limits_the_wheel_speed():
-    slow = limits(model_with(effects={"wheel_command": WHEELS}))
-    assert slow["wheel_speed"] == pytest.approx(0.9 * 0.4)
-    fast = limits(model_with(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
-    assert fast["wheel_speed"] == pytest.approx(1.1 * (0.5 + 0.25 * 1.0))
+    low = limits(model_with(effects={"wheel_command": WHEELS}))
+    assert low["wheel_speed"] == pytest.approx(0.9 * 0.4)
+    high = limits(model_with(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
+    assert high["wheel_speed"] == pytest.approx(1.1 * (0.5 + 0.25 * 1.0))
 
 
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
@@ -114,10 +114,10 @@ def test_reentry_band_grows_with_the_robot_and_is_never_below_the_default():
     assert large["failure"]["max_position_error"] == pytest.approx(3.0)
     small = configure("robot", model_with(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
     assert "reentry" not in small
-    fast = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
-    assert configure("robot", model_with(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
-        0.9 * 3 / 1.5 * 0.1
-    )
+    train = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
+    assert configure("robot", model_with(), train, None, slip_prior(train)).mapping()["reentry"][
+        "wait"
+    ] == pytest.approx(0.9 * 3 / 1.5 * 0.1)
 
 
 SETTINGS = identification_settings()

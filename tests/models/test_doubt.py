@@ -1,4 +1,4 @@
-"""Importance of each kind of doubt for driving: one verdict for every kind, and none for unknown kinds."""
+"""Relevance of each kind of doubt for driving: one verdict for every kind."""
 
 import ast
 from pathlib import Path
@@ -28,8 +28,8 @@ def kinds_in_the_sources() -> set[str]:
                 continue
             if name == "Finding" and getattr(call.args[1], "value", "") == "note":
                 continue
-            words = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
-            result |= {word for word in words if isinstance(word, str)}
+            values = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
+            result |= {value for value in values if isinstance(value, str)}
     return result
 
 

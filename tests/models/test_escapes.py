@@ -57,8 +57,8 @@ def test_logs_show_escapes_of_columns_and_topics(name, tmp_path):
 
 
 def test_results_show_escapes_of_names(tmp_path):
-    odd = "odd\x1b[2J\u202e"
-    data = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8")) | {"name": odd}
+    name = "odd\x1b[2J\u202e"
+    data = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8")) | {"name": name}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(data))
     model = load_model(tmp_path / "model.yaml")
     controller = Controller(load_config("ssm"), model=model)

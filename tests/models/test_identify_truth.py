@@ -69,11 +69,11 @@ def test_outliers_hardly_change_the_model():
     twist = clean.twist.copy()
     twist[np.random.default_rng(0).integers(0, len(twist), 60), 0] += 2.0
     with_outliers = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
-    robust, plain = (
+    robust, least_squares = (
         identify_sm([with_outliers], limits=False, robust=is_robust).parameters for is_robust in (True, False)
     )
     check_agreement(robust, SM_TRUTH)
-    assert robust.deviation("v.gain") < 0.5 * plain.deviation("v.gain")
+    assert robust.deviation("v.gain") < 0.5 * least_squares.deviation("v.gain")
 
 
 def test_only_fresh_readings_are_used():
@@ -213,7 +213,7 @@ def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_
     truth = {f"{motor}.gain": gain for motor, gain in gains.items()}
     check_agreement(modes.parameters, SM_TRUTH | truth | {"effective_track": track})
     fits = [validate(model.system, held_out).fit_percent for model in (modes, motors, identify_sm(train))]
-    # v follows from both commands; omega is that of SM.
+    # v follows from both commands; omega has the same model as in SM.
     assert (fits[0] > np.maximum(fits[1] + [0.2, 5.0], fits[2] - [0.0, 1e-3])).all()
 
 

@@ -1,4 +1,4 @@
-"""Checks of logs: each fault gives a finding with its place, and a correct log has no findings."""
+"""Checks of logs: each fault gives a finding with its position, and a correct log has no findings."""
 
 import numpy as np
 import pytest

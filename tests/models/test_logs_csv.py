@@ -47,9 +47,9 @@ columns:
     scale = {"t": 1e9, "v_ref": 1e3, "omega_ref": 30 / np.pi, "v": 3.6, "x": 100, "y": 1e3}
     degrees = {"omega_wheels": 180 / np.pi, "gyro": -180 / np.pi, "theta": 180 / np.pi}
     columns = {name: value * (scale | degrees)[name] for name, value in COLUMNS.items()}
-    (record,), (plain,) = read_columns(tmp_path, columns, mapping).records, read_columns(tmp_path, COLUMNS).records
+    (record,), (expected,) = read_columns(tmp_path, columns, mapping).records, read_columns(tmp_path, COLUMNS).records
     for field in ("command", "twist", "yaw_rate", "pose"):
-        assert np.allclose(getattr(record, field), getattr(plain, field), rtol=1e-9, atol=1e-9), field
+        assert np.allclose(getattr(record, field), getattr(expected, field), rtol=1e-9, atol=1e-9), field
 
 
 WHEELS = """
@@ -87,7 +87,7 @@ def test_tick_counts_are_converted_to_the_mean_speed_between_rows(tmp_path):
     assert record.fresh_twist[1:-1].all()
 
 
-def test_four_wheels_are_kept_and_averaged_by_side(tmp_path):
+def test_speeds_of_four_wheels_are_stored_and_averaged_by_side(tmp_path):
     names = ("front_left", "front_right", "rear_left", "rear_right")
     mapping = """
 wheels: {radius: 0.1, track: 0.5}

@@ -144,8 +144,8 @@ def test_fit_of_pieces_without_history_is_close_to_the_baseline(log, cut):
 @pytest.mark.parametrize("log", FOLDERS)
 def test_no_structure_has_a_lower_fit_than_the_better_baseline(log, quarter):
     """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
-    first_part, rest = divide([*chain(*divide_log(log))], quarter / 4)
-    held_out, last_part = divide(rest, 1 / (4 - quarter))
+    first_part, remaining = divide([*chain(*divide_log(log))], quarter / 4)
+    held_out, last_part = divide(remaining, 1 / (4 - quarter))
     train = first_part + last_part
     conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
     models = [STRUCTURES[name].identify(train, conditions).identified for name in ("sm", "mbm_modes", "ssm")]
@@ -204,7 +204,7 @@ if "DIFFDRIVE_MPC_ALL" in os.environ:
         data = read_data([log_path(log)], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
         removed = {} if track else {"wheels": None, "wheel_speeds": None}
         removed |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
-        divide_log = [tuple(replace(record, **removed) for record in half) for half in (data.train, data.validation)]
+        divide_log = [tuple(replace(record, **removed) for record in part) for part in (data.train, data.validation)]
         data = replace(data, train=divide_log[0], validation=divide_log[1], yaw="gyro" if gyro else "encoders")
         plain, with_effects = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
         fits = [fitted.validation.fit_percent for fitted in (plain, with_effects)]

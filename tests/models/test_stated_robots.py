@@ -16,9 +16,9 @@ CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd
 def husky_bag(tmp_path_factory):
     """Bag with the topics of a Husky in its namespace, and another source of commands."""
     topics = bag_topics(drive(60.0), command="geometry_msgs/msg/TwistStamped")
-    named = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
-    named["/a200_0001/joy_teleop/cmd_vel"] = named["/a200_0001/cmd_vel"]
-    return write_bag(tmp_path_factory.mktemp("bag") / "drive", named)
+    husky = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
+    husky["/a200_0001/joy_teleop/cmd_vel"] = husky["/a200_0001/cmd_vel"]
+    return write_bag(tmp_path_factory.mktemp("bag") / "drive", husky)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_every_value_is_stated_with_a_source_and_its_revision(name):
 @pytest.mark.parametrize("name", stated_robots())
 def test_stated_values_form_a_configuration(name):
     robot = load_stated_robot(name)
-    values = robot.bounds(1.1) | {key: stated.value for key, stated in robot.configuration().items()}
+    values = robot.bounds(1.1) | {key: entry.value for key, entry in robot.configuration().items()}
     config = load_config("kinematic", values)
     assert config.limits.v == robot.v.stated
     assert config.wheels.track == pytest.approx(
@@ -49,7 +49,7 @@ def test_stated_values_form_a_configuration(name):
     assert config.limits.predicted_v > config.limits.v
 
 
-def test_turtlebot_keeps_its_safety_limit():
+def test_turtlebot_has_its_safety_limit():
     """Its firmware permits higher speeds only without its safety features."""
     text = "\n".join(load_stated_robot("turtlebot4").lines())
     assert "v 0.306 m/s (stated: safety)" in text

@@ -235,8 +235,8 @@ def test_discretisation_is_the_zero_order_hold_of_control(name, dead_time):
     def zero_order_hold(time):
         return control.sample_system(control.ss(model.A, model.B, model.C, 0 * model.C @ model.B), time, "zoh")
 
-    full_step, rest = zero_order_hold(dt), np.array(dead_time) - discrete.delay * dt
-    expected = np.column_stack([zero_order_hold(dt - rest[j]).B[:, j] for j in (0, 1)])
+    full_step, fraction = zero_order_hold(dt), np.array(dead_time) - discrete.delay * dt
+    expected = np.column_stack([zero_order_hold(dt - fraction[j]).B[:, j] for j in (0, 1)])
     assert pytest.approx(full_step.A, rel=1e-13, abs=1e-15) == discrete.A
     assert pytest.approx(expected, rel=1e-13, abs=1e-15) == discrete.B0
     assert pytest.approx(full_step.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1

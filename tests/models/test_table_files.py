@@ -73,9 +73,9 @@ def test_long_file_in_utf_16_is_read_completely(tmp_path):
         assert file.read().decode() == text
 
 
-@pytest.mark.parametrize("word", ["NA", "N/A", "null", "None", "-", "NaN", "nan", "inf", ""])
-def test_word_for_a_missing_reading_omits_that_reading(tmp_path, word):
-    gyro = [word if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
+@pytest.mark.parametrize("cell", ["NA", "N/A", "null", "None", "-", "NaN", "nan", "inf", ""])
+def test_word_for_a_missing_reading_omits_that_reading(tmp_path, cell):
+    gyro = [cell if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
     path = write_csv(tmp_path / "log.csv", COLUMNS | {"gyro": gyro})
     (record,) = read_log(path, write_mapping(tmp_path / "map.yaml")).records
     assert np.array_equal(record.fresh_yaw_rate, np.arange(len(gyro)) % 10 > 0)
@@ -100,7 +100,7 @@ INVALID_TABLES = {
 
 
 @pytest.mark.parametrize(("text", "message"), INVALID_TABLES.values(), ids=INVALID_TABLES)
-def test_unreadable_table_is_refused_with_the_true_reason_in_one_line(tmp_path, text, message):
+def test_unreadable_table_is_refused_with_the_reason_in_one_line(tmp_path, text, message):
     path = tmp_path / "log.csv"
     path.write_text(text, newline="")
     assert message in error_message(path, write_mapping(tmp_path / "map.yaml"))

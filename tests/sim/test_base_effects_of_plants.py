@@ -66,8 +66,8 @@ def test_two_sided_shaping_equals_the_effects_of_models():
 
 def test_base_without_effects_changes_no_motion(tmp_path):
     commands = np.tile([0.3, 0.5], (10, 1))
-    plain = drive_with(tmp_path, "", commands)
-    np.testing.assert_array_equal(drive_with(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
+    expected = drive_with(tmp_path, "", commands)
+    np.testing.assert_array_equal(drive_with(tmp_path, "base: {}", commands).true_pose, expected.true_pose)
 
 
 def test_unequal_wheels_veer_as_geometry_predicts(tmp_path):

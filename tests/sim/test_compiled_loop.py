@@ -22,19 +22,19 @@ encoders: {left: 0.98, swapped: false, speed_sd: 0.3}
 
 def drives(config, trajectory, plant, **arguments):
     """Return the run of the loop in Python, the lean run, and the number of ticks that the lean run made in Python."""
-    loaded = load_config(config) if isinstance(config, str) else load_config(*config)
-    reference, runs, ticks = load_trajectory(trajectory, loaded), [], 0
+    parsed = load_config(config) if isinstance(config, str) else load_config(*config)
+    reference, runs, ticks = load_trajectory(trajectory, parsed), [], 0
     for lean in (False, True):
-        controller = Controller(loaded)
+        controller = Controller(parsed)
         complete, ticks = controller._complete, 0
 
-        def count(*arguments, complete=complete, **named):
+        def count(*arguments, complete=complete, **keywords):
             nonlocal ticks
             ticks += 1
-            return complete(*arguments, **named)
+            return complete(*arguments, **keywords)
 
         controller._complete = count
-        robot = make_plant(plant, seed=3, **plant_settings(loaded), **arguments)
+        robot = make_plant(plant, seed=3, **plant_settings(parsed), **arguments)
         runs.append(simulate(controller, robot, reference, lean=lean))
     return *runs, ticks
 

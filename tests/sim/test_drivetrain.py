@@ -40,7 +40,7 @@ def test_delay_line_preserves_the_integral(dead_time: float, values: list[float]
     assert integral == pytest.approx(expected, abs=1e-9)
 
 
-def test_firmware_step_response_is_a_first_order_lag_to_whole_pulses() -> None:
+def test_firmware_step_response_is_a_first_order_lag_rounded_to_pulses() -> None:
     firmware = load_firmware()
     shaper = CommandShaper(firmware, ROBOT, STEP)
     steps = round(firmware.lag_v / STEP)
@@ -52,7 +52,7 @@ def test_firmware_step_response_is_a_first_order_lag_to_whole_pulses() -> None:
     np.testing.assert_allclose(pulses, np.round(pulses), atol=1e-9)
 
 
-def test_firmware_uses_its_own_track() -> None:
+def test_firmware_uses_the_track_of_the_firmware_file() -> None:
     firmware = load_firmware()
     shaper = CommandShaper(firmware, ROBOT, STEP)
     for _ in range(2000):
@@ -105,7 +105,7 @@ def test_driver_brakes_without_oscillation_at_a_zero_set_point() -> None:
     np.testing.assert_allclose(torque, -motor.stall_torque * np.array(motor.spread) * 0.1 / motor.no_load_speed)
 
 
-def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
+def test_delay_line_preserves_the_order_beyond_its_initial_capacity() -> None:
     line = DelayLine(1.0)
     for k in range(100):
         line.send(0.01 * k, np.array([float(k), -float(k)]))

@@ -27,7 +27,7 @@ def test_perfect_plant_with_feed_forward_stays_on_the_reference() -> None:
 
 
 class UserPlant(KinematicPlant):
-    """User plant with attributes of the same names as those of shipped plants in a world."""
+    """User plant with attributes `world` and `disturbance`, like shipped plants in a world."""
 
     world, disturbance = "the workshop", "a draught"
 
@@ -96,7 +96,7 @@ def test_robot_lost_after_the_end_of_its_reference_has_not_completed() -> None:
 
 def test_every_tick_is_announced() -> None:
     announced: list[tuple[int, int]] = []
-    simulate(FeedForward(), KinematicPlant(), CIRCLE, on_tick=lambda done, total: announced.append((done, total)))
+    simulate(FeedForward(), KinematicPlant(), CIRCLE, on_tick=lambda tick, total: announced.append((tick, total)))
     assert announced == [(k + 1, 151) for k in range(151)]
 
 

@@ -144,15 +144,15 @@ def test_band_share_counts_the_ticks_inside_the_band() -> None:
 
 
 @given(x=st.floats(-5, 5), y=st.floats(-5, 5), theta=st.floats(-10, 10), seed=st.integers(0, 100))
-def test_motion_of_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
+def test_rigid_motion_of_the_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
     offset = 0.03 * np.random.default_rng(seed).standard_normal((len(COARSE), 3))
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
     rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     moved_offset = np.column_stack([offset[:, :2] @ rotation.T, offset[:, 2]])
     original = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
-    moved = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
+    actual = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
     for name in ("position_rmse_m", "position_std_m", "heading_max_rad", "course_rmse_rad", "lateral_rmse_m"):
-        assert getattr(moved, name) == pytest.approx(getattr(original, name), rel=1e-6), name
+        assert getattr(actual, name) == pytest.approx(getattr(original, name), rel=1e-6), name
 
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
@@ -160,13 +160,13 @@ SECOND = np.arange(0, 51) * 0.02
 
 
 def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
-    run, plain = (simulate(FeedForward({100: "BRAKING"}), KinematicPlant(), LINE, extra_time=extra) for extra in (1, 0))
+    run, short = (simulate(FeedForward({100: "BRAKING"}), KinematicPlant(), LINE, extra_time=extra) for extra in (1, 0))
     end = np.where(np.arange(101) < 51, 0.0, 9.0)
     worse = replace(run, true_pose=run.true_pose + end[:, None], solver_iterations=end).with_step_time(end, end)
-    plain = replace(plain, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
-    assert (len(run.time), plain.metrics.steps, plain.metrics.completed) == (101, 51, True)
+    short = replace(short, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
+    assert (len(run.time), short.metrics.steps, short.metrics.completed) == (101, 51, True)
     # Stops count up to the end of the run.
-    assert asdict(worse.metrics) == pytest.approx(asdict(plain.metrics) | {"stopped": True})
+    assert asdict(worse.metrics) == pytest.approx(asdict(short.metrics) | {"stopped": True})
 
 
 def test_statistics_of_unequal_errors_match_their_definitions() -> None:

@@ -119,7 +119,7 @@ def test_side_slip_moves_the_body_sideways() -> None:
 
 
 def test_delivered_pose_between_ticks_is_on_the_path() -> None:
-    """Poses at 10 Hz fall between ticks; on a steady circle they must still lie on that circle."""
+    """Poses at 10 Hz fall between ticks; on a steady circle they must also be on that circle."""
     exact_slam = PERFECT.model_copy(update={"pose": PERFECT.pose.model_copy(update={"period": 0.1, "latency": 0.06})})
     plant = ModelPlant(load_model("ssm"), load_surface("ideal").slip, exact_slam)
     truth, delivered = [], []

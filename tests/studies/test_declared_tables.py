@@ -25,6 +25,6 @@ def test_every_parameter_has_a_row_with_unit_default_and_advice():
     rows = [*declared_tables.node_rows(), *chain(*declared_tables.part_rows().values()), *controller]
     assert [line.split("`")[1] for line in lines] == [row.key for row in rows]
     for line in lines:
-        _, _, unit, default, _, meaning, when, _ = line.replace("\\|", "¦").split("|")
-        assert default.strip() and meaning.strip() and when.strip(), line
+        _, _, unit, default, _, meaning, advice, _ = line.replace("\\|", "¦").split("|")
+        assert default.strip() and meaning.strip() and advice.strip(), line
         assert unit.strip() or "provenance" in line, line

@@ -59,7 +59,7 @@ def test_heading_variance_of_the_estimate_is_consistent(name: str) -> None:
     assert 0.3 < sum(result) / len(result) <= 2.0  # type: ignore[arg-type]
 
 
-def test_poses_ten_times_noisier_than_stated_keep_the_error_small() -> None:
+def test_error_is_small_with_poses_ten_times_noisier_than_stated() -> None:
     errors = []
     for seed in (50, 52, 54):
         case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", seed)

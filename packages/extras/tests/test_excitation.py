@@ -95,8 +95,8 @@ def test_all_members_of_a_family_stay_inside_room_and_limits(family, seed, lengt
 
 
 def test_search_beats_random_drives_and_is_reproducible(monkeypatch):
-    quick = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
-    monkeypatch.setattr(searched, "model_excitation_settings", lambda: quick)
+    short = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
+    monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
     room = Room(4.0, 3.0)
     drive = model_excitation(room, 15.0, LIMITS, objective, seed=3)
     repetition = model_excitation(room, 15.0, LIMITS, objective, seed=3)

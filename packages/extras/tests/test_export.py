@@ -259,7 +259,7 @@ def events(k, measurement, exported, reference):
         measurement = replace(measurement, pose=None)
     elif k == 80:
         measurement = Measurement(Stamped((np.nan, 0.0, 0.0), measurement.pose.time), measurement.wheel_twist)
-    elif 90 <= k < 120:  # the robot is moved to another place
+    elif 90 <= k < 120:  # the robot is moved by hand
         pose = np.asarray(measurement.pose.value) + [0.4, 0.1, 0.0]
         measurement = replace(measurement, pose=replace(measurement.pose, value=pose))
     elif k == 125:

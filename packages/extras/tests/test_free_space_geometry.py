@@ -207,7 +207,7 @@ def test_half_space_gradient_equals_finite_differences():
         pose, parameters = rng.normal(size=3), rng.normal(size=5)
         value, gradient = function(pose, np.zeros(2), np.zeros(2), np.zeros(4), parameters)
         assert float(value) == pytest.approx(float(symbolic(pose, parameters)))
-        slopes = differences(lambda moved, fixed=parameters: symbolic(moved, fixed), pose)
+        slopes = differences(lambda x, fixed=parameters: symbolic(x, fixed), pose)
         assert gradient.full()[:1, :3] == pytest.approx(slopes, abs=1e-8)
 
 

@@ -80,12 +80,12 @@ def test_pickles_and_foreign_files_in_place_of_weights_are_refused(tmp_path):
 
 
 def test_small_files_of_large_content_are_refused_without_memory(tmp_path):
-    good = NETWORK.with_suffix(".npz").read_bytes()
+    valid = NETWORK.with_suffix(".npz").read_bytes()
     encrypted = re.sub(rb"(PK\x01\x02.{4})..", lambda match: match[1] + b"\1\0", archive(), flags=re.DOTALL)
     bombs = [
-        *((good, {key: 10**9}, "architecture") for key in ("window", "units")),
+        *((valid, {key: 10**9}, "architecture") for key in ("window", "units")),
         (archive(dense=array((10_000_000,), bytes(80_000_000))), {}, "unpacks to"),
-        (good + bytes(1_000_000), {}, "larger than"),
+        (valid + bytes(1_000_000), {}, "larger than"),
         (archive(dense=array((10**12,))), {}, "shape"),
         (archive(dense=array((30, 32), kind="|O")), {}, "object"),
         (archive(dense=b"\x93NUMPY\1\0\xff\x1f" + b"(" * 0x1FFF), {}, "weights"),

@@ -118,7 +118,7 @@ def artificial_errors(count, seed):
     return np.abs(scale * np.cumsum(rng.normal(size=(count, 300)), axis=1) / np.sqrt(np.arange(300) + 1.0))
 
 
-def test_tube_contains_the_stated_share_of_other_drives():
+def test_tube_contains_the_stated_fraction_of_held_out_drives():
     width = tube(artificial_errors(200, 1), 0.02)
     coverage = (artificial_errors(2000, 2) <= width.everywhere).all(axis=1).mean()
     assert 0.92 < coverage < 0.98

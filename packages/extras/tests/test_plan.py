@@ -140,10 +140,10 @@ def inputs_of(costs, commands, minimise="energy"):
     return Inputs(commands, twists, rates_of(costs, minimise, commands, twists), np.abs(twists[:, 2]) < 1e-9)
 
 
-def ends_of(inputs, words, poses):
-    ends = poses[words.start]
+def ends_of(inputs, paths, poses):
+    ends = poses[paths.start]
     for piece in range(3):
-        ends = move_poses(ends, inputs.displacements(words.inputs[:, piece], words.times[:, piece]))
+        ends = move_poses(ends, inputs.displacements(paths.inputs[:, piece], paths.times[:, piece]))
     return ends
 
 
@@ -161,13 +161,13 @@ def test_paths_of_three_pieces_end_at_the_goal():
     rng = np.random.default_rng(1)
     poses, goal = rng.uniform(-4, 4, (5, 3)), np.array([2.0, 1.0, 0.5])
     subset = inputs.select(np.array([0, 1, 2, 9, 10, 23, 24, 30, 31]))
-    for words in (arc_straight_arc(subset, poses, goal), arc_arc_arc(subset, poses, goal)):
-        assert len(words.costs) > 100
-        deviation = ends_of(subset, words, poses) - goal
+    for paths in (arc_straight_arc(subset, poses, goal), arc_arc_arc(subset, poses, goal)):
+        assert len(paths.costs) > 100
+        deviation = ends_of(subset, paths, poses) - goal
         deviation[:, 2] = np.sin(0.5 * deviation[:, 2])
         assert np.abs(deviation).max() < 1e-7
-    words = arc_straight(subset, poses, goal[:2])
-    assert np.abs(ends_of(subset, words, poses)[:, :2] - goal[:2]).max() < 1e-9
+    paths = arc_straight(subset, poses, goal[:2])
+    assert np.abs(ends_of(subset, paths, poses)[:, :2] - goal[:2]).max() < 1e-9
 
 
 @pytest.mark.parametrize("slip", [SlipCoefficients(), SYMMETRIC], ids=["no slip", "slip"])
@@ -178,12 +178,12 @@ def test_best_commanded_radius_on_dry_friction_is_half_the_track(goal, slip):
     radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF])
     commands = [[SPEED, 0.0], *([SPEED, side * SPEED / radius] for radius in radii for side in (1, -1))]
     inputs = inputs_of(costs, commands)
-    words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
-    best = np.argmin(words.costs)
-    for index in words.inputs[best, [0, 2]]:
+    paths = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
+    best = np.argmin(paths.costs)
+    for index in paths.inputs[best, [0, 2]]:
         assert abs(inputs.commands[index, 0] / inputs.commands[index, 1]) == pytest.approx(HALF)
     result = search_plan(costs, goal, "energy")
-    assert result.cost <= words.costs[best] * 1.0001
+    assert result.cost <= paths.costs[best] * 1.0001
     arcs = [piece for piece in result.pieces if abs(piece.omega) > 0.05]
     assert arcs and all(abs(piece.radius) == pytest.approx(HALF) for piece in arcs)
 
@@ -205,8 +205,8 @@ def test_bound_does_not_exceed_the_remaining_cost(goal, minimise):
     costs = load_turn_costs("fsu_bot-grippy")
     inputs = make_inputs(costs, minimise, SPEED, SETTINGS, reverse=False, spot=False)
     search = PlanSearch(inputs, ORIGIN, np.array(goal), NO_VIA, SETTINGS.search, None)
-    words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
-    assert search.bound_from(ORIGIN) <= words.costs.min() * (1 + 1e-9)
+    paths = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
+    assert search.bound_from(ORIGIN) <= paths.costs.min() * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("name", ["slippery", "default", "carpet", "grippy"])

@@ -119,10 +119,10 @@ def test_incomplete_lap_is_not_used_for_learning():
     for _ in range(2):
         lap(learning)
     lap(learning, seconds=1.0)
-    before = learning.feature("rehearsal").learned.correction.copy()
+    original = learning.feature("rehearsal").learned.correction.copy()
     _, results = lap(learning)
     assert "it is incomplete" in results[0].message
-    assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
+    assert np.array_equal(learning.feature("rehearsal").learned.correction, original)
 
 
 def test_lap_without_poses_is_not_used_for_learning():
@@ -291,7 +291,7 @@ def test_planned_motion_without_lateral_slip_is_the_reference(v, omega, turn, ga
     assert motion.distance.max() < 5e-4
 
 
-def test_planned_motion_keeps_the_minimum_turn_radius():
+def test_planned_motion_satisfies_the_minimum_turn_radius():
     radius = 1.0
     wide = lay_segments(
         [Segment(v=0.5, omega=0.0, duration=1.0), Segment(v=0.5, omega=0.4, duration=2.0)],

@@ -165,7 +165,7 @@ def test_invalid_messages_do_not_affect_driving_while_valid_messages_arrive(capf
             ),
         )
         refusals = {topic_input.name: set() for topic_input, *_ in topics}
-        queues = {topic_input.name: list(bad.values()) for topic_input, _, _, bad in topics}
+        queues = {topic_input.name: list(cases.values()) for topic_input, _, _, cases in topics}
 
         def send(publisher, message, topic_input, count):
             previous = getattr(topic_input, count)
@@ -191,7 +191,7 @@ def test_invalid_messages_do_not_affect_driving_while_valid_messages_arrive(capf
         assert drive(80, with_valid=True).mode == Mode.TRACKING
         assert base.commands[-1][0] > 0.1
         assert {name: len(patterns) for name, patterns in refusals.items()} == {
-            topic_input.name: len({pattern for _, pattern in bad.values()}) for topic_input, _, _, bad in topics
+            topic_input.name: len({pattern for _, pattern in cases.values()}) for topic_input, _, _, cases in topics
         }
         max_warnings = 1 + (time.monotonic() - start) / 5.0
         output = capfd.readouterr().err

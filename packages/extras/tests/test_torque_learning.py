@@ -148,7 +148,7 @@ def test_torques_have_the_symmetries_of_left_right_forward_and_backward_turns():
     left, right = curves.torques([[0.4, 0.4]])[0], curves.torques([[0.4, -0.4]])[0]
     assert left.tolist() == right[::-1].tolist()
     assert left[1] > 0 > left[0]
-    # In a backward counter-clockwise turn the left wheels are the outer ones and turn backward.
+    # In a backward counter-clockwise turn, the left wheels are the outer wheels and turn backward.
     backward = curves.torques([[-0.4, 0.4]])[0]
     assert backward.tolist() == [-left[1], -left[0]]
     spot_turn = curves.torques([[0.0, 0.5]])[0]

@@ -93,7 +93,7 @@ def test_run_file_may_name_files_of_a_trusted_folder(untrusted, tmp_path):
 def test_yaml_tags_do_not_create_objects(command, tmp_path):
     (tmp_path / "file.yaml").write_text(f"name: !!python/object/apply:os.mkdir ['{tmp_path}/marker']\n")
     paths = {"FILE": tmp_path / "file.yaml", "OUT": tmp_path / "out"}
-    code, output, _ = call(*(paths.get(word, word) for word in command.split()))
+    code, output, _ = call(*(paths.get(argument, argument) for argument in command.split()))
     assert code == 2 and output.startswith("error: "), output
     assert not (tmp_path / "marker").exists()
 
@@ -155,7 +155,7 @@ def test_untrusted_files_of_a_log_are_neither_opened_nor_run(name, run, untruste
     log = write_mcap(run, tmp_path / "log.mcap", config, model)
     code, output, files = call("log", "replay", log)
     assert code == 2 and f"--trust-terms {untrusted}" in output
-    # A configuration of the user replaces that of the log.
+    # A configuration of the user replaces the configuration in the log.
     code, output, files_with_model = call("log", "replay", log, "--model", "ssm")
     assert code == 0, output
     assert not [path for path in files + files_with_model if untrusted in path.parents]

@@ -114,8 +114,8 @@ def test_c_formulas_equal_those_of_the_plant() -> None:
     assert wheels.full().ravel() == pytest.approx(slip.turned(*output), abs=1e-15)
     v, lateral, omega = slip.body(output)
     expected = integrate_pose(pose, v, omega, 0.02, -lateral / (v * omega))
-    moved = pose_function(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
-    assert moved == pytest.approx(expected, abs=1e-15)
+    end_pose = pose_function(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
+    assert end_pose == pytest.approx(expected, abs=1e-15)
 
 
 def test_missing_compiler_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_saved_files_reproduce_the_error_of_the_page_in_simulate(page_file: Path
                     download.value.save_as(folder / download.value.suggested_filename)
             command = page.locator("#command").inner_text()
             assert f"# {command}" in (folder / "lab.yaml").read_text()
-            arguments = [str(folder / word) if (folder / word).exists() else word for word in shlex.split(command)[1:]]
+            arguments = [str(folder / name) if (folder / name).exists() else name for name in shlex.split(command)[1:]]
             output = invoke(app, *arguments).stdout
             assert f"position RMSE {1000 * rms:.1f} mm" in output
 

@@ -28,8 +28,8 @@ class OracleJudge:
         if not violated:
             self.violated.pop(name, None)
             return
-        since = self.violated.setdefault(name, self.now)
-        if self.now - since >= lasting - 1e-9:
+        start = self.violated.setdefault(name, self.now)
+        if self.now - start >= lasting - 1e-9:
             if self.stopped is None:
                 self.stopped = (self.now, {name})
             elif self.stopped[0] == self.now:
@@ -163,7 +163,7 @@ class OracleJudge:
 
     def _compute_place(self):
         r = self.rules.agreement
-        place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
+        pose, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
             return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
         motion = self.integrated([event[1][0] for event in self.events])
@@ -173,9 +173,9 @@ class OracleJudge:
                 dt = min(row[0] - newest[0], 1.0) if newest is not None else 0.0
                 unexplained = unexplained * (1.0 - dt / (r.window + dt))
                 self.driven += abs(row[1]) * dt - dt / (r.window + dt) * self.driven
-                if place is not None:
-                    middle = place[2] + 0.5 * row[6] * dt
-                    place = place + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
+                if pose is not None:
+                    middle = pose[2] + 0.5 * row[6] * dt
+                    pose = pose + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
                 newest = row
                 continue
             current = np.array(row[1:4])
@@ -186,13 +186,13 @@ class OracleJudge:
                 current = current + [displacement.real, displacement.imag, latest[2] - prev[2]]
             pose_times = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
             dt = min(row[0] - pose_times[-1], 1.0) if pose_times else 0.0
-            place = current.copy() if place is None else place
-            error = current - place
+            pose = current.copy() if pose is None else pose
+            error = current - pose
             error[2] = wrap_angle(error[2])
             self.pending = unexplained + error
-            place = place + dt / (r.blend + dt) * error
+            pose = pose + dt / (r.blend + dt) * error
             unexplained = unexplained + dt / (r.blend + dt) * error
-        return place, unexplained
+        return pose, unexplained
 
     def _compare_poses(self):
         r = self.rules.agreement
@@ -293,17 +293,17 @@ class OracleJudge:
         fraction = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
         distance = np.linalg.norm(pose[:2] - a[:, :2] - fraction[:, None] * along, axis=1)
         angle = np.abs(wrap_angle(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
-        near = distance <= close
-        return distance.min(), max(angle[near].min(), 0.0) if near.any() else 0.0
+        is_near = distance <= close
+        return distance.min(), max(angle[is_near].min(), 0.0) if is_near.any() else 0.0
 
-    def _path(self, output, moved):
+    def _path(self, output, moves):
         r, back, now = self.rules.path, self.rules.returning, self.now
-        self.judge("no_reference", moved and self.path is None, r.grace)
-        place, unexplained = self._place()
-        bound = self.path is not None and place is not None and (moved or (self.report is not None and self.report[1]))
+        self.judge("no_reference", moves and self.path is None, r.grace)
+        pose, unexplained = self._place()
+        bound = self.path is not None and pose is not None and (moves or (self.report is not None and self.report[1]))
         is_off_section = is_far = heading = False
         if bound:
-            distance, heading_error = self.away(place, now - r.late, now + r.early, r.distance)
+            distance, heading_error = self.away(pose, now - r.late, now + r.early, r.distance)
             unexplained = np.hypot(*unexplained[:2])
             is_blocked = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
             if distance > r.distance:
@@ -322,8 +322,8 @@ class OracleJudge:
             time = r.reaction + abs(v) / (2 * self.rules.commands.v_braking)
             gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
             rate = gyro if gyro is not None else self.odometry[-1][2] if self.odometry else 0.0
-            middle = place[2] + 0.5 * rate * time
-            predicted = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
+            middle = pose[2] + 0.5 * rate * time
+            predicted = pose + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
             late, early = (back.late, back.early) if self.returning else (r.late, r.early)
             stop_distance, _ = self.away(predicted, now - late, now + time + early, np.inf)
             is_far = stop_distance > (back.distance if self.returning else r.far + unexplained)

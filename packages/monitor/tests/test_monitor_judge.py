@@ -114,7 +114,7 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
     for _ in range(250):
         for part in range(5 if defect == "not finite" else 1):
             send(part)
-        # `has_no_odometry` disables both sensors; send the one that is not under test.
+        # `has_no_odometry` disables both sensors; send valid readings of the other sensor.
         if sensor == "gyro":
             robot.judge.odometry(robot.now, robot.now, robot.twist.tolist(), robot.state.tolist())
         if sensor == "odometry":
