@@ -1,8 +1,8 @@
 """Mutation score of the core: change the product, and list the changes that no test detects.
 
 A seed draws mutants from the files in `tests/mutants.yaml`: one sign, comparison, constant, index, field, negation or
-extremum differs. Each is applied to a copy of the tree, in which the tests of its file run. A failed test, a crash and
-a time-out kill it. Mutants that compile to the same code are skipped.
+extremum differs. Each is applied to a copy of the tree, in which the tests of its file run. A failed test, a crash or
+a time-out kills the mutant. Mutants that compile to the same code are skipped.
 """
 
 import argparse

@@ -76,7 +76,7 @@ def test_interrupted_loop_example_sends_zero_last(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        # In background test runs the signal is ignored, and children inherit that.
+        # In background test runs the signal is ignored, and child processes inherit this setting.
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - the child has no threads
     ) as process:
         assert process.stdout is not None

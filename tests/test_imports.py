@@ -1,4 +1,4 @@
-"""Imports: a command or robot loads only the modules that it needs, and a step loads none."""
+"""Imports: a command or robot loads only necessary modules, and a step loads no module."""
 
 import subprocess
 import sys
@@ -78,7 +78,7 @@ def test_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_dia
     assert not [name for name in modules if name.removeprefix("diffdrive_mpc.").startswith(folders)]
 
 
-def test_robot_needs_neither_mujoco_nor_matplotlib():
+def test_robot_runs_without_mujoco_and_matplotlib():
     blocked = f"import sys; sys.modules.update(dict.fromkeys({sorted(REPORTS | {'mujoco', 'rclpy', 'rich'})}))\n"
     drive = "from diffdrive_mpc import make_plant, simulate, load_trajectory, Controller, load_config\n"
     drive += "run = simulate(Controller(load_config('ssm')), make_plant('model:ssm'), load_trajectory('circle'))\n"

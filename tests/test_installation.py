@@ -15,7 +15,7 @@ from studies.speed.process.environment import REQUIREMENTS
 ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-# Every Debian has these commands, though the path of the tests may not contain them.
+# Every Debian system has these commands, but the path of the tests may not contain their folders.
 SHELL = {"capture_output": True, "text": True, "env": {"PATH": os.defpath}}
 PYTHONS = [f"3.{minor}" for minor in (11, 12, 13, 14)]
 

@@ -157,7 +157,7 @@ def test_controller_folders_import_only_lower_layers_of_the_page():
 
 
 @pytest.mark.parametrize("package", sorted(path.name for path in (ROOT / "packages").iterdir()))
-def test_wheel_holds_every_file_of_its_package(package):
+def test_wheel_contains_every_file_of_its_package(package):
     folder = ROOT / "packages" / package
     patterns = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
     files = [path for path in (folder / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts]

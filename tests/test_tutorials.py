@@ -1,4 +1,4 @@
-"""Tutorials: their notebooks run and draw the figures of the pages."""
+"""Tutorials: notebooks run and draw the figures of their pages."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ TUTORIALS = sorted(FOLDER.glob("*.md"))
 
 @pytest.mark.system
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
+def test_notebook_draws_the_figures_of_its_page(page, tmp_path, monkeypatch):
     markdown = page.read_text(encoding="utf-8")
     notebook = notebook_text(markdown)
     assert '"outputs": []' in notebook

@@ -145,7 +145,7 @@ def _read_bag_folder(untrusted, folder):
 
 
 def _read_drive_log(untrusted, folder):
-    """Write a log of a drive whose configuration names code; replay with another configuration ignores it."""
+    """Write a log of a drive whose configuration names code; replay with another configuration ignores that code."""
     texts = [
         f"terms: [{{file: {untrusted}/term.py, function: run}}]",
         f"model: {untrusted}/model.yaml",
@@ -170,7 +170,7 @@ def _read_drive_log(untrusted, folder):
 
 
 def _read_ticks(untrusted, _):
-    """Read tick records of a node, as a bag may contain them."""
+    """Read tick records of a node; a bag may contain such records."""
     lines = [json.dumps({"format": 1, "py/object": "os.mkdir", "drive": f"{untrusted}/term.py"}), "[" * 100_000, "1"]
     for line in [*lines, pickle.dumps(Payload(untrusted)).decode("latin-1")]:
         for record_type in (TickRecord, DriveRecord):

@@ -81,7 +81,7 @@ def test_configuration_drives_the_plant(identified_robot, logs):
     loaded = load_config(config)
     assert loaded.sample_time == 0.0202
     assert loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
-    # The square turns on the spot at 1.0 rad/s and drives at 0.5 m/s; corrections slightly exceed this.
+    # The square turns on the spot at 1.0 rad/s and drives at 0.5 m/s; corrections slightly exceed these values.
     assert 0.5 <= loaded.limits.v < 0.7
     assert 1.0 <= loaded.limits.omega < 1.5
     start, truth = loaded.estimator, load_surface("default").slip.side_slip

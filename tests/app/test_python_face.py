@@ -63,7 +63,7 @@ def test_keywords_replace_values_of_the_configuration():
     assert (config.horizon, config.weights.across) == (20, 200.0)
 
 
-def test_start_at_speed_is_warned_of_and_a_start_from_rest_is_not(controller):
+def test_start_at_speed_gives_a_warning_and_a_start_from_rest_gives_none(controller):
     t = np.linspace(0.0, 0.5, 30)
     with pytest.warns(UserWarning, match="reference 'arrays': infeasible from 0.13 s .* it falls 0.16 m behind"):
         simulate(controller, PLANT, Trajectory.from_arrays(t, 0.85 * t, 0 * t))

@@ -44,7 +44,7 @@ def min_lateral_error(step: float) -> float:
 
 @pytest.mark.parametrize("path", STEPS)
 @pytest.mark.parametrize("model", ["mbm", "sm", "ssm"])
-def test_drive_without_stops_stays_near_the_geometric_minimum_error(path, model):
+def test_error_of_a_drive_without_stops_is_near_the_geometric_minimum(path, model):
     run = run_case(Case(model=model, trajectory=path, timing="commanded", seed=60))
     bound = min_lateral_error(STEPS[path])
     assert run.metrics.completed

@@ -57,5 +57,5 @@ def test_every_finite_number_is_read_exactly(numbers: list[float]) -> None:
     assert parse_setting("key=" + ",".join(repr(number) for number in numbers))[1] == numbers
 
 
-def test_single_run_takes_one_value_for_each_key() -> None:
+def test_single_run_has_one_value_for_each_key() -> None:
     assert single_settings(["horizon=5", "weights.along=2"]) == (("horizon", 5), ("weights.along", 2))

@@ -57,7 +57,7 @@ def test_killed_process_raises_error_with_a_remedy(monkeypatch: pytest.MonkeyPat
     assert not (tmp_path / "out").exists()
 
 
-def test_interruption_ends_the_processes_at_once() -> None:
+def test_interruption_ends_the_processes_immediately() -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt
 

@@ -90,7 +90,7 @@ def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"switches": 1}, False),
         ({"processor": 0.9e-3}, False),  # another process or the host used the core
         ({"processor": 0.985e-3}, True),  # reading clocks
-        ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
+        ({"pace": 1.2e-5}, False),  # a throttled or shared core
     ],
 )
 def test_block_is_disturbed_by_switches_lost_time_or_a_slow_pace(changes: dict[str, float], undisturbed: bool) -> None:

@@ -335,7 +335,7 @@ def rows(select):
 
 
 def simulated(**options):
-    """Simulate a different robot, or a different drive of it."""
+    """Simulate a different robot, or a different drive of the same robot."""
     return lambda columns, base: robot(**options)
 
 

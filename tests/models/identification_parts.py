@@ -63,7 +63,7 @@ def differences(function, point, step=1e-6):
 
 
 def check_written(result, folder, tolerance, structure=None):
-    """Check that an identification's files give its model and a controller that drives with it; return the model."""
+    """Check that the files of an identification contain its model and define a controller; return the model."""
     result.write(folder)
     model, config = load_model(folder / "model.yaml"), load_config(folder / "config.yaml")
     commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)

@@ -193,7 +193,7 @@ UNDETECTED = {"asphalt: command +0.3 s"}
 
 
 def diagnose(case, folder):
-    """Return the findings on the logs of a case, or the message that refuses them."""
+    """Return the findings for the logs of a case, or the message of the error if the logs are refused."""
     try:
         paths, mapping = logs_of(case, folder)
         logs = [read_log(path, mapping) for path in paths]

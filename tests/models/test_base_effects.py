@@ -292,7 +292,7 @@ FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_
     [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
     ids=["clips, gyro", "clips, track", "top speed, track"],
 )
-def test_effects_never_worsen_the_prediction_of_held_out_rows(effects, clip, gyro, track):
+def test_effects_do_not_worsen_the_prediction_of_held_out_rows(effects, clip, gyro, track):
     """test_logs_real.py checks this on logs of real robots, in all combinations."""
     record = record_of(effects, 9, 120.0, clip=clip)
     record = record if gyro else replace(record, yaw_rate=None, fresh_yaw_rate=None)
@@ -340,7 +340,7 @@ def test_response_without_effects_equals_the_linear_model():
     np.testing.assert_array_equal(response.wheels, response.body)
 
 
-def test_settled_start_stays_settled():
+def test_response_from_a_settled_start_is_constant():
     model, command = load_model("sm"), np.array([0.4, -0.7])
     effects = BaseEffects(twist_slew=TwistSlew(v=1, omega=1), yaw_relaxation=YawRelaxation(angle=0.03))
     response = respond(model, effects, np.tile(command, (50, 1)), DT, start=command)

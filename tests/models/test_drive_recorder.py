@@ -76,7 +76,7 @@ def test_existing_file_is_not_replaced(tmp_path):
     assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
-def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
+def test_full_disk_ends_the_recording_and_preserves_the_written_part(tmp_path):
     with file_size_limit(300_000):
         recorder = recorder_in(tmp_path)
     k, deadline = 0, time.monotonic() + TIMEOUT

@@ -104,7 +104,7 @@ def test_coloured_noise_has_fewer_effective_samples():
     assert effective_samples([coloured])[0] == pytest.approx(20000 / 9, rel=0.2)
     # 302 cosines estimate a variance within 8 %.
     assert effective_samples([white])[0] > 16000
-    # Readings in every third row count as much as without the rows between them.
+    # Rows without readings between the readings do not change the result.
     thirds = np.zeros((60000, 1))
     thirds[::3] = coloured
     assert long_run_covariance([thirds[:21000], thirds[21000:]])[0] == pytest.approx(long_run_covariance([coloured])[0])
@@ -146,7 +146,7 @@ def test_ssm_recovers_the_published_model():
 
 @pytest.fixture(scope="module")
 def models_by_order():
-    """A drive of the published SSM, and models of orders 1 to 4 identified from it."""
+    """Drive of the published SSM, and models of orders 1 to 4 identified from this drive."""
     drive = noisy_drive(published_ssm(), 15, count=1000)
     return drive, identify_ssm_orders([drive], 4, limits=False)
 

@@ -39,7 +39,7 @@ def records_are_equal(first, second):
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("command", ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"])
 @pytest.mark.parametrize("pose", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"])
-def test_bag_gives_the_same_record_as_the_csv_of_the_same_drive(tmp_path, storage, command, pose):
+def test_record_of_a_bag_equals_that_of_a_csv_log(tmp_path, storage, command, pose):
     """Times are the stamps, not the times of receipt; the pose of the odometry is not used."""
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS, command, pose), storage)
     log = read_log(bag, write_mapping(tmp_path / "topics.yaml", TOPICS))
@@ -404,7 +404,7 @@ def test_unpacked_data_equal_the_original_data() -> None:
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3", "pipe.bag", "bag/metadata.yaml", "bag/bag.mcap"])
-def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
+def test_pipes_are_refused_without_opening(tmp_path: Path, name: str) -> None:
     """Opening a pipe would block forever, because no process writes to it."""
     pipe = tmp_path / name
     pipe.parent.mkdir(exist_ok=True)

@@ -106,7 +106,7 @@ columns:
 
 @pytest.mark.parametrize(("period", "quantum"), [(1, 0.2), (2, 0.2), (4, 0.2), (5, 0.02)])
 def test_each_held_reading_is_fresh_even_if_its_value_repeats(tmp_path, period, quantum):
-    """At constant speed, quantised readings repeat for seconds; `held` preserves all of them."""
+    """At constant speed, quantised readings repeat for seconds; `held` preserves all readings."""
     columns = dict(COLUMNS)
     rows = np.arange(len(COLUMNS["t"])) // period * period
     for name in ("v", "omega_wheels"):

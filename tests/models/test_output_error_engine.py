@@ -211,6 +211,6 @@ def normalised_error(seed, drift, count=4000):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])
-def test_intervals_hold_for_a_constant_and_for_a_drifting_gain(drift):
+def test_intervals_have_the_stated_coverage_for_constant_and_drifting_gain(drift):
     coverage = np.mean([abs(normalised_error(seed, drift)) < 1.96 for seed in range(300)])
     assert 0.92 < coverage < 0.98

@@ -141,7 +141,7 @@ def test_each_law_is_recovered(law, truth):
     assert np.all(noisy.standard_deviation > 0)
 
 
-def test_polynomial_absorbs_the_lever_arm():
+def test_polynomial_includes_the_lever_arm():
     """A point ahead of the centre moves sideways with the yaw rate, a point to its left moves back."""
     law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
     result = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters

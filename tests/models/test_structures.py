@@ -172,7 +172,7 @@ def test_transfer_functions_agree_to_the_rounding_of_the_matrices():
     assert (np.abs(denominator - PUBLISHED_DENOMINATOR)[1:] <= (den_bound + [0, 0.005, 0.005])[1:]).all()
 
 
-def test_rounding_bounds_reveal_a_sign_error():
+def test_rounding_bounds_detect_a_sign_error():
     model = load_model("ssm")
     A = model.A.copy()
     A[1, 0] = -A[1, 0]
@@ -252,7 +252,7 @@ def test_side_by_side_channels_equal_those_appended_by_control():
 
 
 @given(dead_times)
-def test_settled_robot_stays_settled(dead_time):
+def test_response_of_a_settled_robot_is_constant(dead_time):
     discrete = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
     command = np.array([0.6, -0.4])
     past = np.tile(command, (discrete.memory, 1))

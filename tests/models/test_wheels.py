@@ -21,7 +21,7 @@ def test_twist_is_recovered_from_the_wheel_speeds(twist):
 
 
 @given(twists)
-def test_pulses_per_second_follow_the_equation_of_the_paper(twist):
+def test_pulses_per_second_equal_the_equation_of_the_paper(twist):
     v, omega = twist
     factor = ROBOT.encoder_pulses / (2 * np.pi * ROBOT.wheel_radius)
     left, right = factor * (v - omega * ROBOT.track / 2), factor * (v + omega * ROBOT.track / 2)

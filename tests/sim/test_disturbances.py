@@ -79,7 +79,7 @@ def test_start_offset_is_relative_to_the_start_of_the_reference(name: str) -> No
 @pytest.mark.parametrize(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
-def test_drop_out_empties_only_its_fields(name: str, sensor: str, fields: set[str]) -> None:
+def test_drop_out_removes_only_the_readings_of_its_sensor(name: str, sensor: str, fields: set[str]) -> None:
     plant = _disturbed_plant(name, drop_outs=[{"sensor": sensor, "start": 0.2, "duration": 0.3}])
     for _ in range(40):
         time, measurement = plant.time, plant.measure()
@@ -264,7 +264,7 @@ def test_patch_starts_and_ends_at_its_position() -> None:
     assert np.interp([enter, leave], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
 
 
-def test_ice_on_one_side_lets_only_that_side_slip() -> None:
+def test_only_the_side_on_ice_slips() -> None:
     """A robot that accelerates hard with one side on ice turns towards the ice."""
     turns = {}
     for side in ("left", "right", "both"):

@@ -1,4 +1,4 @@
-"""Link, firmware, speed observer, velocity loops and motors, each tested alone."""
+"""Unit tests of link, firmware, speed observer, velocity loops and motors."""
 
 import numpy as np
 import pytest
@@ -159,7 +159,7 @@ def test_outer_motors_drive_and_inner_motors_brake() -> None:
     assert (drive.motor_square >= drive.motor_torque**2 - 1e-12).all()
 
 
-def test_straight_drive_needs_the_torque_of_the_drag() -> None:
+def test_torque_of_a_straight_drive_equals_the_drag() -> None:
     build = load_simulated_robot("fsu_bot")
     drive = drive_open_loop(make_built_plant(build, 0.8), np.tile([0.4, 0.0], (300, 1)))
     assert drive.motor_torque[200:].mean(axis=0) == pytest.approx(build.twin.chassis.wheel_drag, rel=0.05)

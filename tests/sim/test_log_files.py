@@ -1,4 +1,4 @@
-"""Logs of runs as MCAP and CSV: every value is read back."""
+"""Logs of runs as MCAP and CSV: read values equal the written values."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def is_equal(first, second):
     return np.array_equal(first, second) if first.dtype == object else np.array_equal(first, second, equal_nan=True)
 
 
-def test_mcap_library_reads_every_column_back_bit_for_bit(run, file):
+def test_mcap_library_reads_every_column_bit_for_bit(run, file):
     rows = [json.loads(message.data) for topic, *_, message in messages(file) if topic == STATE]
     for name, column in run.columns.items():
         missing = "" if column.dtype == object else np.nan

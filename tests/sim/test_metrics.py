@@ -196,7 +196,7 @@ def test_every_mode_of_the_controller_is_classified() -> None:
     assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
-def test_only_a_run_that_ends_tracking_at_the_end_of_its_reference_is_completed() -> None:
+def test_run_is_completed_if_it_ends_in_tracking_at_the_end_of_the_reference() -> None:
     for mode in ("BRAKING", "STOPPED"):
         assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
     pose = LINE.sample(SECOND).pose

@@ -202,7 +202,7 @@ def test_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
 
 
 @given(st.integers(0, 2**31 * SECOND - 1))
-def test_times_keep_every_nanosecond(now):
+def test_times_are_exact_to_the_nanosecond(now):
     assert messages.nanoseconds(messages.time_message(now)) == now
 
 

@@ -1,4 +1,4 @@
-"""The reproduction of the papers: a short run of its command, and the tables of its page."""
+"""Reproduction of the papers: a short run of the command, and the tables of its page."""
 
 import re
 from pathlib import Path

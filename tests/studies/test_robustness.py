@@ -1,4 +1,4 @@
-"""The robustness study: conditions that can be run, ratios and tables of artificial rows, and a small real study."""
+"""Robustness study: conditions that can be run, and sensor faults that must not be reported."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The speed study: its measured times, the cost of its closed loops, its report, and runs of it."""
+"""Speed study: cost of closed loops."""
 
 from types import SimpleNamespace
 
@@ -44,7 +44,7 @@ def test_cost_of_an_error_is_half_its_weighted_square():
     assert cost(turn=0.1 + 2 * np.pi) == pytest.approx(w.heading * 0.1**2 / 2)
 
 
-def test_exceeded_soft_limit_costs_its_exact_and_quadratic_penalty():
+def test_exceeded_soft_limit_costs_the_exact_and_quadratic_penalty():
     w, limits = CONFIG.weights, CONFIG.limits
     excess = 0.1
     expected = w.soft * excess + w.soft_quadratic * excess**2 / 2

@@ -1,4 +1,4 @@
-"""The tracking study: parts of the error, and a small run of the command."""
+"""Tracking study: parts of the error, and a small run of the command."""
 
 import json
 from pathlib import Path

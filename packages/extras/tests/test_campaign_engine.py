@@ -163,7 +163,7 @@ def test_error_of_a_run_is_in_its_row(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_factor_replaces_only_its_own_value_in_the_robot_file(tmp_path: Path) -> None:
-    """Use a robot file with sensors and friction, as `twin` writes it; pose latency must not change its gyro."""
+    """Use a robot file with sensors and friction like a file of `twin`; pose latency must not change the gyro."""
     surface = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(surface), encoding="utf-8")

@@ -195,7 +195,7 @@ def test_active_slope_limits_are_identified_within_their_uncertainty():
     assert finding.estimate.deviation("v.gain") < 0.02
 
 
-def test_parameters_undetermined_by_a_log_keep_their_prior():
+def test_parameters_undetermined_by_a_log_have_their_prior_value():
     """Use a log without active slope limits and without changes of direction."""
     finding = identify_example(UNLIMITED, backwards=False)
     undetermined = {"quicker", "slower", "threshold", "threshold_by_slope"}

@@ -55,7 +55,7 @@ def test_infeasible_slip_excitation_raises_value_error(arguments, message):
         slip_excitation(*arguments)
 
 
-def test_command_writes_the_slip_trajectory_and_prints_the_correlation_of_its_terms(tmp_path):
+def test_command_writes_the_slip_trajectory_and_prints_the_maximum_correlation(tmp_path):
     path = tmp_path / "slip.yaml"
     result = invoke(app, "excite", "--for", "slip", "--side", "5", "--out", path)
     assert "Maximum correlation of the terms v, omega and v omega: 0." in result.output
@@ -94,7 +94,7 @@ def test_all_members_of_a_family_stay_inside_room_and_limits(family, seed, lengt
     assert (np.abs(path_of(twists, TICK)[:, :2]) <= room.reach + 1e-6).all()
 
 
-def test_search_beats_random_drives_and_is_reproducible(monkeypatch):
+def test_search_exceeds_random_drives_and_is_reproducible(monkeypatch):
     short = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
     room = Room(4.0, 3.0)

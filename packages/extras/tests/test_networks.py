@@ -114,7 +114,7 @@ def test_files_restore_the_network_and_are_reproducible(tmp_path):
     assert (tmp_path / "first.npz").read_bytes() == (tmp_path / "second.npz").read_bytes()
     loaded = load_model(tmp_path / "first.yaml")
     windows = np.random.default_rng(4).normal(size=(5, 20, 2))
-    # The file stores weights in single precision, as the training computes them.
+    # The file stores weights in single precision, like the training.
     assert loaded.network(windows) == pytest.approx(network(windows), abs=1e-5)
     assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "first.yaml") == load_base_effects("ssm")

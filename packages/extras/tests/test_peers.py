@@ -150,7 +150,7 @@ def test_kanayama_controller_agrees_with_the_law_of_the_paper() -> None:
     assert command == pytest.approx([v, omega], abs=1e-9)
 
 
-def test_commands_stay_inside_limits_and_slew() -> None:
+def test_commands_satisfy_limits_and_slew() -> None:
     robot = load_robot()
     run = simulate(KanayamaController(), DisplacedUnicycle([-3.0, 2.0, 2.5]), Arc())
     assert np.abs(run.command[:, 0]).max() <= robot.limits.v
@@ -172,7 +172,7 @@ def test_delayed_pose_is_compared_with_the_reference_at_its_stamp() -> None:
     assert step.command == pytest.approx([0.5, 0.3], abs=1e-9)
 
 
-def test_missing_or_nan_pose_keeps_the_last_error() -> None:
+def test_missing_or_nan_pose_does_not_change_the_error() -> None:
     arc = Arc()
     controller = KanayamaController()
     controller.start(arc, 0.0)

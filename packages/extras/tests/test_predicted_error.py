@@ -108,7 +108,7 @@ def test_delay_above_the_calibrated_range_gives_a_warning(controller):
     assert predict_error(with_delay(controller, 0.2), path).warnings == ()
 
 
-def test_lag_below_the_calibrated_range_gives_the_tube_of_its_minimum(controller):
+def test_lag_below_the_calibrated_range_gives_the_tube_of_the_minimum_lag(controller):
     calibration, path = load_calibration(), make_path(amplitude=1.0)
     without_lag, with_min_lag = (
         predict_tubes(path, controller.config, np.array(lag), "drawn", calibration)

@@ -373,7 +373,7 @@ def test_estimate_starts_with_the_learned_slip_until_reset():
 
 
 def test_harmful_correction_is_discarded():
-    """Learn on a surface with a turning point behind the centre, and drive on one with a turning point ahead of it."""
+    """Learn with the turning point behind the centre, and drive with the turning point ahead of the centre."""
     controller = Controller(CONFIG)
     for _ in range(2):
         surface_lap(controller, "p4_concrete", CORNER)

@@ -19,7 +19,7 @@ def ground(mu=0.6, modulus=1e-3, inner=None, slip=None):
     return Terrain(description="test", shear=Shear(mu_outer=mu, mu_inner=inner or mu, modulus=modulus), slip=slip)
 
 
-def test_straight_path_needs_the_torque_of_drag_and_rolling_resistance():
+def test_torque_on_a_straight_path_equals_drag_and_rolling_resistance():
     heavy = CENTRED.model_copy(update={"rolling_coefficient": 0.02})
     torques = side_torques(heavy, ground(), np.inf, 0.4)
     expected = heavy.drag_torque + 0.02 * heavy.wheel_radius * heavy.weight / 2
@@ -27,7 +27,7 @@ def test_straight_path_needs_the_torque_of_drag_and_rolling_resistance():
     assert torques.inner == pytest.approx(expected, rel=1e-9)
 
 
-def test_torque_converges_to_that_of_a_straight_path_for_large_radii():
+def test_torque_converges_to_the_straight_path_torque_for_large_radii():
     turns = side_torques(BOT, VINYL, [1e3, 1e5, 1e7], 0.4)
     assert (np.diff(np.abs(turns.outer - BOT.drag_torque)) < 0).all()
     assert turns.outer[-1] == pytest.approx(BOT.drag_torque, abs=1e-4)

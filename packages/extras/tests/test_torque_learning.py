@@ -31,7 +31,7 @@ def settings_with_exponent(value):
     return SETTINGS.model_copy(update={"curves": SETTINGS.curves.model_copy(update={"speed_exponent": value})})
 
 
-def test_new_unit_compensates_the_error_of_its_sample():
+def test_new_unit_compensates_the_error_of_the_sample():
     learner = network(window=1, distance=(0.3, 0.3))
     error = learner.learn(2.0, 0.5)
     assert error == 0.5

@@ -56,7 +56,7 @@ def test_configuration_changes_only_if_the_report_seeds_confirm_it(tuned_folder:
     assert ("was 700" in (out / "config.yaml").read_text(encoding="utf-8")) == is_better
 
 
-def test_parameter_without_effect_keeps_the_start_configuration(tmp_path: Path) -> None:
+def test_parameter_without_effect_does_not_change_the_configuration(tmp_path: Path) -> None:
     config = tmp_path / "start.yaml"
     config.write_text("model: sm\nhorizon: 20\nestimator: {max_yaw_rate: 8.0}\n", encoding="utf-8")
     changes = {"parameters": {"estimator.max_yaw_rate": {"low": 7.0, "high": 20.0}}}

@@ -108,7 +108,7 @@ def test_walker_hitting_a_standing_robot_neither_pushes_it_nor_ends_the_run(tmp_
     poses = drive(plant, (0.0, 0.0), 200)
     (contact,) = plant.contacts
     assert contact.obstacle == "mover 0"
-    # The mover is at the robot's centre at 2 s; the contact starts and ends half a width and a radius away from it.
+    # The mover is at the centre at 2 s; the contact starts and ends at a distance of half the width plus the radius.
     assert contact.time == pytest.approx(2.0 - (WIDTH / 2 + 0.25), abs=0.02)
     assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02)
     assert contact.max_speed < 0.005
@@ -121,7 +121,7 @@ def test_obstacle_behind_a_wall_is_not_visible(tmp_path: Path) -> None:
     distances, bearings = cast_rays(np.zeros(3), shapes, sight)
     ahead = np.abs(bearings) < 0.4
     np.testing.assert_allclose(distances[ahead] * np.cos(bearings[ahead]), 0.95, atol=1e-9)
-    # The second post is outside the shadow of the wall: rays end on it.
+    # The second post is outside the shadow of the wall, so rays end on this post.
     to_post = np.hypot(*(distances[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) - [2.0, 1.9]).T)
     assert np.isclose(to_post, 0.2).sum() > 5
     hidden, visible = Mover(x=2.0, y=0.0), Mover(x=2.0, y=1.9)

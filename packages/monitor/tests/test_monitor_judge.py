@@ -83,7 +83,7 @@ def test_commands_of_a_valid_drive_are_unchanged(robot):
 
 
 @pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
-def test_non_finite_commands_never_reach_the_base(robot, v):
+def test_non_finite_commands_are_not_forwarded_to_the_base(robot, v):
     robot.drive(2.0)
     commands = robot.drive(1.0, (v, 0.0))
     assert robot.judge.verdict.rule == "not_finite"
@@ -123,7 +123,7 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
     assert robot.judge.verdict.rule == sensor
 
 
-def test_robot_brakes_at_the_braking_limits_and_stays_stopped(robot):
+def test_robot_brakes_at_the_braking_limits_and_remains_stopped(robot):
     robot.drive(2.0)
     commands = robot.drive(1.0, (1.6, 0.0))[:, 0]
     assert robot.judge.verdict.rule == "speed"
@@ -135,7 +135,7 @@ def test_robot_brakes_at_the_braking_limits_and_stays_stopped(robot):
     assert robot.judge.verdict.words == "a command is too fast: 1.6 m/s, the limit is 1.5 m/s"
 
 
-def test_robot_with_wrong_response_is_stopped_at_once(robot):
+def test_robot_with_wrong_response_is_stopped_without_a_ramp(robot):
     """A braking ramp would continue the wrong motion."""
     robot.drive(2.0)
     robot.ignores_commands = True
