@@ -59,7 +59,7 @@ _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")}
 }
-# Precedes the size of an array in its declaration: a larger size changes nothing, a smaller one is undefined behaviour.
+# Precedes the size of an array in its declaration: larger sizes have no effect, smaller sizes are undefined.
 _ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 

@@ -7,7 +7,7 @@ import pytest
 
 @contextmanager
 def one_line_error(error_type, *parts, match=None):
-    """Check that an error is raised whose message is one line with all words; yield pytest's exception info."""
+    """Check that an error with a one-line message that contains all `parts` is raised; yield the exception info."""
     with pytest.raises(error_type, match=match) as error:
         yield error
     message = str(error.value)

@@ -47,7 +47,7 @@ def test_tipped_robot_is_an_incomplete_run_and_the_bench_continues(tmp_path: Pat
     assert re.fullmatch(TIPPED, tipped["ended"])
     assert upright["ended"] is None
     assert 50 < tipped["steps"] < 100 < upright["steps"]
-    # On a busy machine so short a run may have no tick with undisturbed timing.
+    # On a busy machine, a short run may have no tick with undisturbed timing.
     timing_prefixes = ("step_time", "solve_time")
     undefined = {name for name, value in tipped.items() if value is None and not name.startswith(timing_prefixes)}
     assert undefined == {"recovery_time_s"}

@@ -58,7 +58,7 @@ def test_project_error_has_exit_code_1(error_type: type[Exception], monkeypatch:
 
 
 def test_grid_is_counted_before_it_is_listed() -> None:
-    """A grid of 10^12 combinations of four settings, and one of four dimensions."""
+    """Check a grid of 10^12 combinations of four settings, and a grid of four dimensions."""
     tracemalloc.start()
     values = ",".join(map(str, range(1, 1001)))
     with pytest.raises(ValueError, match="1,000,000,000,000 runs are requested, at most 100,000"):
@@ -72,7 +72,7 @@ def test_grid_is_counted_before_it_is_listed() -> None:
 
 
 def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) -> None:
-    """The mapping permits any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+    """The mapping permits any gap, so 5,000,000,300 samples would need 37 GiB for the first array."""
     log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
     rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
     rows += [(1e8 + t, v) for t, v in rows]

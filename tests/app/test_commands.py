@@ -25,7 +25,7 @@ def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
     assert lines[3].startswith("MISSING controller") and "RuntimeError: no core of any kind; report this" in lines[3]
 
 
-# Commands of packages, with test packages.
+# List of commands.
 
 
 @pytest.mark.parametrize("group", [(), ("config",), ("models",), ("log",)])

@@ -90,7 +90,7 @@ def test_sliding_robot_has_larger_error_bounds_and_needs_care(identification):
 
 
 def clipped_stand_ins(identification, share):
-    """Return the robot itself, with omega clipped to a share of the configured limit."""
+    """Return the robot itself, with omega clipped to a fraction of the configured limit."""
     limit = share * identification.config["limits"]["omega"]
     return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 

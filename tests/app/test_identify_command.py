@@ -51,7 +51,7 @@ def test_report_has_the_agreed_keys(identified_robot):
     assert all(set(e) == {"horizon_s", "position_rmse_m", "heading_rmse_rad"} for e in report["pose_error"])
     assert all(set(entry) == {"value", "standard_deviation"} for entry in report["parameters"].values())
     assert {"v.gain", "omega.dead_time", "poses.track", "poses.gyro_scale"} <= set(report["parameters"])
-    assert any("10 s" in warning for warning in report["warnings"])  # no stretch between two poses is that long
+    assert any("10 s" in warning for warning in report["warnings"])  # no stretch between two poses lasts 10 s
 
 
 def test_report_ends_with_the_first_drive_on_the_robot(identified_robot, monkeypatch):

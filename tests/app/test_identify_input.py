@@ -98,7 +98,7 @@ def test_contradictory_log_gives_a_configuration_only_by_force(folder, tmp_path)
 
 @pytest.mark.system
 def test_negative_fit_writes_only_the_report(folder, tmp_path):
-    """The held-out log is of a robot that turns a quarter as far, which no model of the first log predicts."""
+    """The robot of the held-out log has a quarter of the yaw rate, so no model of the first log predicts its motion."""
     log = write_csv(tmp_path / "one.csv", COLUMNS)
     validation = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
     arguments = ["identify", log, "--validate", validation, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]

@@ -1,4 +1,4 @@
-"""The public function from logs to a controller, without the command line."""
+"""Public function `identify`: from logs to a controller, without the command line."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""Cases of the comparison, and its results other than the error tables."""
+"""Cases of the comparison, and results other than the error tables."""
 
 import numpy as np
 import pytest

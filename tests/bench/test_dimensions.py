@@ -1,4 +1,4 @@
-"""The table of dimensions, from which options, settings, cases and rows are derived."""
+"""Table of dimensions, which defines options, settings, cases and rows."""
 
 import re
 

@@ -543,7 +543,7 @@ def later(columns):
 
 
 def order_changes(columns, base):
-    """Swap left and right of the encoders from the middle on."""
+    """Swap left and right of the encoders in the second half."""
     left, right = (columns[name] for name in base.wheels)
     names = dict(
         zip(base.wheels, (np.where(later(columns), *pair) for pair in ((right, left), (left, right))), strict=True)

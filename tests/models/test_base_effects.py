@@ -358,7 +358,7 @@ def test_settled_twist_is_changed_only_by_steps_and_veer():
 
 
 def test_commands_within_the_slew_limit_pass_unchanged():
-    """A controller with a slew limit no wider than the base's can omit the base's limit from its model."""
+    """A controller with a slew limit up to that of the base can omit the limit of the base from its model."""
     model = load_model("sm")
     commands = np.column_stack([0.4 * np.sin(0.5 * DT * np.arange(200)), 0.8 * np.sin(0.7 * DT * np.arange(200))])
     limited = respond(model, BaseEffects(twist_slew=TwistSlew(v=1.0, omega=2.5)), commands, DT)

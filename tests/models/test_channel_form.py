@@ -135,7 +135,7 @@ def test_delays_and_poles_follow_from_the_form(result):
 
 
 def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
-    """The doubt concerns the form of the response; a zero that may not exist causes none."""
+    """The doubts concern the form of the response; an uncertain zero causes no doubt."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
     noisy = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))

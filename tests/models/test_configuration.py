@@ -162,7 +162,7 @@ def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
     is_outlier = rng.random(time.size) < outliers
     twist[is_outlier] += 5.0
     result = sensor_noise([Record("a", 0.0, 0.02, motion, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
-    # An outlier affects three differences of a hundred, of which nine tenths count.
+    # One outlier in a hundred readings affects three differences in a hundred; the estimate uses nine tenths of them.
     assert result["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
     assert result["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert result["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)

@@ -60,7 +60,7 @@ def test_stretches_without_history_give_the_same_model(offset, single_fit):
     drive, single = single_fit
     edges = [0, *range(40 + offset, 1960, 120), 1960]
     split = identify_sm([drive.part(*ends) for ends in pairwise(edges)][::-1], limits=False).parameters
-    # A third of the commands before a step is missing, and with it their information.
+    # A third of the commands before a step is missing, which reduces the information.
     assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
 

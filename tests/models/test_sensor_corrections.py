@@ -1,4 +1,4 @@
-"""Sensors wired differently than the log states: detected, corrected, and stated in the configuration of the robot."""
+"""Sensors wired differently than stated are detected, corrected, and written to the configuration of the robot."""
 
 import numpy as np
 import pytest

@@ -50,7 +50,7 @@ def test_stated_values_form_a_configuration(name):
 
 
 def test_turtlebot_has_its_safety_limit():
-    """Its firmware permits higher speeds only without its safety features."""
+    """The firmware permits higher speeds only if the safety features are disabled."""
     text = "\n".join(load_stated_robot("turtlebot4").lines())
     assert "v 0.306 m/s (stated: safety)" in text
 

@@ -63,7 +63,7 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
 
 @pytest.fixture
 def lags(monkeypatch):
-    """Registers the structure of one lag per channel."""
+    """Register the structure of one lag per channel."""
     monkeypatch.setitem(registry.STRUCTURES, "lags", Structure("lags", LagsFile, identify_lags))
 
 

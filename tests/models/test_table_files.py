@@ -1,4 +1,4 @@
-"""Tables of spreadsheets, loggers and data frames: read, or refused in one correct sentence."""
+"""Tables of spreadsheets, loggers and data frames are read, or refused with the reason in one line."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Effects of a base on its commands, alone and in the motion of plants."""
+"""Effects of a base on commands, and on the motion of plants."""
 
 import numpy as np
 import pytest

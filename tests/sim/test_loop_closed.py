@@ -1,4 +1,4 @@
-"""The closed loop: timing of its events, and recovery of a disturbed robot."""
+"""Closed loop: timing of events, and recovery of a disturbed robot."""
 
 import math
 from dataclasses import asdict

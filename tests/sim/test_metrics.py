@@ -23,7 +23,7 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
 def shift_left(pose: FloatArray, offset: float | FloatArray) -> FloatArray:
-    """Shift poses sideways in their own frame."""
+    """Shift poses to the left in their frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
 

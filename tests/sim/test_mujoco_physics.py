@@ -83,7 +83,7 @@ def test_weak_motors_limit_the_speed_and_follow_lower_commands_again() -> None:
 
 
 def test_robot_without_motor_torque_only_loses_energy() -> None:
-    """Friction dissipates energy; only energy stored in the soft tyres may return briefly."""
+    """Friction dissipates energy; only energy stored in the soft tyres is returned briefly."""
     robot, twin = load_robot(), load_twin_parameters()
     chassis = Chassis(robot, twin, FRICTION["default"], robot.sample_time / twin.substeps)
     for _ in range(250):
@@ -117,7 +117,7 @@ def test_robot_without_motor_torque_rolls_straight_on() -> None:
 
 
 def test_push_accelerates_the_mass_and_the_rotating_parts() -> None:
-    """Newton: four wheel torques over the radius move mass + (wheel and rotor inertia) / radius^2."""
+    """By Newton's law, the force 4 torque / radius accelerates mass + (wheel and rotor inertia) / radius^2."""
     robot, twin = load_robot(), load_twin_parameters()
     step = robot.sample_time / twin.substeps
     chassis = Chassis(robot, twin, FRICTION["grippy"], step)

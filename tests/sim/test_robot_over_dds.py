@@ -1,4 +1,4 @@
-"""The simulated robot over DDS: its topics and its process."""
+"""Simulated robot over DDS: topics and process."""
 
 import numpy as np
 import pytest

@@ -177,7 +177,7 @@ def test_odometry_holds_the_last_value_of_a_sensor_without_readings():
 
 @pytest.mark.parametrize("latency", [0, 1, 4])
 def test_late_pose_is_propagated_by_the_motion_since(latency):
-    """Odometry is off by a metre and a radian; one exact pose corrects it, however late it arrives."""
+    """Odometry is off by a metre and a radian; one exact pose corrects it, independent of its latency."""
     truth = [np.array([0.0, 0.0, 0.0])]
     odometry = Odometry([1.0, 0.0, 1.0], latency, use_pose_sensor=True)
     for k in range(60):

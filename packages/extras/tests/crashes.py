@@ -1,4 +1,4 @@
-"""Processes that are killed, or find the disk full, at a given change of the files of a folder."""
+"""Processes that are killed, or run out of disk space, at a given change of the files of a folder."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Robots with physics that no shipped plant has: relaxing tyres, belts with backlash, and swivelling castors.
+"""Robots with physics independent of the shipped plants: relaxing tyres, belts with backlash, and swivelling castors.
 
 Motors are torque-limited PI loops on wheel speeds. The integration is explicit with a step of one millisecond. The seed
 of the robot draws its parameters.

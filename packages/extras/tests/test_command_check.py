@@ -76,7 +76,7 @@ def test_step_above_the_slew_limit_is_counted(mode: str) -> None:
     time, command, modes, has_pose = example_run()
     command[40:60, 1] = 6.0 * DT * 1.01
     modes[40:61] = [mode] * 21
-    # One violation up, one down.
+    # One violation at the rise and one at the fall.
     assert check_commands(time, command, modes, has_pose, LIMITS) == Unsafe(0, 0, 2, 0)
 
 

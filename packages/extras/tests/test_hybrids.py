@@ -30,7 +30,7 @@ DT = 0.0202
 
 
 def random_correction(seed=0, size=0.02, units=5):
-    """Draw a correction for the four states of an SM, with some hundredths of their scale per sample."""
+    """Draw a correction for the four states of an SM, with a size of a few per cent of their scale per sample."""
     rng = np.random.default_rng(seed)
     root = np.eye(6) + 0.2 * rng.normal(size=(6, 6))
     scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])

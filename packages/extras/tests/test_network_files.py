@@ -1,4 +1,4 @@
-"""Weights of networks in files: pickles are never loaded, and small files of large content take no memory."""
+"""Weights of networks in files: pickles are never loaded, and files that unpack to large content are refused."""
 
 import hashlib
 import io

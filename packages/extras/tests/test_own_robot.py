@@ -1,4 +1,4 @@
-"""Robot of a configuration: its plant, tubes from simulated drives, proof and passport."""
+"""Robot of a configuration: plant, tubes from simulated drives, proof and passport."""
 
 import json
 import shutil

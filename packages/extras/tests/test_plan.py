@@ -58,7 +58,7 @@ def stiff(min_radius, slip=None):
 
 
 def sliding(slip=None):
-    """Build a surface with dry friction: all turns need the same torques, without regeneration and losses."""
+    """Build a surface with dry friction: equal torques in all turns, without regeneration and losses."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
     inner = np.where(radius < 0.195, -0.21, 0.21) - turn

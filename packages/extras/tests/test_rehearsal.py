@@ -75,7 +75,7 @@ def test_repeating_error_is_removed_under_noise():
     learned_errors = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
     plain_errors = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
     varying = np.sqrt(np.mean([rms(error - plain_errors.mean(axis=0)) ** 2 for error in plain_errors]) * 6 / 5)
-    # At min_cost half of the repeating error is removed.
+    # At least half of the repeating error is removed.
     total = np.mean([rms(error) for error in plain_errors])
     assert rms(learned_errors[-1]) < 0.5 * (total + varying)
 
@@ -195,7 +195,7 @@ CORNER = lay_segments(
 
 
 def coefficients(surface):
-    """Return the coefficients of Table 2 without a12, which only the slip law of the controller multiplies."""
+    """Return the coefficients of Table 2 with a12 = 0, because a12 is used by the slip law of the controller only."""
     values = np.array(load_surface(surface).slip.polynomial.coefficients)
     values[1] = 0.0
     return values

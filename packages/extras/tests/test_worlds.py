@@ -167,7 +167,7 @@ def test_person_track_has_the_true_velocity_and_the_configured_noise(tmp_path: P
         observations = [sensors.observe(k / 10, [0, 0, 0]) for k in range(16)]
         first, last = observations[0].discs[0], observations[-1].discs[0]
         errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
-        assert first.vx == first.vy == 0.0  # one position gives no velocity
+        assert first.vx == first.vy == 0.0  # a single position does not determine the velocity
     errors = np.array(errors)
     assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60)
     assert 0.02 < errors[:, :2].std() < 0.04

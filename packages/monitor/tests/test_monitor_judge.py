@@ -252,7 +252,7 @@ def test_robot_may_be_late_after_a_standstill():
 
 @pytest.mark.parametrize(("is_renewed", "rule"), [(True, ""), (False, "off_path")])
 def test_robot_needs_a_shifted_reference_after_a_long_standstill(is_renewed, rule):
-    """With a reference delayed by the standstill the robot is on time, and must stay on time."""
+    """If the reference is delayed by the standstill, the robot is on time; later delays are detected."""
     robot = Robot(Judge(RULES, START), duration=30.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
