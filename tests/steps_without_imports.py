@@ -12,7 +12,7 @@ import subprocess
 import sys
 
 CASES = {"shipped": {}, "osqp": {"solver.method": "osqp"}, "daqp": {"solver.method": "daqp"}}
-HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
+HOLD_TICKS, NO_POSE_TICKS, TICKS = range(60, 90), range(120, 160), 200
 
 
 class ImportRecorder:
@@ -38,8 +38,8 @@ def drive(settings, on_start=lambda controller: None):
     on_start(controller)
     recorder, messages = ImportRecorder(), []
     for tick in range(TICKS):
-        measurement = Measurement() if tick in LOST else robot.measure()
-        hold = Hold("a test") if tick in HELD else None
+        measurement = Measurement() if tick in NO_POSE_TICKS else robot.measure()
+        hold = Hold("a test") if tick in HOLD_TICKS else None
         sys.meta_path.insert(0, recorder)
         result = controller.step(tick * dt, measurement, hold)
         sys.meta_path.remove(recorder)

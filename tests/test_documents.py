@@ -24,8 +24,8 @@ DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 PAGES_WITH_LINKS = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
-"""A table that a program writes."""
+GENERATED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
+"""Pattern of a generated table."""
 MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -48,7 +48,7 @@ RUN_IN_TESTS = {
 }
 RESULT_FOLDERS = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
-OWN_PROCESS = ("node", "sim-robot", "monitor")
+SEPARATE_PROCESS = ("node", "sim-robot", "monitor")
 # These pages describe the installation: .ci/tour.py runs them unchanged with only a wheel installed.
 TOUR_PAGES = {ROOT / "README.md", ROOT / "docs" / "install.md"}
 # Options that need a program of the system.
@@ -106,7 +106,7 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
 
 def command(arguments, folder):
     """Run a command in this process to save its imports; nodes, which handle signals, run in a separate process."""
-    if arguments[0] in OWN_PROCESS:
+    if arguments[0] in SEPARATE_PROCESS:
         run([str(COMMAND), *arguments], folder)
         return
     invoke_command(app, arguments, "diffdrive-mpc")
@@ -132,7 +132,7 @@ def hand_written():
     paths = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
     paths -= {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
     paths -= {ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
-    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
+    return {path: FENCE.sub("", GENERATED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
 
 
 def test_hand_written_documents_are_short():

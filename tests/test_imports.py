@@ -27,7 +27,7 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.plants.open_loop
 make_plant("model:ssm")
 """
-LOADED = {
+PROGRAMS = {
     "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
     "a controller": (CONTROLLER, REPORTS | SCIPY | SIMULATION | {"mujoco", "rich", "typer"}),
     "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
@@ -42,9 +42,9 @@ def run(*arguments):
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("case", LOADED)
+@pytest.mark.parametrize("case", PROGRAMS)
 def test_only_needed_modules_are_loaded(case):
-    code, unwanted = LOADED[case]
+    code, unwanted = PROGRAMS[case]
     loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
     assert "diffdrive_mpc" in loaded
     assert not unwanted & set(loaded)
@@ -63,7 +63,7 @@ SingleThreadedExecutor.spin_once = spin_or_end
 
 
 def test_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_diagnosis(monkeypatch):
-    """All modules of the package count, including empty ones, with the shipped configuration."""
+    """Count all modules of the package, including empty modules, with the shipped configuration."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     command = COMMAND.format(["node", "--autostart", "--ros-args", "-p", "discovery_wait:=0.0"])
     # The loop of the executor starts after the activation.

@@ -11,7 +11,7 @@ import pytest
 import diffdrive_mpc
 
 # Packages that only the speed benchmark installs, or types without a wheel.
-FOREIGN = {"acados_template", "do_mpc", "nav2_msgs"}
+NOT_INSTALLED = {"acados_template", "do_mpc", "nav2_msgs"}
 
 
 def all_modules():
@@ -19,7 +19,7 @@ def all_modules():
         try:
             yield importlib.import_module(result.name)
         except ModuleNotFoundError as error:
-            assert error.name in FOREIGN, result.name
+            assert error.name in NOT_INSTALLED, result.name
 
 
 def test_every_error_of_the_project_has_the_common_base():

@@ -226,7 +226,7 @@ def test_input_is_never_executed(name, untrusted, tmp_path, monkeypatch):
 
 # Few files contain code that could execute a file; each has its reason.
 
-EXECUTES = re.compile(
+EXECUTION = re.compile(
     r"yaml\.(?:load|full_load|unsafe_load)\(|(?:np|numpy)\.load\(|\bpickle\.loads?\(|\beval\(|(?<![\w.])exec\("
     r"|exec_module\(|CDLL\(|dlopen\(|\bexternal\(|\bjoblib\.load\(|\bshelve\.|run_path\(|allow_pickle=True"
 )
@@ -245,7 +245,7 @@ def test_only_listed_files_could_execute_a_file():
         str(path.relative_to(ROOT))
         for package in ("app", "bench", "models", "mpc", "sim", "src")
         for path in (ROOT / package).rglob("*.py")
-        if EXECUTES.search(path.read_text(encoding="utf-8"))
+        if EXECUTION.search(path.read_text(encoding="utf-8"))
     }
     assert files == set(EXECUTING_FILES)
 

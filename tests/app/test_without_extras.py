@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-WITHOUT = """
+PROGRAM = """
 import sys
 from importlib import metadata
 
@@ -23,7 +23,7 @@ main()
 
 
 def run(folder, *arguments):
-    program = WITHOUT.replace("WORDS", repr([str(word) for word in arguments]))
+    program = PROGRAM.replace("WORDS", repr([str(word) for word in arguments]))
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder, check=False)
 
 

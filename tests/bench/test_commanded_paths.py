@@ -91,7 +91,7 @@ def test_limits_are_active_on_tight_for_about_half_of_the_time(overrides: tuple[
 
 
 PATHS = ["circle", "square", "s", "cane"]
-SETTLED = 10
+SETTLING_TICKS = 10
 """Ticks after which the filter has processed the first poses."""
 
 
@@ -117,7 +117,7 @@ def normalised_errors(model: str) -> tuple[dict[str, float], np.ndarray]:
     for trajectory in PATHS:
         controller = Recorder(Controller(load_config(model)))
         run = simulate(controller, make_plant("mujoco", seed=20), load_trajectory(trajectory))
-        for step, true_pose in zip(controller.steps[SETTLED:], run.true_pose[SETTLED:], strict=True):
+        for step, true_pose in zip(controller.steps[SETTLING_TICKS:], run.true_pose[SETTLING_TICKS:], strict=True):
             for sensor, value in step.estimate.innovations.items():
                 innovations.setdefault(sensor, []).append(value)
             error = step.estimate.pose - true_pose

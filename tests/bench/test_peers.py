@@ -123,7 +123,7 @@ def test_arc_of_pursuit_passes_through_the_look_ahead_point(v: float, x: float, 
 
 
 # The tests of the laws use moderate gains: some tuned gains without slip are too high for a displaced start.
-MODERATE = {
+MODERATE_GAINS = {
     "pursuit": PURSUIT.model_dump() | {"look_ahead_time": 0.3, "least_radius": 0.3},
     "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
     "lqr": {"lead": 0.05, "along": 20, "across": 60, "heading": 5, "integral": 10, "omega": 0.1},
@@ -132,7 +132,7 @@ MODERATE = {
 
 @pytest.mark.parametrize("name", LAWS)
 def test_peer_returns_to_the_reference_from_a_displaced_start(name: str) -> None:
-    values = MODERATE.get(name.partition("+")[0])
+    values = MODERATE_GAINS.get(name.partition("+")[0])
     gains = law_kind(name).gains(**values) if values else None
     run = check_return(make_tracking_peer(name, gains) if gains else make_peer(name))
     robot = load_robot()

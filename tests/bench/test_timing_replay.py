@@ -74,7 +74,7 @@ def test_mpc_is_replayed_bit_for_bit() -> None:
     assert 0 <= timing.clean_share == timed.clean_share <= 1
 
 
-QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
+UNDISTURBED = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
 
 
 @pytest.fixture(autouse=True)
@@ -94,4 +94,4 @@ def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_block_is_disturbed_by_switches_lost_time_or_a_slow_pace(changes: dict[str, float], undisturbed: bool) -> None:
-    assert QUIET._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed
+    assert UNDISTURBED._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed

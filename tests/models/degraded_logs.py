@@ -645,8 +645,8 @@ def without_slow_readings(columns, share):
     return columns | {side: np.where(np.abs(columns[side]) < limit, 0.0, columns[side]) for side in ("left", "right")}
 
 
-FIRST_TEN, SOUND, SCALES, TIMES, READINGS, CAUSES, FAULTS = (tuple(read_cases(group)) for group in TABLE)
-CASES = (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS, *CAUSES)
+FIRST_TEN, VALID, SCALES, TIMES, READINGS, CAUSES, FAULTS = (tuple(read_cases(group)) for group in TABLE)
+CASES = (*FIRST_TEN, *VALID, *SCALES, *TIMES, *READINGS, *CAUSES)
 
 
 # Logs of real robots in the folder DIFFDRIVE_MPC_DATA. Tests that use them have the marker `real_logs`.

@@ -227,7 +227,7 @@ def test_invalid_input_raises_one_clear_line():
         identify_sm([record(drive.command, np.zeros((200, 2)))])
 
 
-SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
+SPIKE_MODEL = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
 
 
 def with_spikes(drive, size):
@@ -255,7 +255,7 @@ def write_and_read(drive, folder):
 @pytest.mark.long
 @pytest.mark.parametrize("size", [5.0, 1000.0])
 def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_path):
-    clean = noisy_drive(SPIKED, 5)
+    clean = noisy_drive(SPIKE_MODEL, 5)
     records, findings = write_and_read(with_spikes(clean, size), tmp_path)
     assert [finding.severity for finding in findings] == ["warning", "warning"]
     assert "(1 %)" in findings[1].words
@@ -268,7 +268,7 @@ def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_p
 
 @pytest.mark.parametrize("seed", range(5))
 def test_clean_drive_has_no_spikes(seed, tmp_path):
-    assert write_and_read(noisy_drive(SPIKED, seed), tmp_path)[1] == []
+    assert write_and_read(noisy_drive(SPIKE_MODEL, seed), tmp_path)[1] == []
 
 
 def test_uneven_command_times_do_not_shorten_the_dead_time():

@@ -102,7 +102,7 @@ class FeedForward:
         return FixedStep(self._reference.sample([t - self._t0]).twist[0], mode)
 
 
-class Slow(FeedForward):
+class SlowController(FeedForward):
     """Controller that reports long step times."""
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:

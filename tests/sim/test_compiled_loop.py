@@ -12,7 +12,7 @@ from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.core.library import load_twin
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 
-OMITTED = {"measurements", "step_time", "solve_time", "reference"}
+OMITTED_FIELDS = {"measurements", "step_time", "solve_time", "reference"}
 RARE_POSES = """
 pose: {period: 0.05, latency: 0.13, loss: 0.3, position_sd: 0.01, turned: 0.2, stamped_on_arrival: true}
 gyro: {scale: 1.1, bias_sd: 0.01}
@@ -47,7 +47,7 @@ def different_fields(run: Run, lean: Run) -> list[str]:
         is_array = isinstance(value, np.ndarray)
         return np.array_equal(value, expected, equal_nan=True) if is_array else value == expected
 
-    return [field.name for field in fields(Run) if field.name not in OMITTED and not is_equal(field.name)]
+    return [field.name for field in fields(Run) if field.name not in OMITTED_FIELDS and not is_equal(field.name)]
 
 
 @pytest.mark.parametrize(

@@ -255,7 +255,7 @@ def test_robot_on_a_patch_slips_as_on_a_surface_with_this_friction() -> None:
 
 
 def test_patch_starts_and_ends_at_its_position() -> None:
-    """Front wheels reach the patch half a wheel base before the centre; rear wheels leave it half a wheel base after."""
+    """Front wheels reach a patch half a wheel base before the centre; rear wheels leave it half a wheel base later."""
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))

@@ -111,7 +111,7 @@ def _recovery(
     return compute_recovery(TIME, lateral, command, DT, disturbance, BAND, lost=lost)
 
 
-def _from(start: float, series: FloatArray) -> FloatArray:
+def _starting_at(start: float, series: FloatArray) -> FloatArray:
     return np.where(start <= TIME, series, 0.0)
 
 
@@ -120,7 +120,7 @@ def test_exponential_return_recovers_when_it_enters_the_band(
     height: float, rate: float, start: float, lasts: float
 ) -> None:
     end = start + lasts
-    recovery = _recovery(_from(end, height * np.exp(-rate * (TIME - end))), (start, end))
+    recovery = _recovery(_starting_at(end, height * np.exp(-rate * (TIME - end))), (start, end))
     exact = math.log(height / BAND) / rate
     if end + exact < TIME[-1] - DT:
         assert recovery.recovery_time_s == pytest.approx(exact, abs=DT + 1e-9)
@@ -147,7 +147,7 @@ def test_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: fl
     [
         (np.where((TIME >= 2) & (TIME < 3), 0.2, 0) - np.where((TIME >= 5) & (TIME < 5.5), 0.06, 0), (2, 2.5), 3, 0.06),
         (0.99 * BAND * np.sin(20 * TIME), (2, 3), 0, 0),
-        (_from(2.0, np.full(len(TIME), 0.1)), (2, 2), math.inf, 0),
+        (_starting_at(2.0, np.full(len(TIME), 0.1)), (2, 2), math.inf, 0),
     ],
     ids=["two excursions", "never outside the band", "ends outside the band"],
 )
@@ -158,7 +158,7 @@ def test_recovery_counts_from_the_end_of_the_disturbance_to_the_last_departure(l
 
 def test_excursion_is_on_the_side_on_which_the_robot_leaves_the_band() -> None:
     """At the end of a push the robot is still inside the band, on either side; it leaves the band to the left."""
-    lateral = _from(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
+    lateral = _starting_at(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
     assert _recovery(lateral, (2.0, 2.1)).overshoot_m == 0.0
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
+from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, SlowController, run_along
 
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
@@ -219,13 +219,13 @@ def test_non_finite_pose_makes_the_error_nan() -> None:
 
 def test_step_longer_than_the_sample_is_a_missed_deadline() -> None:
     assert simulate(FeedForward(), KinematicPlant(), LINE).metrics.deadline_misses == 0
-    slow = simulate(Slow(), KinematicPlant(), LINE).metrics
+    slow = simulate(SlowController(), KinematicPlant(), LINE).metrics
     assert slow.deadline_misses == slow.steps == 51
     assert slow.step_time_p99_s == pytest.approx(0.03)
 
 
 def test_step_times_can_be_replaced_by_those_of_a_timing_pass() -> None:
-    run = simulate(Slow(), KinematicPlant(), LINE)
+    run = simulate(SlowController(), KinematicPlant(), LINE)
     times = np.linspace(0.0, 0.01, 51)
     retimed = run.with_step_time(times)
     assert retimed.metrics.step_time_max_s == 0.01
@@ -282,7 +282,7 @@ def test_projection_of_all_points_equals_sequential_projection():
 
 
 TICK = 0.0202
-SETTLED = metric_settings().settled_arc
+SETTLED_ARC = metric_settings().settled_arc
 S, BACKWARD = load_trajectory("s"), ConstantTwist(-0.5, 0.5, 6.0)
 
 
@@ -308,7 +308,7 @@ def test_each_arc_has_its_own_bias_without_its_settling_time():
     [
         *((load_trajectory(name), arcs) for name, arcs in {"circle": 1, "square": 0, "s": 3, "cane": 1}.items()),
         *((ConstantTwist(*twist, 6.0), 0) for twist in ((0.5, 0.0), (0.0, 1.0))),
-        *((ConstantTwist(0.5, 0.5, SETTLED + more), arcs) for more, arcs in ((-TICK, 0), (2 * TICK, 1))),
+        *((ConstantTwist(0.5, 0.5, SETTLED_ARC + more), arcs) for more, arcs in ((-TICK, 0), (2 * TICK, 1))),
         (BACKWARD, 1),
     ],
 )

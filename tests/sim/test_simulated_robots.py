@@ -20,7 +20,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
-SHIPPED = ROBOTS.names
+ROBOT_NAMES = ROBOTS.names
 GRAVITY = 9.81
 
 
@@ -39,7 +39,7 @@ def _resting_loads(name: str) -> FloatArray:
     return plant.chassis.wheel_loads
 
 
-@pytest.mark.parametrize("name", [name for name in SHIPPED if not load_simulated_robot(name).twin.chassis.castors])
+@pytest.mark.parametrize("name", [name for name in ROBOT_NAMES if not load_simulated_robot(name).twin.chassis.castors])
 def test_wheel_loads_balance_the_weight_at_the_centre_of_mass(name: str) -> None:
     """Balance of forces and moments: front left, front right, rear left, rear right."""
     build = load_simulated_robot(name)
@@ -62,7 +62,7 @@ def test_file_without_changes_gives_the_default_robot_bit_for_bit(tmp_path: Path
         np.testing.assert_array_equal(getattr(shipped, name), getattr(configured, name))
 
 
-@pytest.mark.parametrize("name", ["default", *(name for name in SHIPPED if name.startswith("dead_time"))])
+@pytest.mark.parametrize("name", ["default", *(name for name in ROBOT_NAMES if name.startswith("dead_time"))])
 def test_robot_rests_until_the_dead_time_has_passed(name: str) -> None:
     dead_time = load_simulated_robot(name).twin.link.dead_time
     assert name in ("default", f"dead_time_{1e3 * dead_time:.0f}")

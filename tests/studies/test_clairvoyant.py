@@ -30,13 +30,13 @@ def drive(plant, surface, trajectory, sensors="perfect", horizon=30, weights=Non
     return simulate(controller, make_plant(plant, surface, sensors), load_trajectory(trajectory))
 
 
-CHEAP = {"weights.v": 0.0, "weights.omega": 0.0, "weights.v_increment": 1e-3, "weights.omega_increment": 1e-3}
+LOW_WEIGHTS = {"weights.v": 0.0, "weights.omega": 0.0, "weights.v_increment": 1e-3, "weights.omega_increment": 1e-3}
 
 
 @pytest.mark.parametrize("plant", ["model:ssm", "model:sm"])
 def test_bound_tracks_its_own_model_without_error_if_commands_are_free(plant, short_path):
     """The slip is known. A dead time prevents an immediate start, so errors are evaluated after the first second."""
-    run = drive(plant, "default", short_path, weights=CHEAP)
+    run = drive(plant, "default", short_path, weights=LOW_WEIGHTS)
     assert run.metrics.completed
     is_settled = run.counted & (run.time > 1.0)
     assert run.errors.position[is_settled].max() < 1e-3

@@ -53,7 +53,7 @@ def test_parts_add_up_to_the_mean_square_for_any_errors(seeds, key):
     assert decompose(DataFrame(rows)).total == pytest.approx(total)
 
 
-TINY = """
+SMALL_STUDY = """
 title: Tracking
 vary: {model: [ssm], trajectory: [cane], seed: [20]}
 variants: {as shipped: {}, no side-slip: {compensation.side_slip: false}}
@@ -69,7 +69,7 @@ parts:
 
 @pytest.mark.system
 def test_command_runs_a_small_study_and_writes_its_report(tmp_path: Path):
-    (tmp_path / "tiny.yaml").write_text(TINY, encoding="utf-8")
+    (tmp_path / "tiny.yaml").write_text(SMALL_STUDY, encoding="utf-8")
     out = tmp_path / "out"
     arguments = ["--study", tmp_path / "tiny.yaml", "--only", "ablation,cross,bound", "--jobs", "1"]
     output = invoke(app, "tracking", "--out", out, *arguments).stdout

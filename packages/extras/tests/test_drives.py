@@ -156,7 +156,7 @@ def test_invalid_file_raises_a_one_line_error(tmp_path):
 
 
 LOG_DT, LOG_REST_SPEED = 0.04, (0.005, 0.02)
-DEAD = (3, 2)
+DEAD_SAMPLES = (3, 2)
 NO_LIMIT = 200.0
 LIMITED = [np.array([0.95, 1.0, 1.6, 0.1, 0.0, 0.0]), np.array([0.8, 2.0, 3.0, 0.06, 0.0, 0.0])]
 UNLIMITED = [np.array([0.95, NO_LIMIT, NO_LIMIT, 0.1, 0.0, 0.0]), np.array([0.8, NO_LIMIT, NO_LIMIT, 0.06, 0.0, 0.0])]
@@ -167,7 +167,7 @@ def drive_record(coefficients, seed, seconds=40.0, *, backwards=True):
     rng = np.random.default_rng(seed)
     low = -1.0 if backwards else 0.3
     commands = np.repeat(rng.uniform(low, 1.0, (round(seconds / 0.8), 2)), round(0.8 / LOG_DT), axis=0)
-    robot = drive_model("robot", "drive_experimental", LOG_DT, DEAD, LOG_REST_SPEED, coefficients)
+    robot = drive_model("robot", "drive_experimental", LOG_DT, DEAD_SAMPLES, LOG_REST_SPEED, coefficients)
     x, window = np.zeros(robot.order), np.zeros((robot.memory + 1, 2))
     twist = np.empty_like(commands)
     for k, command in enumerate(commands):
@@ -191,7 +191,7 @@ def test_active_slope_limits_are_identified_within_their_uncertainty():
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
             assert finding.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert finding.fit.dead_samples == DEAD
+    assert finding.fit.dead_samples == DEAD_SAMPLES
     assert finding.estimate.deviation("v.gain") < 0.02
 
 

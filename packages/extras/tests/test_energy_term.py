@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.turn_costs import load_turn_costs
 COSTS = {surface: load_turn_costs(f"fsu_bot-{surface}") for surface in ("slippery", "default")}
 RESIDUALS = {surface: energy_function(costs) for surface, costs in COSTS.items()}
 ENERGY_TERM = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
-GENTLE = lay_segments(
+CURVE = lay_segments(
     [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
     TrajectoryLimits.of_robot(),
     name="gentle",
@@ -75,8 +75,8 @@ def test_real_time_iterations_with_the_energy_term_converge_to_the_ipopt_solutio
 
     controller = make_controller()
     robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
-    drive = record(controller, robot, GENTLE, 120, lambda *_: None)
-    converged, result = iterate_to_convergence(make_controller, drive, GENTLE, lambda *_: None)
+    drive = record(controller, robot, CURVE, 120, lambda *_: None)
+    converged, result = iterate_to_convergence(make_controller, drive, CURVE, lambda *_: None)
     plan = solve_with_ipopt(converged)
     plan_without_term = solve_with_ipopt(converged, load_config(config, {"energy.weight": 0.0}))
     assert np.abs(plan - plan_without_term).max() > 1e-3, "the term must change the plan"
@@ -102,7 +102,7 @@ def test_weight_is_a_stage_parameter_that_can_change_during_a_drive():
     commands = []
     for controller in controllers:
         robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
-        commands.append(record(controller, robot, GENTLE, 90, lambda *_: None).commands)
+        commands.append(record(controller, robot, CURVE, 90, lambda *_: None).commands)
     assert np.array(commands[0]) == pytest.approx(np.array(commands[1]), abs=0.0)
 
 

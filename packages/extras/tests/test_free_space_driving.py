@@ -16,7 +16,7 @@ from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, build_pieces, min_gaps
 from diffdrive_mpc_extras.free_space.polygons import Footprint
 
-FAR = 5.0
+MAX_GAP = 5.0
 AT_REST = 0.02
 
 
@@ -73,7 +73,7 @@ def drive(controller, reference, surroundings_at, duration, *, plant="model:ssm"
             current, pieces = result, build_pieces(result, settings, reference)
         step = controller.step(t, robot.measure())
         age = 0.0 if current.time is None else t - current.time
-        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([age]), FAR)
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([age]), MAX_GAP)
         speed = abs(robot.true_twist[0]) + abs(robot.true_twist[-1]) * footprint.footprint.reach
         ticks.append({"t": t, "pose": np.array(robot.true_pose), "speed": speed, "gap": gap, "step": step})
         assert np.isfinite(step.command).all()
@@ -92,7 +92,7 @@ def column(ticks, name):
 
 
 def min_gap_while_moving(ticks):
-    return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=FAR)
+    return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=MAX_GAP)
 
 
 @cache
@@ -304,7 +304,7 @@ def test_return_path_does_not_cross_a_wall():
         step = controller.step(robot.time, robot.measure())
         messages.add(step.message.split(";")[0])
         robot.advance(step.command)
-        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), MAX_GAP)
         assert gap > 0.01
     assert messages & {"no way: no free path leads back to the reference"} or any(
         "rejoining" in message for message in messages

@@ -105,7 +105,7 @@ def test_pursuit_reaches_the_goal_in_closed_loop(name):
 
 NAMES = ("mppi", "mppi+slip")
 SOFT_GAINS = MppiGains(lead=0.05, position=400, across=400, heading=5, smoothness=0.02, v_noise=0.1, omega_noise=0.3)
-"""Gains for a start with a large error; the tuned gains are too high for it."""
+"""Gains for a start with a large error, for which the tuned gains are too high."""
 
 
 @pytest.mark.parametrize("name", NAMES)

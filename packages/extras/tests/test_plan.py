@@ -50,14 +50,14 @@ def surface(name, radius, outer, inner, *, drive=MOTORS, slip=None):
     return TurnCosts(name=name, vehicle=BOT, drive=drive, slip=slip, curve=curve, provenance="a test")
 
 
-def stiff(min_radius, slip=None):
+def torque_limited(min_radius, slip=None):
     """Build a surface with the outer side at its torque limit below a radius, and lower torques in wider turns."""
     radius = np.geomspace(0.2, 500.0, 60)
     turn = np.minimum(4.6, 0.95 * 4.6 * (min_radius / radius) ** 1.2)
     return surface(f"least radius {min_radius:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
 
 
-def sliding(slip=None):
+def dry_friction(slip=None):
     """Build a surface with dry friction: equal torques in all turns, without regeneration and losses."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
@@ -119,7 +119,7 @@ def dense_energy(costs, start, goal, radii):
 
 
 SETTINGS = load_plan_settings()
-HALF = 0.5 * BOT.track
+HALF_TRACK = 0.5 * BOT.track
 SYMMETRIC = SlipCoefficients(a11=-0.004, a22=-0.001, a23=-0.006, a32=-0.35, a33=-0.02)
 NO_VIA = np.zeros((0, 2))
 ORIGIN = np.zeros(3)
@@ -150,7 +150,7 @@ def ends_of(inputs, paths, poses):
 @given(goal=goals)
 @settings(max_examples=40, deadline=None)
 def test_shortest_path_without_slip_is_the_dubins_path(goal):
-    costs = stiff(1.0)
+    costs = torque_limited(1.0)
     result = search_plan(costs, goal)
     assert result.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
 
@@ -174,23 +174,23 @@ def test_paths_of_three_pieces_end_at_the_goal():
 @pytest.mark.parametrize("goal", [(3.0, 2.0, 0.3), (2.0, -3.0, 2.5), (-2.0, 2.0, -1.5)])
 def test_best_commanded_radius_on_dry_friction_is_half_the_track(goal, slip):
     """The inner wheels are at rest, so the turning radius is half the slip-track (IJRR 10.1177/02783649231216499)."""
-    costs = sliding(slip)
-    radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF])
+    costs = dry_friction(slip)
+    radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF_TRACK])
     commands = [[SPEED, 0.0], *([SPEED, side * SPEED / radius] for radius in radii for side in (1, -1))]
     inputs = inputs_of(costs, commands)
     paths = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
     best = np.argmin(paths.costs)
     for index in paths.inputs[best, [0, 2]]:
-        assert abs(inputs.commands[index, 0] / inputs.commands[index, 1]) == pytest.approx(HALF)
+        assert abs(inputs.commands[index, 0] / inputs.commands[index, 1]) == pytest.approx(HALF_TRACK)
     result = search_plan(costs, goal, "energy")
     assert result.cost <= paths.costs[best] * 1.0001
     arcs = [piece for piece in result.pieces if abs(piece.omega) > 0.05]
-    assert arcs and all(abs(piece.radius) == pytest.approx(HALF) for piece in arcs)
+    assert arcs and all(abs(piece.radius) == pytest.approx(HALF_TRACK) for piece in arcs)
 
 
 @pytest.mark.parametrize("goal", [(4.0, 2.0, 0.0), (3.0, -2.0, -1.5)])
 def test_energy_agrees_with_a_dense_search(goal):
-    costs = stiff(0.8)
+    costs = torque_limited(0.8)
     min_radius = sharpest_radius(costs, SPEED, SETTINGS)
     expected, _ = dense_energy(costs, ORIGIN, np.array(goal), np.geomspace(min_radius, 30 * min_radius, 25))
     result = search_plan(costs, goal, "energy")

@@ -133,7 +133,7 @@ def test_search_for_a_boundary_ends_at_the_resolution_of_floats() -> None:
 
 
 TRIALS = 1500
-UNLIKELY = 1e-4
+ERROR_RATE = 1e-4
 """Probability that a test of a correct product fails with another seed."""
 
 
@@ -145,7 +145,7 @@ def test_one_score_per_group_covers_with_the_exact_probability(count, level):
     for scores in stream.lognormal(size=(TRIALS, count + 1)):
         covered += scores[0] <= conformal_quantile(list(scores[1:, None]), level)
     exact = math.ceil(round(level * (count + 1), 9)) / (count + 1)
-    low, high = binom.interval(1.0 - UNLIKELY, TRIALS, exact)
+    low, high = binom.interval(1.0 - ERROR_RATE, TRIALS, exact)
     assert low <= covered <= high
 
 
@@ -155,9 +155,9 @@ def test_groups_of_dependent_scores_cover_at_least_the_level():
     for _ in range(TRIALS):
         groups = [stream.lognormal(sigma=1.0) * stream.uniform(0.8, 1.2, stream.integers(1, 30)) for _ in range(40)]
         covered += stream.choice(groups[0]) <= conformal_quantile(groups[1:], level)
-    assert covered >= binom.ppf(UNLIKELY, TRIALS, level)
+    assert covered >= binom.ppf(ERROR_RATE, TRIALS, level)
     # The coverage exceeds the level by at most the weight of one group.
-    assert covered <= binom.ppf(1.0 - UNLIKELY, TRIALS, level + 1 / 40 + 0.01)
+    assert covered <= binom.ppf(1.0 - ERROR_RATE, TRIALS, level + 1 / 40 + 0.01)
 
 
 def test_group_has_the_weight_of_one_score():

@@ -96,7 +96,7 @@ def field(index, **values):
     return apply
 
 
-BAD_GRIDS = {
+INVALID_GRIDS = {
     "width too small": (change(info__width=100), "its size is 100 x 120"),
     "size overflow": (change(info__width=2**32 - 1, info__height=2**32 - 1), "its size is 4294967295 x 4294967295"),
     "too large": (
@@ -113,7 +113,7 @@ BAD_GRIDS = {
     "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
     "past": (change(header__stamp__sec=-(2**31)), "before the last"),
 }
-BAD_CLOUDS = {
+INVALID_CLOUDS = {
     "no radius": (field(2, name="size"), "no field radius"),
     "too many points": (change(width=501), "501 points"),
     "size overflow": (change(width=2**32 - 1, height=2**32 - 1), "points; send at most the nearest 500"),
@@ -132,16 +132,16 @@ NODE_ERRORS = {"frame", "control characters", "future", "past"}
 POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
 
 
-@pytest.mark.parametrize("name", sorted(BAD_GRIDS.keys() - NODE_ERRORS))
+@pytest.mark.parametrize("name", sorted(INVALID_GRIDS.keys() - NODE_ERRORS))
 def test_invalid_costmap_is_refused_in_one_line(name):
-    corrupt, message = BAD_GRIDS[name]
+    corrupt, message = INVALID_GRIDS[name]
     with one_line_error((MessageError, SurroundingsError), match=message):
         read_costmap(serialize_message(corrupt(costmap(0))), FreeSpace())
 
 
-@pytest.mark.parametrize("name", sorted(BAD_CLOUDS.keys() - NODE_ERRORS))
+@pytest.mark.parametrize("name", sorted(INVALID_CLOUDS.keys() - NODE_ERRORS))
 def test_invalid_points_are_refused_in_one_line(name):
-    corrupt, message = BAD_CLOUDS[name]
+    corrupt, message = INVALID_CLOUDS[name]
     with one_line_error((MessageError, SurroundingsError), match=message):
         read_obstacles(serialize_message(corrupt(cloud(0, POINT))))
 
@@ -156,12 +156,12 @@ def test_invalid_messages_do_not_affect_driving_while_valid_messages_arrive(capf
     ) as s:
         base, surroundings_input = s.base, s.node.parts["free_space"].surroundings
         topics = (
-            (surroundings_input.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
+            (surroundings_input.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, INVALID_GRIDS),
             (
                 surroundings_input.obstacles,
                 s.publisher(PointCloud2, "obstacles"),
                 lambda now: cloud(now, POINT),
-                BAD_CLOUDS,
+                INVALID_CLOUDS,
             ),
         )
         refusals = {topic_input.name: set() for topic_input, *_ in topics}

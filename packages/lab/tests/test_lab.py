@@ -26,7 +26,7 @@ from diffdrive_mpc_lab import build
 from diffdrive_mpc_lab.build import experiments, page_text, sources_digest
 from diffdrive_mpc_lab.numbers import FLOOR, configuration, default_of, lab_settings, plant_functions, values_of
 
-COMMITTED = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
+COMMITTED_PAGE = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
 DRIVES = "laboratory.activeDrives"
@@ -46,7 +46,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory, testrun_uid: str) -> Pat
 
 
 def test_committed_page_is_up_to_date() -> None:
-    (digest,) = re.findall(r'<meta name="sources" content="(\w+)">', COMMITTED.read_text(encoding="utf-8"))
+    (digest,) = re.findall(r'<meta name="sources" content="(\w+)">', COMMITTED_PAGE.read_text(encoding="utf-8"))
     assert digest == sources_digest(), "docs/laboratory/index.html is out of date: run make lab and commit it"
 
 
