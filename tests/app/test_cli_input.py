@@ -89,7 +89,9 @@ def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("error_type", [KeyboardInterrupt, typer.Abort])
-def test_interrupted_command_prints_one_line(error_type: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_command_prints_one_error_line(
+    error_type: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*_: object) -> None:
         raise error_type
 

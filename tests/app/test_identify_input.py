@@ -12,7 +12,7 @@ from diffdrive_mpc.app.identification import study, trial_drives
 from diffdrive_mpc.bench.report_folder import CONTENTS
 
 COLUMNS = drive(seconds=12.0)
-EVIL = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
+CODE_IN_YAML = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     write_mapping(folder / "map.yaml")
     write_mapping(folder / "no_pose.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
-    write_mapping(folder / "evil.yaml", EVIL.format(folder=folder))
+    write_mapping(folder / "evil.yaml", CODE_IN_YAML.format(folder=folder))
     logs = {
         "good": COLUMNS,
         "missing": {name: column for name, column in COLUMNS.items() if name != "gyro"},
@@ -48,7 +48,7 @@ def folder(tmp_path_factory):
     }
     for name, columns in logs.items():
         write_csv(folder / f"{name}.csv", columns)
-    (folder / "evil.csv").write_text(EVIL.format(folder=folder))
+    (folder / "evil.csv").write_text(CODE_IN_YAML.format(folder=folder))
     return folder
 
 

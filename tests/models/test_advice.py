@@ -212,7 +212,7 @@ def marks_of(case):
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])
-def test_only_the_true_cause_is_named(case, tmp_path):
+def test_findings_name_only_the_true_cause(case, tmp_path):
     findings, error = diagnose(case, tmp_path)
     messages = [f"{finding.severity}: {finding}" for finding in findings] + [error]
     assert verdict(case, findings, error) == ("missed" if case.name in UNDETECTED else "right"), messages
@@ -222,7 +222,7 @@ def test_only_the_true_cause_is_named(case, tmp_path):
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in FAULTS])
-def test_fault_of_a_robot_is_named(case, tmp_path):
+def test_findings_name_the_fault_of_a_robot(case, tmp_path):
     paths, mapping = logs_of(case, tmp_path)
     log = read_log(paths[0], mapping)
     findings = [*log.findings, *find_corrections(log.name, log.records, mapping).findings]

@@ -30,7 +30,7 @@ yaml_values = st.recursive(
 
 
 @given(yaml_values)
-def test_written_data_are_read_back(data):
+def test_parsed_data_equal_the_written_data(data):
     assert parse_yaml(yaml.safe_dump(data)) == data
 
 

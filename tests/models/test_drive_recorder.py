@@ -161,7 +161,7 @@ POSE = Stamped(np.array([0.1, -1 / 3, 3.1]), 12.3456789012345, np.diag([1e-5, 2e
 
 
 @pytest.mark.parametrize("hold", [None, ("paused", False), ("odometry is 0.30 s old", True)])
-def test_tick_is_read_back(hold):
+def test_parsed_tick_equals_the_written_tick(hold):
     measurement = Measurement(POSE, Stamped((0.5, 0.1 + 0.2), 12.5), Stamped(-0.7, 12.49))
     record = TickRecord(7, 12.6, 2, measurement, hold, np.array([0.3, 1e-17]), "TRACKING", 'a, "b"', "unlimited", 1e-4)
     parsed = TickRecord.read(record.line())
@@ -177,7 +177,7 @@ def test_tick_is_read_back(hold):
     assert TickRecord.read(empty_record.line()).measurement == Measurement()
 
 
-def test_drive_is_read_back():
+def test_parsed_drive_equals_the_written_drive():
     record = DriveRecord(3, True, False, 1 / 3, {"name": "s", "breaks": [0.0]}, {"horizon": 30}, "kind: sm\n")
     assert DriveRecord.read(record.line()) == record
 

@@ -217,7 +217,7 @@ def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_
     assert (fits[0] > np.maximum(fits[1] + [0.2, 5.0], fits[2] - [0.0, 1e-3])).all()
 
 
-def test_invalid_input_raises_one_clear_line():
+def test_invalid_input_raises_value_error_with_the_reason():
     drive = noisy_drive(SM, 20, count=200)
     with pytest.raises(ValueError, match="no yaw_rate"):
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])

@@ -62,7 +62,7 @@ def test_topics_are_in_the_namespace_of_the_odometry(husky_bag):
     assert log.topics["imu"][0] == "/a200_0001/platform/sensors/imu_0/data"
 
 
-def test_two_robots_in_one_bag_are_named(tmp_path, husky_bag):
+def test_two_robots_in_one_bag_raise_config_error_with_their_namespaces(tmp_path, husky_bag):
     topics = bag_topics(drive(8.0))
     odometry = {f"/{name}/platform/odom": topics["/odom"] for name in ("a", "b")}
     bag = write_bag(tmp_path / "both", odometry | {"/a/cmd_vel": topics["/cmd_vel"]})

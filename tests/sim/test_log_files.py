@@ -163,7 +163,7 @@ def sparse_run() -> Run:
     return simulate(FeedForward(), SparsePlant(0.01, seed=1), ConstantTwist(0.3, 0.7, 1.0))
 
 
-def test_csv_log_is_read_back_bit_for_bit(sparse_run: Run, tmp_path: Path) -> None:
+def test_columns_of_a_csv_log_are_equal_bit_for_bit(sparse_run: Run, tmp_path: Path) -> None:
     log_csv.write_log(sparse_run, tmp_path / "run.csv")
     log = read_columns(tmp_path / "run.csv")
     assert tuple(log) == tuple(sparse_run.columns)

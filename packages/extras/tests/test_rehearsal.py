@@ -71,9 +71,9 @@ def test_repeating_error_is_removed():
 
 
 def test_repeating_error_is_removed_under_noise():
-    learning, plain = controller(), Controller(load_config("ssm"))
+    learning, reference = controller(), Controller(load_config("ssm"))
     learned_errors = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
-    plain_errors = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
+    plain_errors = np.array([lap(reference, seed=k, noise=1.0)[0] for k in range(6)])
     varying = np.sqrt(np.mean([rms(error - plain_errors.mean(axis=0)) ** 2 for error in plain_errors]) * 6 / 5)
     # At least half of the repeating error is removed.
     total = np.mean([rms(error) for error in plain_errors])

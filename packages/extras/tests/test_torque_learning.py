@@ -131,7 +131,7 @@ def test_settling_time_removes_the_error_of_lagged_torques():
         for k, target in enumerate(steady):
             torque += (target - torque) * dt / lag
             lagged[k] = torque
-    short = settings_with_exponent(0.0).curves.model_copy(update={"settling": 0.5})
+    short_curves = settings_with_exponent(0.0).curves.model_copy(update={"settling": 0.5})
     outer = np.minimum(side_torques(BOT, STIFF, RADII, 0.4).outer, BOT.torque_limit)
 
     def relative_error(settings):
@@ -139,7 +139,7 @@ def test_settling_time_removes_the_error_of_lagged_torques():
         curves.learn_drive(commands, lagged_left, lagged_right, dt)
         return np.sqrt(np.mean((curves.outer(RADII) - outer) ** 2) / np.mean(outer**2))
 
-    short_settling = SETTINGS.model_copy(update={"curves": short})
+    short_settling = SETTINGS.model_copy(update={"curves": short_curves})
     assert relative_error(settings_with_exponent(0.0)) < 0.07 < relative_error(short_settling)
 
 

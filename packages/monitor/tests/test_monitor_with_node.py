@@ -113,7 +113,7 @@ def test_unknown_parameter_similar_to_a_known_parameter_prevents_the_start():
     assert message in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_unknown_parameter_is_named_while_it_runs():
+def test_unknown_parameter_at_run_time_raises_an_error_with_its_name():
     context = Context()
     rclpy.init(context=context, args=in_name_space("r3"))
     node = MonitorNode(MonitorSettings(), context=context)
