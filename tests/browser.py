@@ -11,7 +11,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-"""Program names of the browser that are searched on the path."""
+"""Program names of the browser, searched on the path."""
 READY = "html[data-ready]"
 """Selector of a completely drawn page."""
 _PAGE_TIMEOUT = 60_000
@@ -38,7 +38,7 @@ def open_browser(executable: str | None = None) -> Iterator[Any]:
         description = program or f"any of {', '.join(BROWSERS)} on the path"
         raise ConfigError(f"no browser: {description} was not found; install chromium, or name it with --browser")
     with sync_playwright() as playwright:
-        # A container provides no sandbox; the page is our own file.
+        # A container provides no sandbox; the page is a local file.
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
         try:
             yield browser
@@ -58,7 +58,7 @@ def open_report(page: Any, report: Path) -> None:
 
 
 def screenshot(report: Path, picture: Path, width: int = 1280, height: int = 1500) -> None:
-    """Write a screenshot of the top of a report [pixels]; a height of 0 takes the whole page."""
+    """Write a screenshot of the top of a report [pixels]; a height of 0 captures the complete page."""
     if not report.is_file():
         raise ConfigError(f"{report}: no such report")
     with open_browser() as browser:

@@ -60,13 +60,13 @@ def file_size(path: Path) -> Size:
 
 
 def tracked_files(root: Path = ROOT) -> list[str]:
-    """List the paths of files that git tracks; none without git or outside a repository."""
+    """List the paths of files that git tracks; the list is empty without git or outside a repository."""
     command = ["git", "ls-files", "-z", "--cached"]
     try:
-        done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+        result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     except FileNotFoundError:
         return []
-    names = sorted({*done.stdout.split("\0")} - {""})
+    names = sorted({*result.stdout.split("\0")} - {""})
     return [name for name in names if (root / name).is_symlink() or (root / name).exists()]
 
 
@@ -88,15 +88,15 @@ def sizes(root: Path = ROOT) -> dict[str, Size]:
     areas: defaultdict[str, list[Size]] = defaultdict(list)
     for name in tracked_files(root):
         areas[area_of(name)].append(file_size(root / name))
-    of_areas = {name: total(parts) for name, parts in sorted(areas.items())}
+    by_area = {name: total(parts) for name, parts in sorted(areas.items())}
     members = {
-        "root wheel": [name for name in of_areas if name in ROOMS],
-        "all packages": [name for name in of_areas if name.startswith("packages/") and name.count("/") == 1],
-        "all studies": [name for name in of_areas if name.endswith("studies")],
-        "all tests": [name for name in of_areas if name.endswith("tests")],
-        "all files": [*of_areas],
+        "root wheel": [name for name in by_area if name in ROOMS],
+        "all packages": [name for name in by_area if name.startswith("packages/") and name.count("/") == 1],
+        "all studies": [name for name in by_area if name.endswith("studies")],
+        "all tests": [name for name in by_area if name.endswith("tests")],
+        "all files": [*by_area],
     }
-    return of_areas | {name: total([of_areas[area] for area in names] or [Size()]) for name, names in members.items()}
+    return by_area | {name: total([by_area[area] for area in names] or [Size()]) for name, names in members.items()}
 
 
 def table(root: Path = ROOT) -> str:

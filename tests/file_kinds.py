@@ -16,7 +16,7 @@ _EXTRAS = Path(diffdrive_mpc_extras.__file__).parent
 
 @dataclass(frozen=True)
 class FileKind:
-    """One kind of file.
+    """Kind of file.
 
     Attributes
     ----------

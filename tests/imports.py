@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def imports_of(path: Path) -> Iterator[tuple[str, str]]:
     """Yield the module and name of each import of a file, also inside functions; the name is empty for whole modules.
 
-    Relative imports begin with a dot.
+    Relative imports start with a dot.
     """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

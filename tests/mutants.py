@@ -1,8 +1,8 @@
 """Mutation score of the core: change the product, and list the changes that no test detects.
 
 A seed draws mutants from the files in `tests/mutants.yaml`: one sign, comparison, constant, index, field, negation or
-extremum differs. Each is applied to a copy of the tree, in which the tests of its file run. A failed test, a crash and
-a time-out kill it. Mutants that compile to the same code are skipped.
+extremum differs. Each is applied to a copy of the tree, in which the tests of its file run. A failed test, a crash or
+a time-out kills the mutant. Mutants that compile to the same code are skipped.
 """
 
 import argparse
@@ -37,7 +37,7 @@ PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="ut
 # Required share of killed mutants; time limit as a multiple of that of the unchanged product, plus [s]; memory [bytes].
 GOAL, TIME_FACTOR, EXTRA_TIME, MEMORY = 0.9, 4.0, 30.0, 8 << 30
 PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
-# A field of another type is no valid mutant, but gcc 12 only warns.
+# A field of another type is not a valid mutant, but gcc 12 only warns.
 ERRORS = ("-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types")
 COMPILE = ("cc", "-std=c99", "-O2", "-fPIC", *ERRORS, "-I.")
 # Imported once for all test runs.
@@ -59,7 +59,7 @@ _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")}
 }
-# Precedes the size of an array in its declaration: a larger size changes nothing, a smaller one is undefined behaviour.
+# Precedes the size of an array in its declaration: larger sizes have no effect, smaller sizes are undefined.
 _ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 
@@ -105,11 +105,11 @@ def mutants_of(path: str, text: str) -> list[list[Mutant]]:
         if _is_field(text, base, dot, name):
             fields.setdefault(base[0], set()).add(name[0])
     sites = []
-    for base, last, token, after in zip(tokens, tokens[1:], tokens[2:], tokens[3:], strict=False):
+    for base, previous, token, following in zip(tokens, tokens[1:], tokens[2:], tokens[3:], strict=False):
         if any(start <= token.start() < end for start, end in hidden) or base[0] == "strict":
             continue
-        options = _changes(last, token, after)
-        if _is_field(text, base, last, token):
+        options = _changes(previous, token, following)
+        if _is_field(text, base, previous, token):
             options = sorted(fields[base[0]] - {token[0]})
         sites.append([Mutant(path, text, token.span(), option) for option in options])
     return [site for site in sites if site]
@@ -121,16 +121,16 @@ def _is_field(text: str, base: re.Match[str], dot: re.Match[str], name: re.Match
     return dot[0] in (".", "->") and base.lastgroup == "name" and base[0] not in ("np", "ca") and not is_called
 
 
-def _changes(last: re.Match[str], token: re.Match[str], after: re.Match[str]) -> list[str]:
-    """Return the possible replacements of a token that is no field."""
-    word, is_index = token[0], last[0] == "[" and after[0] == "]"
+def _changes(previous: re.Match[str], token: re.Match[str], following: re.Match[str]) -> list[str]:
+    """Return the possible replacements of a token that is not a field."""
+    word, is_index = token[0], previous[0] == "[" and following[0] == "]"
     if token.lastgroup == "number" and not word.isdigit():
         return [f"{1.1 * float(word) or 0.1:.12g}"]
     if token.lastgroup == "number":
         return [str(int(word) + 1), str(int(word) - 1)] if int(word) else ["1"]
     if is_index and (word in AXES or re.fullmatch("[a-z]", word)):
         return [AXES[word]] if word in AXES else [f"{word} + 1", f"{word} - 1"]
-    is_pointer = word in "*/" and last.lastgroup == "sign" and last[0] not in ")]"
+    is_pointer = word in "*/" and previous.lastgroup == "sign" and previous[0] not in ")]"
     return [] if is_pointer else list(SWAPS.get(word, ()))
 
 
@@ -150,8 +150,8 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         self._tree, self._sources = folder / "tree", folder / "sources"
-        listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
-        for name in filter(None, subprocess.check_output(listed, cwd=ROOT, text=True).split("\0")):
+        command = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+        for name in filter(None, subprocess.check_output(command, cwd=ROOT, text=True).split("\0")):
             if (ROOT / name).is_symlink() or (ROOT / name).is_file():
                 (self._tree / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, self._tree / name, follow_symlinks=False)
@@ -178,8 +178,8 @@ class Tree:
 
     def _machine_code(self, text: str, path: str) -> bytes | None:
         command = [*COMPILE, f"-I{(self._tree / path).parent}", "-x", "c", "-c", "-", "-o", "mutant.o"]
-        done = subprocess.run(command, input=text, text=True, cwd=self._sources, capture_output=True, check=False)
-        return None if done.returncode else (self._sources / "mutant.o").read_bytes()
+        result = subprocess.run(command, input=text, text=True, cwd=self._sources, capture_output=True, check=False)
+        return None if result.returncode else (self._sources / "mutant.o").read_bytes()
 
     def kills(self, mutant: Mutant) -> bool:
         """Return True if a test of the mutant's file fails, crashes or does not end."""
@@ -197,15 +197,15 @@ class Tree:
             objects = (self._objects | {file.stem: "mutant.o"}).values()
             library = self._sources / "mutant.so"
             subprocess.run(["cc", "-shared", *objects, "-o", library, "-lm"], cwd=self._sources, check=True)
-        written = file.stat()
+        file_stat = file.stat()
         file.write_text(mutant.text, encoding="utf-8")
         # Python compares file times in whole seconds: compiled code of the original must not be reused.
-        os.utime(file, (written.st_atime, written.st_mtime + 10.0))
+        os.utime(file, (file_stat.st_atime, file_stat.st_mtime + 10.0))
         try:
             return self._run(TIME_FACTOR * self._times[stage] + EXTRA_TIME, stage, library, keep=False) != 0
         finally:
             file.write_text(mutant.original, encoding="utf-8")
-            os.utime(file, (written.st_atime, written.st_mtime))
+            os.utime(file, (file_stat.st_atime, file_stat.st_mtime))
 
     @property
     def _log(self) -> Path:
@@ -221,25 +221,25 @@ class Tree:
             os.dup2(log, 1)
             os.dup2(log, 2)
             os._exit(_run_pytest(self._tree, stage, library, keep=keep))
-        end, status = time.monotonic() + seconds, 0
-        while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
-            if time.monotonic() > end:
+        deadline, status = time.monotonic() + seconds, 0
+        while (wait_result := os.waitpid(child, os.WNOHANG))[0] == 0:
+            if time.monotonic() > deadline:
                 break
             time.sleep(0.05)
-        status = ended[1] if ended[0] else 1
+        status = wait_result[1] if wait_result[0] else 1
         with suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
-        if ended[0] == 0:
+        if wait_result[0] == 0:
             os.waitpid(child, 0)
         return status
 
 
 def _run_pytest(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
-    """Return the result of pytest; `keep` compiled files of Python. `library`, if given, replaces the core."""
+    """Run pytest and return its result; `keep` allows compiled Python files, and `library` replaces the core."""
     sys.dont_write_bytecode = not keep
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
-    # The virtual environment may lie inside the clone.
+    # The virtual environment may be inside the clone.
     outside = [path for path in sys.path if "site-packages" in path or not Path(path).is_relative_to(ROOT)]
     sys.path[:] = [str(tree / "src"), str(tree), *outside]
     if library:
@@ -290,8 +290,8 @@ def main() -> None:
             fate = "explained" if mutant.change in explained else "killed" if tree.kills(mutant) else "SURVIVES"
             fates[fate].append(mutant)
             print(f"{fate:9} {mutant}", flush=True)
-    killed, known, survivors = map(len, fates.values())
-    print(f"seed {options.seed}: {killed} killed, {known} explained, {survivors} survive")
+    killed, explained_count, survivors = map(len, fates.values())
+    print(f"seed {options.seed}: {killed} killed, {explained_count} explained, {survivors} survive")
     print(*fates["SURVIVES"], sep="\n")
     sys.exit(killed < GOAL * (killed + survivors))
 

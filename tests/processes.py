@@ -13,16 +13,16 @@ def run_python(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
 
 
-def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[str]:
+def run_command(*command: str, without: str = "") -> subprocess.CompletedProcess[str]:
     """Run the command line as a program, as if the package `without` were not installed."""
     missing = f"sys.modules[{without!r}] = None; " if without else ""
-    arguments = ["diffdrive-mpc", *words]
+    arguments = ["diffdrive-mpc", *command]
     return run_python(f"import sys; {missing}sys.argv = {arguments}; from diffdrive_mpc.app.cli import main; main()")
 
 
-def is_running(number: int) -> bool:
+def is_running(pid: int) -> bool:
     """Return True if a process runs, that is, it has not ended or become a zombie."""
     try:
-        return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False

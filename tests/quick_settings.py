@@ -1,4 +1,4 @@
-"""Short searches, for tests of the code before and after them."""
+"""Short search settings, for tests that do not check the quality of the search results."""
 
 from contextlib import contextmanager
 from importlib import import_module
@@ -16,15 +16,15 @@ SHORT_SETTINGS = {
     "diffdrive_mpc_extras.hybrids.finding": ("hybrid_settings", {"units": 6, "decays": (1e-3,), "most_steps": 80}),
     "diffdrive_mpc_extras.twin.fitting": ("twin_settings", {"evaluations": (2, 3), "refined": 1}),
 }
-"""By module of a package that may be missing: the function that reads its settings, and their changes."""
+"""Function that reads the settings, and changed values, by module of an optional package."""
 
 
 @contextmanager
 def quick_settings():
     """Search, train and fit with `SHORT_SETTINGS`, and try an identified model along one path."""
     with pytest.MonkeyPatch.context() as patch:
-        for place, (name, changes) in SHORT_SETTINGS.items() if find_spec("diffdrive_mpc_extras") else ():
-            module = import_module(place)
+        for module_name, (name, changes) in SHORT_SETTINGS.items() if find_spec("diffdrive_mpc_extras") else ():
+            module = import_module(module_name)
             settings = getattr(module, name)().model_copy(update=changes)
             patch.setattr(module, name, lambda settings=settings: settings)
         patch.setattr(trial_drives, "PATHS", ("circle",))

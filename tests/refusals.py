@@ -6,10 +6,10 @@ import pytest
 
 
 @contextmanager
-def one_line_error(kind, *words, match=None):
-    """Check that an error is raised whose message is one line with all words; yield pytest's exception info."""
-    with pytest.raises(kind, match=match) as caught:
-        yield caught
-    line = str(caught.value)
-    assert "\n" not in line
-    assert all(word in line for word in words), line
+def one_line_error(error_type, *parts, match=None):
+    """Check that an error with a one-line message that contains all `parts` is raised; yield the exception info."""
+    with pytest.raises(error_type, match=match) as error:
+        yield error
+    message = str(error.value)
+    assert "\n" not in message
+    assert all(part in message for part in parts), message

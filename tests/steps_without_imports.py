@@ -2,8 +2,8 @@
 
     python steps_without_imports.py NAME
 
-The robot begins off the path, is held, and temporarily loses its pose: the return path, the failure modes and the
-features of the configuration all run.
+The robot starts off the path, is held, and temporarily loses its pose. The return path, the failure modes and the
+features of the configuration are all used.
 """
 
 import json
@@ -12,7 +12,7 @@ import subprocess
 import sys
 
 CASES = {"shipped": {}, "osqp": {"solver.method": "osqp"}, "daqp": {"solver.method": "daqp"}}
-HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
+HOLD_TICKS, NO_POSE_TICKS, TICKS = range(60, 90), range(120, 160), 200
 
 
 class ImportRecorder:
@@ -38,8 +38,8 @@ def drive(settings, on_start=lambda controller: None):
     on_start(controller)
     recorder, messages = ImportRecorder(), []
     for tick in range(TICKS):
-        measurement = Measurement() if tick in LOST else robot.measure()
-        hold = Hold("a test") if tick in HELD else None
+        measurement = Measurement() if tick in NO_POSE_TICKS else robot.measure()
+        hold = Hold("a test") if tick in HOLD_TICKS else None
         sys.meta_path.insert(0, recorder)
         result = controller.step(tick * dt, measurement, hold)
         sys.meta_path.remove(recorder)
@@ -52,8 +52,8 @@ def check_steps(program, name):
     """Run a program that prints the result of `drive`; check that its steps ran all branches and imported no module."""
     path = os.pathsep.join(filter(None, sys.path))
     arguments, environment = [sys.executable, str(program), name], os.environ | {"PYTHONPATH": path}
-    done = subprocess.run(arguments, capture_output=True, text=True, check=True, env=environment)
-    steps = json.loads(done.stdout)
+    result = subprocess.run(arguments, capture_output=True, text=True, check=True, env=environment)
+    steps = json.loads(result.stdout)
     assert steps["imported"] == []
     for part in ("rejoining", "no pose was accepted", "a test"):
         assert any(part in message for message in steps["messages"])

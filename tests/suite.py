@@ -17,7 +17,7 @@ from hypothesis import settings
 settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False, max_examples=25)
 settings.register_profile("many", settings.get_profile("reproducible"), max_examples=200)
 settings.load_profile("reproducible")
-# As in the command line, before NumPy is imported.
+# The command line also sets these variables before NumPy is imported.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 # Workers of xdist set a width; without it, tables are as wide as in a pipe.
@@ -127,7 +127,7 @@ def pytest_sessionfinish(session):
 
 @pytest.fixture
 def one_process(monkeypatch):
-    """Commands without a number of jobs use one process: starting each additional one takes seconds."""
+    """Commands without a number of jobs use one process, because each additional process takes seconds to start."""
     from diffdrive_mpc.bench import runner
 
     monkeypatch.setattr(runner, "os", SimpleNamespace(**vars(os) | {"sched_getaffinity": lambda process: {0}}))

@@ -22,10 +22,10 @@ PACKAGE_PAGES = list(ROOT.glob("packages/*/docs/*.md"))
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *PACKAGE_PAGES])
 # Tutorials are run as notebooks by test_tutorials.py.
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
-LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
+PAGES_WITH_LINKS = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
-"""A table that a program writes."""
+GENERATED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
+"""Pattern of a generated table."""
 MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -46,9 +46,9 @@ RUN_IN_TESTS = {
     "diffdrive-mpc predict-error --config my_robot/config.yaml --trajectory path.yaml "
     "--learn-from 1.mcap --learn-from 2.mcap --out predicted": "packages/extras/tests/test_own_robot.py",
 }
-PLACES = {"passport"}
+RESULT_FOLDERS = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
-OWN_PROCESS = ("node", "sim-robot", "monitor")
+SEPARATE_PROCESS = ("node", "sim-robot", "monitor")
 # These pages describe the installation: .ci/tour.py runs them unchanged with only a wheel installed.
 TOUR_PAGES = {ROOT / "README.md", ROOT / "docs" / "install.md"}
 # Options that need a program of the system.
@@ -69,7 +69,7 @@ def name_of(document):
 def as_system_test(document):
     """Return the document as a parameter of the system suite, with the needs of its commands."""
     commands = "".join(body for language, body in blocks(document) if language == "sh")
-    needs = [need for word, need in NEEDS.items() if word in commands]
+    needs = [need for option, need in NEEDS.items() if option in commands]
     return pytest.param(document, marks=pytest.mark.system(*needs))
 
 
@@ -88,35 +88,35 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
             exec(compile(body, name_of(document), "exec"), names)
         elif language == "sh":
             for line in body.strip().splitlines():
-                words = shlex.split(line)
-                if words[0] == "make":
+                arguments = shlex.split(line)
+                if arguments[0] == "make":
                     assert RUN_BY_CI.match(line), f"{name_of(document)}: `{line}` is run by no test"
                 elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line:
                     raise AssertionError(f"{name_of(document)}: .ci/run does not have `{line}`")
-                elif words[:3] == ["python", "-m", "studies"]:
-                    invoke_command(studies_app, words[3:], "python -m studies")
+                elif arguments[:3] == ["python", "-m", "studies"]:
+                    invoke_command(studies_app, arguments[3:], "python -m studies")
                 else:
-                    assert words[0] == "diffdrive-mpc"
-                    command(words[1:], tmp_path)
+                    assert arguments[0] == "diffdrive-mpc"
+                    command(arguments[1:], tmp_path)
         else:
             raise AssertionError(f"{name_of(document)}: nothing runs a block of {language}")
 
 
-def command(words, folder):
+def command(arguments, folder):
     """Run a command in this process to save its imports; nodes, which handle signals, run in a separate process."""
-    if words[0] in OWN_PROCESS:
-        run([str(COMMAND), *words], folder)
+    if arguments[0] in SEPARATE_PROCESS:
+        run([str(COMMAND), *arguments], folder)
         return
-    invoke_command(app, words, "diffdrive-mpc")
+    invoke_command(app, arguments, "diffdrive-mpc")
 
 
-def invoke_command(program, words, name):
+def invoke_command(program, arguments, name):
     # Short searches are enough to show that a command runs.
     with quick_settings():
-        result = CliRunner().invoke(program, words, prog_name=name)
-    assert result.exit_code == 0, f"{words}: {result.output}\n{result.exception!r}"
+        result = CliRunner().invoke(program, arguments, prog_name=name)
+    assert result.exit_code == 0, f"{arguments}: {result.output}\n{result.exception!r}"
 
 
 def run(command, folder):
@@ -132,11 +132,11 @@ def hand_written():
     paths = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
     paths -= {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
     paths -= {ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
-    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
+    return {path: FENCE.sub("", GENERATED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
 
 
 def test_hand_written_documents_are_short():
-    """Pages are those of the site, except for the tables of parameters; words of other documents count, too."""
+    """Count the pages of the site without the tables of parameters, and the words of all documents."""
     texts = hand_written()
     words = {name_of(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
     pages = {*texts} & {*DOCUMENTS, *PAGES} - {ROOT / "docs" / "parameters.md"}
@@ -147,7 +147,7 @@ def test_hand_written_documents_are_short():
 
 
 def test_files_named_by_documents_and_ci_exist():
-    texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
+    texts = [page.read_text(encoding="utf-8") for page in PAGES_WITH_LINKS] + [CI_SCRIPT]
     named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
     robot_tests = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
     named_files |= {f"tests/mpc/test_{name}.py" for name in robot_tests}
@@ -158,14 +158,14 @@ def test_files_named_by_documents_and_ci_exist():
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_commands_run_in_tests_match_the_documents(line, file):
     """Every word of the line is quoted in the file of the test, except for paths."""
-    words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
-    expected_words = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
+    parts = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
+    expected_words = [f'"{part}"' for part in parts if "." not in part and part not in RESULT_FOLDERS]
     test = (ROOT / file).read_text(encoding="utf-8")
-    assert all(word in test for word in expected_words), expected_words
+    assert all(part in test for part in expected_words), expected_words
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 
-@pytest.mark.parametrize("document", LINKING, ids=name_of)
+@pytest.mark.parametrize("document", PAGES_WITH_LINKS, ids=name_of)
 def test_links_resolve(document):
     """Links inside the repository must exist; external addresses are only checked for their form."""
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", FENCE.sub("", document.read_text(encoding="utf-8"))):
@@ -175,39 +175,39 @@ def test_links_resolve(document):
             assert (document.parent / target).exists(), f"{name_of(document)}: {target}"
 
 
-@pytest.mark.parametrize("shown", REPORTS, ids=lambda shown: shown.name)
-def test_pages_link_the_committed_report_and_show_its_tables(shown):
+@pytest.mark.parametrize("entry", REPORTS, ids=lambda entry: entry.name)
+def test_pages_link_the_committed_report_and_show_its_tables(entry):
     """README shows the tables of `bench`; a report without a page of tables states its own revision and date."""
-    report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
-    if shown.page:
-        page = (ROOT / "docs" / shown.page).read_text(encoding="utf-8")
-        assert f"<!-- {shown.name}" in page
-        assert with_report(shown, page, report) == page
+    report = (ROOT / "docs" / entry.name / f"{entry.name}.md").read_text(encoding="utf-8")
+    if entry.page:
+        page = (ROOT / "docs" / entry.page).read_text(encoding="utf-8")
+        assert f"<!-- {entry.name}" in page
+        assert with_report(entry, page, report) == page
     else:
-        assert any(f"({shown.name}/{shown.name}.md" in page.read_text(encoding="utf-8") for page in PAGES)
+        assert any(f"({entry.name}/{entry.name}.md" in page.read_text(encoding="utf-8") for page in PAGES)
         assert re.search(r"^\* diffdrive-mpc .*, revision [0-9a-f]{12}, \d{4}-\d\d-\d\d\.$", report, re.MULTILINE)
 
 
 def test_reports_are_current_or_marked_as_older():
-    known = json.loads((ROOT / twelve_drives.RECORD).read_text(encoding="utf-8"))
-    assert twelve_drives.sums_agree(known["drives"], twelve_drives.drives()), (
+    record = json.loads((ROOT / twelve_drives.RECORD).read_text(encoding="utf-8"))
+    assert twelve_drives.sums_agree(record["drives"], twelve_drives.drives()), (
         "the controller's commands have changed: make results, or python -m studies.documents.documents"
     )
-    for shown in REPORTS:
-        report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
-        assert (twelve_drives.OLDER in report) == (shown.name not in known["reports"]), shown.name
+    for entry in REPORTS:
+        report = (ROOT / "docs" / entry.name / f"{entry.name}.md").read_text(encoding="utf-8")
+        assert (twelve_drives.OLDER in report) == (entry.name not in record["reports"]), entry.name
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/reproduce.md"])
-def test_stated_number_of_confirmed_findings_is_that_of_the_report(page):
+def test_stated_number_of_confirmed_findings_agrees_with_the_report(page):
     report = (ROOT / "docs" / "reproduce" / "reproduce.md").read_text(encoding="utf-8")
     findings = report.partition("## Findings")[2].partition("\n## ")[0]
-    held = [line.split("|")[-2].strip() for line in findings.splitlines() if line.startswith("| ")][2:]
-    assert f"{held.count('yes')} of {len(held)} hold" in (ROOT / page).read_text(encoding="utf-8")
+    verdicts = [line.split("|")[-2].strip() for line in findings.splitlines() if line.startswith("| ")][2:]
+    assert f"{verdicts.count('yes')} of {len(verdicts)} hold" in (ROOT / page).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("arguments", "line"),
     [
         (
             ["simulate", "--model", "smm"],
@@ -218,7 +218,7 @@ def test_stated_number_of_confirmed_findings_is_that_of_the_report(page):
         (["simulate", "--set", "horizon=0"], "horizon: Input should be greater than or equal to 1 (found 0)"),
     ],
 )
-def test_error_lines_match_the_documents(words, line):
-    assert line in refusal(*words)
+def test_error_lines_match_the_documents(arguments, line):
+    assert line in refusal(*arguments)
     documented = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
     assert line.removeprefix("error: ") in documented

@@ -76,7 +76,7 @@ def test_interrupted_loop_example_sends_zero_last(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        # In background test runs the signal is ignored, and children inherit that.
+        # In background test runs the signal is ignored, and child processes inherit this setting.
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - the child has no threads
     ) as process:
         assert process.stdout is not None
@@ -89,10 +89,10 @@ def test_interrupted_loop_example_sends_zero_last(tmp_path):
     assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", output)
 
 
-def test_cost_example_keeps_a_distance(tmp_path):
-    without, aware = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
+def test_cost_example_increases_the_distance(tmp_path):
+    without, with_cost = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
     assert without < 0.1
-    assert aware > 0.35
+    assert with_cost > 0.35
 
 
 def test_path_example_ends_at_the_stated_point(tmp_path):

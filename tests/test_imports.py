@@ -1,4 +1,4 @@
-"""Imports: a command or robot loads only the modules that it needs, and a step loads none."""
+"""Imports: a command or robot loads only necessary modules, and a step loads no module."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.plants.open_loop
 make_plant("model:ssm")
 """
-LOADED = {
+PROGRAMS = {
     "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
     "a controller": (CONTROLLER, REPORTS | SCIPY | SIMULATION | {"mujoco", "rich", "typer"}),
     "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
@@ -38,13 +38,13 @@ LOADED = {
 }
 
 
-def run(*words):
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout
+def run(*arguments):
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("case", LOADED)
+@pytest.mark.parametrize("case", PROGRAMS)
 def test_only_needed_modules_are_loaded(case):
-    code, unwanted = LOADED[case]
+    code, unwanted = PROGRAMS[case]
     loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
     assert "diffdrive_mpc" in loaded
     assert not unwanted & set(loaded)
@@ -63,22 +63,22 @@ SingleThreadedExecutor.spin_once = spin_or_end
 
 
 def test_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_diagnosis(monkeypatch):
-    """All modules of the package count, including empty ones, with the shipped configuration."""
+    """Count all modules of the package, including empty modules, with the shipped configuration."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     command = COMMAND.format(["node", "--autostart", "--ros-args", "-p", "discovery_wait:=0.0"])
-    # The loop of the executor begins after the activation.
+    # The loop of the executor starts after the activation.
     activated, *loaded = (
         run("-c", f"{NODE}{command}\nprint(next(spins, 'activated'), *sys.modules)").splitlines()[-1].split()
     )
     assert activated == "activated"
-    ours = {name for name in loaded if name.partition(".")[0] == "diffdrive_mpc"}
-    assert "diffdrive_mpc.mpc.ros.control_loop" in ours
-    assert len(ours) <= 160
+    modules = {name for name in loaded if name.partition(".")[0] == "diffdrive_mpc"}
+    assert "diffdrive_mpc.mpc.ros.control_loop" in modules
+    assert len(modules) <= 160
     folders = ("sim", "bench", "models.logs.diagnosis")
-    assert not [name for name in ours if name.removeprefix("diffdrive_mpc.").startswith(folders)]
+    assert not [name for name in modules if name.removeprefix("diffdrive_mpc.").startswith(folders)]
 
 
-def test_robot_needs_neither_mujoco_nor_matplotlib():
+def test_robot_runs_without_mujoco_and_matplotlib():
     blocked = f"import sys; sys.modules.update(dict.fromkeys({sorted(REPORTS | {'mujoco', 'rclpy', 'rich'})}))\n"
     drive = "from diffdrive_mpc import make_plant, simulate, load_trajectory, Controller, load_config\n"
     drive += "run = simulate(Controller(load_config('ssm')), make_plant('model:ssm'), load_trajectory('circle'))\n"

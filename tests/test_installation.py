@@ -15,24 +15,24 @@ from studies.speed.process.environment import REQUIREMENTS
 ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-# Every Debian has these commands, though the path of the tests may not contain them.
+# Every Debian system has these commands, but the path of the tests may not contain their folders.
 SHELL = {"capture_output": True, "text": True, "env": {"PATH": os.defpath}}
 PYTHONS = [f"3.{minor}" for minor in (11, 12, 13, 14)]
 
 
-def instructions(word):
-    return [line.split(maxsplit=1)[1] for line in DOCKERFILE.splitlines() if line.startswith(f"{word} ")]
+def instructions(keyword):
+    return [line.split(maxsplit=1)[1] for line in DOCKERFILE.splitlines() if line.startswith(f"{keyword} ")]
 
 
 def test_image_copies_only_existing_files():
-    for copied in instructions("COPY"):
-        *sources, _ = shlex.split(copied)
-        assert all((ROOT / source).exists() for source in sources), copied
+    for instruction in instructions("COPY"):
+        *sources, _ = shlex.split(instruction)
+        assert all((ROOT / source).exists() for source in sources), instruction
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
     assert not {"requirements.txt", "ros", "docker", "src", "pyproject.toml"} & set(ignored)
 
 
-def test_pins_of_the_image_are_those_of_the_project():
+def test_pins_of_the_image_equal_those_of_the_project():
     """The command of the image generates them from the file with hashes."""
     (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
     shell = command.replace("/source", str(ROOT)).rpartition(">")[0]
@@ -43,7 +43,7 @@ def test_pins_of_the_image_are_those_of_the_project():
     assert "3.12" in numpy
 
 
-def test_dependencies_are_pinned_for_every_promised_python():
+def test_dependencies_are_pinned_for_every_supported_python():
     environments = " ".join(PROJECT["tool"]["uv"]["environments"])
     assert all(python in environments for python in PYTHONS[1:])
     pins = (ROOT / "requirements.txt").read_text(encoding="utf-8")
@@ -74,7 +74,7 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
 
 
 def test_page_lists_the_licences_of_installed_packages() -> None:
-    """The table equals the one generated from the installed packages."""
+    """The table equals the table generated from the installed packages."""
     page = PAGE.read_text(encoding="utf-8")
     assert with_table(page) == page
     assert "| casadi | GNU Lesser General Public License v3" in page

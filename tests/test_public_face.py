@@ -11,7 +11,7 @@ import pytest
 import diffdrive_mpc
 
 # Packages that only the speed benchmark installs, or types without a wheel.
-FOREIGN = {"acados_template", "do_mpc", "nav2_msgs"}
+NOT_INSTALLED = {"acados_template", "do_mpc", "nav2_msgs"}
 
 
 def all_modules():
@@ -19,18 +19,18 @@ def all_modules():
         try:
             yield importlib.import_module(result.name)
         except ModuleNotFoundError as error:
-            assert error.name in FOREIGN, result.name
+            assert error.name in NOT_INSTALLED, result.name
 
 
 def test_every_error_of_the_project_has_the_common_base():
     errors = {
-        kind
+        cls
         for module in all_modules()
-        for _, kind in inspect.getmembers(module, inspect.isclass)
-        if issubclass(kind, BaseException) and kind.__module__.startswith("diffdrive_mpc.")
+        for _, cls in inspect.getmembers(module, inspect.isclass)
+        if issubclass(cls, BaseException) and cls.__module__.startswith("diffdrive_mpc.")
     }
     assert {diffdrive_mpc.ConfigError, diffdrive_mpc.ModelError, diffdrive_mpc.RobotLostError} <= errors
-    assert [kind for kind in errors if not issubclass(kind, (diffdrive_mpc.DiffdriveMpcError, Warning))] == []
+    assert [cls for cls in errors if not issubclass(cls, (diffdrive_mpc.DiffdriveMpcError, Warning))] == []
 
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)
@@ -59,8 +59,8 @@ print(step.mode, step.command[0] > 0.1)
 
 
 def test_script_runs_next_to_files_named_like_the_folders(tmp_path):
-    for room in ("models", "mpc", "sim", "bench", "app"):
-        (tmp_path / f"{room}.py").write_text("'of the user'\n")
+    for folder in ("models", "mpc", "sim", "bench", "app"):
+        (tmp_path / f"{folder}.py").write_text("'of the user'\n")
     (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.stdout == "TRACKING True\n", done.stderr
+    result = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert result.stdout == "TRACKING True\n", result.stderr

@@ -29,7 +29,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from refusals import one_line_error
 from studies.cli import app as studies
 
-DOORS = yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))
+INTERFACES = yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))
 PROGRAMS = {"diffdrive-mpc ": product, "python -m studies ": studies}
 SM, SSM = (yaml.safe_load(model_path(name).read_text(encoding="utf-8")) for name in ("sm", "ssm"))
 TIMES = np.linspace(0.0, 10.0, 101)
@@ -59,11 +59,11 @@ def started_controller():
     return controller
 
 
-CALLED = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
-CALLED += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
-CALLED += (single_settings, started_controller, sweep_settings)
+CALLS = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
+CALLS += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
+CALLS += (single_settings, started_controller, sweep_settings)
 NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__}
-NAMES |= {function.__name__: function for function in CALLED} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
+NAMES |= {function.__name__: function for function in CALLS} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
 NAMES |= {"X": np.sin(0.5 * TIMES), "Y": 1.0 - np.cos(0.5 * TIMES), "SYSTEM": control.tf([1.0], [0.1, 1.0])}
 NAMES |= {"diffdrive_mpc": diffdrive_mpc, "tf": control.tf}
 """Names in the expressions of refusals.yaml."""
@@ -76,27 +76,27 @@ def pattern_of(message):
 
 
 @pytest.mark.parametrize(
-    ("door", "row"),
-    [pytest.param(door, row, id=f"{door['door']}: {row[0]}"[:60]) for door in DOORS for row in door["inputs"]],
+    ("interface", "row"),
+    [pytest.param(door, row, id=f"{door['door']}: {row[0]}"[:60]) for door in INTERFACES for row in door["inputs"]],
 )
-def test_invalid_input_to_every_interface_gives_one_line(door, row, tmp_path, monkeypatch):
+def test_invalid_input_to_every_interface_gives_one_line(interface, row, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    place, (text, message, *more) = door["door"], row
+    expression, (text, message, *more) = interface["door"], row
     files = dict(more and (more[0] if isinstance(more[0], dict) else {"mine.yaml": more[0]}))
-    if "INPUT" not in place:
-        files[re.search(r"mine\.\w+", place)[0]] = text
+    if "INPUT" not in expression:
+        files[re.search(r"mine\.\w+", expression)[0]] = text
     for name, content in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(content, encoding="latin-1")
     for program, app in PROGRAMS.items():
-        if place.startswith(program):
-            before = sorted(tmp_path.rglob("*"))
-            arguments = shlex.split(place.removeprefix(program).replace("INPUT", text))
+        if expression.startswith(program):
+            files_before = sorted(tmp_path.rglob("*"))
+            arguments = shlex.split(expression.removeprefix(program).replace("INPUT", text))
             result = invoke(app, *arguments, code=2)
             (line,) = result.stderr.splitlines()
             assert line.startswith("error: ") and result.stdout == ""
             assert re.search(pattern_of(message), line), line
-            assert sorted(tmp_path.rglob("*")) == before
+            assert sorted(tmp_path.rglob("*")) == files_before
             return
-    with one_line_error(eval(door.get("error", "ConfigError"), NAMES), match=pattern_of(message)):
-        eval(place.replace("INPUT", text), NAMES)
+    with one_line_error(eval(interface.get("error", "ConfigError"), NAMES), match=pattern_of(message)):
+        eval(expression.replace("INPUT", text), NAMES)

@@ -14,16 +14,16 @@ QUOTED = re.compile(rf'\brevisions?"?:?\s+"?{_HEX}\b(?:(?:,| to| and| or)\s+{_HE
 def git(*arguments: str, text: str = "") -> str:
     """Return the output of git in the repository; empty on failure."""
     try:
-        done = subprocess.run(["git", *arguments], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
+        result = subprocess.run(["git", *arguments], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
     except OSError:
         return ""
-    return done.stdout if done.returncode == 0 else ""
+    return result.stdout if result.returncode == 0 else ""
 
 
 def quoted_revisions(text: str) -> set[str]:
     """Return the revisions that a text quotes."""
     quoted = {revision for match in QUOTED.finditer(text) for revision in match.groups() if revision}
-    # Dates and other decimal numbers are no revisions.
+    # Dates and other decimal numbers are not revisions.
     return {revision for revision in quoted if re.search("[a-f]", revision) or len(revision) > 8}
 
 

@@ -21,7 +21,7 @@ FOLDERS = {
 }
 ROS_FOLDERS = {ROOT / "mpc/ros", ROOT / "sim/ros"} | {FOLDERS[name] / "ros" for name in PACKAGES}
 MUJOCO_FOLDERS = {ROOT / "sim", FOLDERS["diffdrive_mpc_extras"] / "worlds"}
-DEFERRED_CIRCLES = {
+DEFERRED_CYCLES = {
     "diffdrive_mpc.models.velocity_model",
     "diffdrive_mpc.mpc.core.library",
     "diffdrive_mpc.mpc.trajectories.trajectory",
@@ -29,7 +29,7 @@ DEFERRED_CIRCLES = {
     "diffdrive_mpc.bench.peers",
     "diffdrive_mpc.bench.case",
 }
-"""One module of each import circle that an import inside a function closes."""
+"""One module of each import cycle that an import inside a function closes."""
 
 
 def module_names(prefix, folder):
@@ -82,7 +82,7 @@ def reachable(graph, start):
     return reached
 
 
-def circular(graph):
+def nodes_in_cycles(graph):
     return {name for name in graph if name in reachable(graph, name)}
 
 
@@ -92,10 +92,10 @@ def rooms_of(path):
     return {parts[1] if parts[0] == "diffdrive_mpc" else parts[0] for parts in names}
 
 
-def test_rooms_and_packages_import_only_what_the_contributing_page_lists():
+def test_rooms_and_packages_import_only_those_listed_in_contributing():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     head, *lines = re.search(r"^ {4}room .*\n(?: {4}.*\n)+", page, re.MULTILINE)[0].splitlines()
-    shown = {line.split()[0]: set(line[head.index("imports") :].split()) for line in lines}
+    documented = {line.split()[0]: set(line[head.index("imports") :].split()) for line in lines}
     short = {name: name.removeprefix("diffdrive_mpc_") for name in PACKAGES}
     actual = {
         short.get(name.removeprefix("diffdrive_mpc."), name.removeprefix("diffdrive_mpc.")): {
@@ -105,7 +105,7 @@ def test_rooms_and_packages_import_only_what_the_contributing_page_lists():
         }
         for name, folder in FOLDERS.items()
     }
-    assert shown == actual
+    assert documented == actual
 
 
 @pytest.mark.parametrize("prefix", FOLDERS)
@@ -119,7 +119,7 @@ def test_ros_and_mujoco_are_imported_only_in_their_folders(prefix):
 
 
 @pytest.mark.parametrize("folder", sorted(name for name, path in MODULES.items() if path.name == "__init__.py"))
-def test_folders_inside_a_folder_form_no_circle(folder):
+def test_folders_inside_a_folder_form_no_import_cycle(folder):
     inside, graph = f"{folder}.", defaultdict(set)
     for name, targets in import_graph(inside_functions=True).items():
         for target in targets:
@@ -128,36 +128,36 @@ def test_folders_inside_a_folder_form_no_circle(folder):
                 if source != sink:
                     graph[source].add(sink)
     directory = MODULES[folder].parent
-    assert {entry for entry in circular(dict(graph)) if (directory / entry).is_dir()} == set()
+    assert {entry for entry in nodes_in_cycles(dict(graph)) if (directory / entry).is_dir()} == set()
 
 
-def test_files_form_no_circle():
-    assert circular(import_graph(inside_functions=False)) == set()
+def test_files_form_no_import_cycle():
+    assert nodes_in_cycles(import_graph(inside_functions=False)) == set()
 
 
-def test_imports_inside_functions_close_only_listed_circles():
+def test_imports_inside_functions_close_only_listed_cycles():
     reached = {name: reachable(import_graph(inside_functions=True), name) for name in MODULES}
-    circles = {frozenset(module for module in reached[name] if name in reached[module]) for name in MODULES}
-    listed = [circle & DEFERRED_CIRCLES for circle in circles - {frozenset()}]
-    assert sorted(map(sorted, listed)) == sorted([name] for name in DEFERRED_CIRCLES)
+    cycles = {frozenset(module for module in reached[name] if name in reached[module]) for name in MODULES}
+    listed = [cycle & DEFERRED_CYCLES for cycle in cycles - {frozenset()}]
+    assert sorted(map(sorted, listed)) == sorted([name] for name in DEFERRED_CYCLES)
 
 
 def test_controller_folders_import_only_lower_layers_of_the_page():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     lines = re.search(r"^ {4}node .*\n(?: {4}.*\n)+", page, re.MULTILINE)[0].splitlines()
     layers = [re.split(r" {2,}", line.strip())[1].split() for line in lines]
-    height = {name: len(layers) - index for index, names in enumerate(layers) for name in names}
+    level = {name: len(layers) - index for index, names in enumerate(layers) for name in names}
     prefix = "diffdrive_mpc.mpc."
-    assert {name.split(".")[2] for name in MODULES if name.startswith(prefix)} == set(height)
+    assert {name.split(".")[2] for name in MODULES if name.startswith(prefix)} == set(level)
     for name, targets in import_graph(inside_functions=True).items():
         for target in targets:
             if name.startswith(prefix) and target.startswith(prefix):
                 source, sink = name.split(".")[2], target.split(".")[2]
-                assert source == sink or height[source] > height[sink], f"{name} imports {target}"
+                assert source == sink or level[source] > level[sink], f"{name} imports {target}"
 
 
 @pytest.mark.parametrize("package", sorted(path.name for path in (ROOT / "packages").iterdir()))
-def test_wheel_holds_every_file_of_its_package(package):
+def test_wheel_contains_every_file_of_its_package(package):
     folder = ROOT / "packages" / package
     patterns = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
     files = [path for path in (folder / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts]

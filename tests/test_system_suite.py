@@ -17,8 +17,8 @@ def run_pytest(*arguments, **environment):
 
 
 def test_system_suite_without_its_programs_fails_with_one_line_that_names_the_packages(tmp_path):
-    done = run_pytest("-m", "system", PATH=str(tmp_path), HOME=str(tmp_path))
-    assert done.returncode != 0
-    (line,) = done.stderr.strip().splitlines()
+    result = run_pytest("-m", "system", PATH=str(tmp_path), HOME=str(tmp_path))
+    assert result.returncode != 0
+    (line,) = result.stderr.strip().splitlines()
     assert line.startswith("ERROR: the system suite cannot run: not installed: chromium, firefox-esr, ")
     assert " on Debian or Ubuntu: sudo apt-get install chromium firefox-esr " in line

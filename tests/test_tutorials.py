@@ -1,4 +1,4 @@
-"""Tutorials: their notebooks run and draw the figures of the pages."""
+"""Tutorials: notebooks run and draw the figures of their pages."""
 
 from pathlib import Path
 
@@ -17,22 +17,22 @@ TUTORIALS = sorted(FOLDER.glob("*.md"))
 
 @pytest.mark.system
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
+def test_notebook_draws_the_figures_of_its_page(page, tmp_path, monkeypatch):
     markdown = page.read_text(encoding="utf-8")
     notebook = notebook_text(markdown)
     assert '"outputs": []' in notebook
-    shown = pictures(markdown)
-    assert shown
-    assert all((FOLDER / name).is_file() for name in shown)
+    figures = pictures(markdown)
+    assert figures
+    assert all((FOLDER / name).is_file() for name in figures)
     for name, value in own_domain(tmp_path).items():
         monkeypatch.setenv(name, value)
-    assert len(execute(notebook, tmp_path)) == len(shown)
+    assert len(execute(notebook, tmp_path)) == len(figures)
     if page.stem == JACKAL:
         check_jackal(tmp_path)
 
 
 def check_jackal(folder):
-    """Check that the robot may be driven, arrives over DDS, and stays inside the predicted tube."""
+    """Check that the report permits driving, and that the robot arrives over DDS inside the predicted tube."""
     assert "May I drive? Yes" in (folder / "my_jackal" / "report.md").read_text(encoding="utf-8")
     config = load_config(folder / "my_jackal" / "config.yaml")
     reference = load_trajectory(folder / "my_jackal" / "first_circle.yaml", config)

@@ -40,9 +40,9 @@ def write_untrusted_files(folder):
     return folder
 
 
-def call(*words):
+def call(*arguments):
     """Return exit code, output, and opened files of a command."""
     _opened.clear()
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
+    result = CliRunner().invoke(app, [str(word) for word in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), (arguments, result.exception)
     return result.exit_code, " ".join(result.output.split()), list(_opened)

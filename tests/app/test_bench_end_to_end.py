@@ -15,11 +15,11 @@ def test_quick_bench_writes_its_report(tmp_path: Path) -> None:
     files = [CONTENTS, "bench.json", "bench.md", "figures", "report.html"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
     report = json.loads((tmp_path / "out" / "bench.json").read_text())
-    ours, peer = report["runs"]
-    assert (ours["controller"], ours["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
-    assert ours["completed"] and peer["completed"]
-    assert ours["in_band_percent"] == 100.0
-    assert ours["fallbacks"] == 0
+    mpc, peer = report["runs"]
+    assert (mpc["controller"], mpc["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
+    assert mpc["completed"] and peer["completed"]
+    assert mpc["in_band_percent"] == 100.0
+    assert mpc["fallbacks"] == 0
     # The output ends with models and errors on one screen of 80 columns, also in a pipe, and the path of the report.
     lines = result.stdout.rstrip().splitlines()
     assert lines[-1] == f"2 runs in {report['meta']['wall_time_s']:g} s; report: {tmp_path / 'out' / 'report.html'}"
@@ -47,7 +47,7 @@ def test_tipped_robot_is_an_incomplete_run_and_the_bench_continues(tmp_path: Pat
     assert re.fullmatch(TIPPED, tipped["ended"])
     assert upright["ended"] is None
     assert 50 < tipped["steps"] < 100 < upright["steps"]
-    # On a busy machine so short a run may have no tick with undisturbed timing.
-    timed = ("step_time", "solve_time")
-    undefined = {name for name, value in tipped.items() if value is None and not name.startswith(timed)}
+    # On a busy machine, a short run may have no tick with undisturbed timing.
+    timing_prefixes = ("step_time", "solve_time")
+    undefined = {name for name, value in tipped.items() if value is None and not name.startswith(timing_prefixes)}
     assert undefined == {"recovery_time_s"}

@@ -38,19 +38,19 @@ ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
 
 
 @pytest.mark.parametrize(
-    ("package", "word", "remedy"),
+    ("package", "command", "remedy"),
     [("mujoco", "simulate", r"[^\n]*--plant model:ssm"), ("rclpy", "node", ROS), ("rclpy", "sim-robot", ROS)],
 )
-def test_missing_package_is_one_line_with_the_remedy(package: str, word: str, remedy: str) -> None:
-    done = run_command(word, without=package)
-    assert done.returncode == 1
-    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", done.stderr)
+def test_missing_package_is_reported_in_one_line_with_the_remedy(package: str, command: str, remedy: str) -> None:
+    result = run_command(command, without=package)
+    assert result.returncode == 1
+    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", result.stderr)
 
 
-@pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
-def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error_type", [NotCompiledError, NotReproducibleError, MissingPackageError])
+def test_project_error_has_exit_code_1(error_type: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> None:
-        raise kind("no compiler;\n  get one")
+        raise error_type("no compiler;\n  get one")
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_models", fail)
     result = runner.invoke(app, ["models", "list"])
@@ -58,7 +58,7 @@ def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytes
 
 
 def test_grid_is_counted_before_it_is_listed() -> None:
-    """A grid of 10^12 combinations of four settings, and one of four dimensions."""
+    """Check a grid of 10^12 combinations of four settings, and a grid of four dimensions."""
     tracemalloc.start()
     values = ",".join(map(str, range(1, 1001)))
     with pytest.raises(ValueError, match="1,000,000,000,000 runs are requested, at most 100,000"):
@@ -72,7 +72,7 @@ def test_grid_is_counted_before_it_is_listed() -> None:
 
 
 def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) -> None:
-    """The mapping permits any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+    """The mapping permits any gap, so 5,000,000,300 samples would need 37 GiB for the first array."""
     log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
     rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
     rows += [(1e8 + t, v) for t, v in rows]
@@ -88,10 +88,12 @@ def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) ->
     assert len(read_log(log, mapping).records) == 2
 
 
-@pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
-def test_interrupted_command_prints_one_line(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error_type", [KeyboardInterrupt, typer.Abort])
+def test_interrupted_command_prints_one_error_line(
+    error_type: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*_: object) -> None:
-        raise kind
+        raise error_type
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupt)
     result = invoke(app, "models", "show", "ssm", code=130)
@@ -114,7 +116,7 @@ def test_sigterm_leaves_no_draft_and_no_process(jobs: str, tmp_path: Path) -> No
     assert process.returncode == 143
     assert stderr.strip() == "error: ended by SIGTERM"
     assert not list(tmp_path.rglob("*"))
-    for _ in range(100):  # killed processes need a moment; idle ones would stay for two minutes
+    for _ in range(100):  # killed processes end after a short time; idle processes would remain for two minutes
         if session not in sessions():
             return
         time.sleep(0.1)

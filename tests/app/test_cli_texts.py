@@ -17,11 +17,11 @@ runner = CliRunner()
 
 
 def test_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
-    shown = invoke(app, "config", "show", "ssm")
+    result = invoke(app, "config", "show", "ssm")
     path = tmp_path / "mine.yaml"
-    path.write_text(shown.stdout)
+    path.write_text(result.stdout)
     assert load_config(path) == load_config("ssm")
-    assert side_by_side(yaml.safe_load(shown.stdout)) == load_config("ssm").model_dump()
+    assert side_by_side(yaml.safe_load(result.stdout)) == load_config("ssm").model_dump()
     checked = invoke(app, "config", "check", path)
     assert "valid, horizon 30 steps" in checked.stdout
 

@@ -6,7 +6,7 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app, command_line
 
 
-def test_installation_passes_and_every_check_is_one_line() -> None:
+def test_installation_passes_and_every_check_prints_one_line() -> None:
     lines = invoke(app, "doctor").stdout.splitlines()
     assert lines[0].startswith("diffdrive-mpc ")
     names = ("python", "dependencies", "controller", "compiler", "mujoco", "ROS 2", "CPU governor", "real time")
@@ -25,9 +25,9 @@ def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
     assert lines[3].startswith("MISSING controller") and "RuntimeError: no core of any kind; report this" in lines[3]
 
 
-# Commands of packages, with test packages.
+# List of commands.
 
 
-@pytest.mark.parametrize("words", [(), ("config",), ("models",), ("log",)])
-def test_list_of_commands_shows_their_whole_help(words):
-    assert "..." not in invoke(command_line(words), *words, "--help").stdout.replace("[ARGS]...", "")
+@pytest.mark.parametrize("group", [(), ("config",), ("models",), ("log",)])
+def test_list_of_commands_is_not_truncated(group):
+    assert "..." not in invoke(command_line(group), *group, "--help").stdout.replace("[ARGS]...", "")

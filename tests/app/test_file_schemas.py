@@ -1,4 +1,4 @@
-"""JSON Schemas: those of the readers, fitted by every shipped file."""
+"""JSON Schemas equal those of the readers, and every shipped file satisfies its schema."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_shipped_schema_equals_schema_of_reader(kind: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "path"), FILES, ids=IDS)
-def test_shipped_file_fits_its_schema(kind: str, path: Path) -> None:
+def test_shipped_file_satisfies_its_schema(kind: str, path: Path) -> None:
     assert [error.message for error in validator(kind).iter_errors(read_yaml(path))] == []
 
 
@@ -41,8 +41,8 @@ def test_yaml_numbers_are_read_as_editors_read_them(tmp_path: Path) -> None:
 
 
 def test_config_schema_prints_and_writes_a_json_schema(tmp_path: Path) -> None:
-    printed = invoke(app, "config", "schema", "trajectory", "--json").stdout
-    assert printed == SCHEMAS["trajectory"].read_text(encoding="utf-8")
+    output = invoke(app, "config", "schema", "trajectory", "--json").stdout
+    assert output == SCHEMAS["trajectory"].read_text(encoding="utf-8")
     file = tmp_path / "new" / "trajectory.schema.json"
     invoke(app, "config", "schema", "trajectory", "--json", "--out", file)
-    assert file.read_text(encoding="utf-8") == printed
+    assert file.read_text(encoding="utf-8") == output

@@ -32,16 +32,16 @@ def identification(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def sound(identification):
+def valid(identification):
     return judge_by_drives(identification)
 
 
-def test_sound_log_gives_yes_with_a_promise_that_its_drives_keep(identification, sound):
-    assert sound.grade == "Yes" and sound.reasons == () and sound.identification is identification
-    assert [(drive.plant, drive.path) for drive in sound.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
-    drives = (*(drive for drive in sound.drives if drive.path in trial_settings().curved), *sound.unexplained)
-    lateral, position = (float(size) for size in re.findall(r"([\d.]+) cm", sound.promise))
-    assert len(sound.unexplained) == trial_settings().unexplained
+def test_valid_log_gives_yes_with_error_bounds_that_its_drives_satisfy(identification, valid):
+    assert valid.grade == "Yes" and valid.reasons == () and valid.identification is identification
+    assert [(drive.plant, drive.path) for drive in valid.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
+    drives = (*(drive for drive in valid.drives if drive.path in trial_settings().curved), *valid.unexplained)
+    lateral, position = (float(size) for size in re.findall(r"([\d.]+) cm", valid.promise))
+    assert len(valid.unexplained) == trial_settings().unexplained
     assert lateral >= 100 * max(drive.metrics.lateral_max_m for drive in drives) > 0.3 * lateral
     assert position >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * position
 
@@ -51,17 +51,17 @@ def move_held_out_poses(identification, motion):
     data = identification.report.data
     (record,) = data.validation
     left = 1j * np.exp(1j * record.pose[:, 2])
-    beyond = motion(record.time - record.start, left)
-    pose = record.pose + np.column_stack([beyond.real, beyond.imag, np.zeros(len(beyond))])
+    offset = motion(record.time - record.start, left)
+    pose = record.pose + np.column_stack([offset.real, offset.imag, np.zeros(len(offset))])
     data = replace(data, validation=(replace(record, pose=pose),))
     return replace(identification, report=replace(identification.report, data=data))
 
 
 def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
-    (before,) = unexplained_motion(identification)
+    (original,) = unexplained_motion(identification)
     dt = identification.report.data.validation[0].dt
     (slide,) = unexplained_motion(move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
-    change = (slide - before)[np.any(slide != 0.0, axis=1)]
+    change = (slide - original)[np.any(slide != 0.0, axis=1)]
     assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
     (noisy,) = unexplained_motion(
@@ -72,7 +72,7 @@ def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
 
 
 @pytest.mark.system
-def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
+def test_sliding_robot_has_larger_error_bounds_and_needs_care(identification):
     """The sideways speed changes its sign every two seconds."""
 
     def slide_sideways(time, left):
@@ -82,22 +82,22 @@ def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
     def slide_far(time, left):
         return 8.0 * slide_sideways(time, left)
 
-    refused = judge_by_drives(move_held_out_poses(identification, slide_far))
-    assert refused.grade == "No" and "do not arrive" in refused.failure and not refused.promise
+    rejected = judge_by_drives(move_held_out_poses(identification, slide_far))
+    assert rejected.grade == "No" and "do not arrive" in rejected.failure and not rejected.promise
     verdict = judge_by_drives(move_held_out_poses(identification, slide_sideways))
     assert verdict.grade == "With care" and any("leaves its path" in reason for reason in verdict.reasons)
     assert 0.03 < verdict.performance.lateral < 0.3
 
 
-def clips(identification, share):
-    """Return the robot itself, with omega clipped to a share of the configured limit."""
+def clipped_stand_ins(identification, share):
+    """Return the robot itself, with omega clipped to a fraction of the configured limit."""
     limit = share * identification.config["limits"]["omega"]
     return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 
 
 @pytest.fixture
 def one_path(monkeypatch):
-    """Only the first path is driven, because failing drives take long."""
+    """Drive only the first path, because failing drives take long."""
     monkeypatch.setattr(trial_drives, "PATHS", PATHS[:1])
 
 
@@ -105,11 +105,11 @@ def one_path(monkeypatch):
 @pytest.mark.usefixtures("one_path")
 @pytest.mark.parametrize("share", [0.3, 0.2])
 def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
-    monkeypatch.setattr(verdicts, "stand_ins", lambda _: clips(identification, share))
+    monkeypatch.setattr(verdicts, "stand_ins", lambda _: clipped_stand_ins(identification, share))
     verdict = judge_by_drives(identification)
     assert verdict.grade == "With care" and not verdict.failure
-    old, new = identification.config["limits"], verdict.identification.config["limits"]
-    assert new["omega"] < old["omega"] and new["predicted_omega"] < old["predicted_omega"]
+    original, reduced = identification.config["limits"], verdict.identification.config["limits"]
+    assert reduced["omega"] < original["omega"] and reduced["predicted_omega"] < original["predicted_omega"]
     assert all(drive.passed for drive in verdict.drives)
     assert any("limits.omega reduced to" in reason for reason in verdict.reasons)
     assert "faster trial drives failed" in verdict.identification.configuration.text()
@@ -156,17 +156,17 @@ def test_matching_warnings_prevent_a_yes(identification, doubts, grade, reason):
 @pytest.mark.parametrize(("fit", "grade"), [(95.0, "Yes"), (39.0, "No"), (16.0, "No"), (float("nan"), "No")])
 def test_poor_fit_gives_no(identification, fit, grade):
     fitted = identification.report.fitted
-    poor = replace(fitted, validation=replace(fitted.validation, fit_percent=np.array([fit, 95.0])))
-    assert judge(identification.report.data, poor, []).grade == grade
+    poor_fit = replace(fitted, validation=replace(fitted.validation, fit_percent=np.array([fit, 95.0])))
+    assert judge(identification.report.data, poor_fit, []).grade == grade
 
 
 def test_unknown_delay_gives_no(identification):
     fitted = identification.report.fitted
     parameters = fitted.identified.parameters
     scale = np.where([name.startswith("omega") for name in parameters.names], 300.0, 1.0)
-    vague = replace(parameters, covariance=parameters.covariance * np.outer(scale, scale))
+    uncertain = replace(parameters, covariance=parameters.covariance * np.outer(scale, scale))
     trust = judge(
-        identification.report.data, replace(fitted, identified=replace(fitted.identified, parameters=vague)), []
+        identification.report.data, replace(fitted, identified=replace(fitted.identified, parameters=uncertain)), []
     )
     assert trust.grade == "No" and "the delay of omega is unknown" in trust.reasons[0]
 

@@ -20,8 +20,8 @@ ROOT = Path(__file__).parents[2]
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
 
 
-def run(*words):
-    return invoke(app, *words).stdout
+def run(*arguments):
+    return invoke(app, *arguments).stdout
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +29,16 @@ def logs(tmp_path_factory):
     """Three closed-loop drives of a plant whose velocity model is the shipped SM, with the default sensors."""
     folder = tmp_path_factory.mktemp("logs")
     for trajectory in ("square", "s", "cane"):
-        words = f"simulate --model sm --plant model:sm --trajectory {trajectory} --log {folder / trajectory}"
-        run(*words.split())
+        command = f"simulate --model sm --plant model:sm --trajectory {trajectory} --log {folder / trajectory}"
+        run(*command.split())
     return folder
 
 
 @pytest.fixture(scope="module")
 def identified_robot(logs):
     """Folder and output of an identification from two of the drives, validated on the third."""
-    words = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
-    return logs / "mine", run(*words, "--out", logs / "mine")
+    arguments = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
+    return logs / "mine", run(*arguments, "--out", logs / "mine")
 
 
 def test_report_has_the_agreed_keys(identified_robot):
@@ -51,7 +51,7 @@ def test_report_has_the_agreed_keys(identified_robot):
     assert all(set(e) == {"horizon_s", "position_rmse_m", "heading_rmse_rad"} for e in report["pose_error"])
     assert all(set(entry) == {"value", "standard_deviation"} for entry in report["parameters"].values())
     assert {"v.gain", "omega.dead_time", "poses.track", "poses.gyro_scale"} <= set(report["parameters"])
-    assert any("10 s" in warning for warning in report["warnings"])  # no stretch between two poses is that long
+    assert any("10 s" in warning for warning in report["warnings"])  # no stretch between two poses lasts 10 s
 
 
 def test_report_ends_with_the_first_drive_on_the_robot(identified_robot, monkeypatch):
@@ -64,9 +64,9 @@ def test_report_ends_with_the_first_drive_on_the_robot(identified_robot, monkeyp
     (turn,) = load_segments("first_circle.yaml")
     assert 0.0 < turn.v < 0.4 * load_config("config.yaml").limits.v
     assert turn.omega * turn.duration == pytest.approx(2 * np.pi, rel=1e-4)
-    named = set(re.findall(r"docs/\w+\.md", recipe))
-    assert named == {"docs/robot.md", "docs/safety.md"}
-    assert all((ROOT / page).is_file() for page in named)
+    pages = set(re.findall(r"docs/\w+\.md", recipe))
+    assert pages == {"docs/robot.md", "docs/safety.md"}
+    assert all((ROOT / page).is_file() for page in pages)
 
 
 @pytest.mark.system("browser")
@@ -81,14 +81,14 @@ def test_configuration_drives_the_plant(identified_robot, logs):
     loaded = load_config(config)
     assert loaded.sample_time == 0.0202
     assert loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
-    # The square turns on the spot at 1.0 rad/s and drives at 0.5 m/s; corrections slightly exceed this.
+    # The square turns on the spot at 1.0 rad/s and drives at 0.5 m/s; corrections slightly exceed these values.
     assert 0.5 <= loaded.limits.v < 0.7
     assert 1.0 <= loaded.limits.omega < 1.5
     start, truth = loaded.estimator, load_surface("default").slip.side_slip
     assert abs(start.side_slip - truth) < 2 * start.side_slip_uncertainty < 0.08
     bench = logs / "bench"
-    words = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
-    run(*words.split(), f"sm,{identified_robot[0] / 'model.yaml'}")
+    command = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
+    run(*command.split(), f"sm,{identified_robot[0] / 'model.yaml'}")
     shipped, identified_run = json.loads((bench / "bench.json").read_text())["runs"]
     assert identified_run["completed"]
     assert identified_run["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]

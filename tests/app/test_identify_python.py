@@ -1,4 +1,4 @@
-"""The public function from logs to a controller, without the command line."""
+"""Public function `identify`: from logs to a controller, without the command line."""
 
 import numpy as np
 import pandas as pd
@@ -42,9 +42,9 @@ def test_written_files_equal_the_identification(identification, tmp_path):
     identification.write(tmp_path / "new" / "mine")
     folder = tmp_path / "new" / "mine"
     assert sorted(path.name for path in folder.iterdir()) == sorted(set(FILES) - {NODE_FILE})
-    written, expected = load_config(folder / "config.yaml"), load_config(identification.config)
-    assert written.model_copy(update={"model": expected.model}) == expected
-    assert written.model == str(folder / "model.yaml")
+    config, expected = load_config(folder / "config.yaml"), load_config(identification.config)
+    assert config.model_copy(update={"model": expected.model}) == expected
+    assert config.model == str(folder / "model.yaml")
     loaded = load_model(folder / "model.yaml")
     for name in ("A", "B", "C", "dead_time"):
         assert getattr(loaded, name).tolist() == getattr(identification.model, name).tolist()
@@ -73,19 +73,19 @@ def record(count, start=0.0):
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=6), st.floats(0.1, 0.9))
-def test_division_keeps_every_row_once_and_in_order(counts, share):
+def test_division_contains_every_row_once_and_in_order(counts, fraction):
     starts = np.cumsum([0, *counts]) + 10 * np.arange(len(counts) + 1)  # a gap between two records
     records = [record(count, start) for count, start in zip(counts, starts, strict=False)]
-    first, last = divide(records, share)
+    first, last = divide(records, fraction)
     rows = [np.concatenate([part.command[:, 0] for part in parts]) if parts else np.empty(0) for parts in (first, last)]
     assert np.array_equal(np.concatenate(rows), np.concatenate([part.command[:, 0] for part in records]))
-    assert len(rows[0]) == round(share * sum(counts))
+    assert len(rows[0]) == round(fraction * sum(counts))
     for part in (*first, *last):
         assert part.start == part.command[0, 0]
 
 
 def wheel_drive(radius, track, effective, firmware, gyro=True):
-    """Return a drive of wheels without lag; `firmware` is the track of commands, `effective` that of the body."""
+    """Return a drive of wheels without lag; `firmware` and `effective` are the tracks of commands and body [m]."""
     command = np.random.default_rng(0).uniform([-1.0, -1.5], [1.0, 1.5], (200, 2))
     requested = WheelKinematics(radius, firmware).body_to_wheels @ command.T
     wheels = np.column_stack([requested[[0, 2]].mean(axis=0), requested[[1, 3]].mean(axis=0)])
@@ -116,7 +116,7 @@ def test_all_logs_get_the_sample_time_of_the_first(tmp_path):
 
 def test_stretch_without_the_gyro_is_skipped_with_a_warning(tmp_path):
     columns = drive(seconds=20.0)
-    rows = np.r_[0:500, 700:1000]  # a gap of four seconds, after which the gyro is silent
+    rows = np.r_[0:500, 700:1000]  # a gap of four seconds, after which the gyro has no readings
     columns["gyro"] = np.where(columns["t"] > 10.0, np.nan, columns["gyro"])
     log = write_csv(tmp_path / "drive.csv", {name: column[rows] for name, column in columns.items()})
     mapping = str(write_mapping(tmp_path / "map.yaml"))

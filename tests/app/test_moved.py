@@ -35,11 +35,11 @@ def is_listed(name, parts_of_owner=1):
     return any(fnmatchcase(prefix, listed) for prefix in prefixes for listed in LISTED)
 
 
-def commands(group, words=""):
+def commands(group, prefix=""):
     """Yield each command of a group with its options."""
     for name, command in getattr(group, "commands", {}).items():
-        yield f"{words}{name}", {option for entry in command.params for option in (*entry.opts, *entry.secondary_opts)}
-        yield from commands(command, f"{words}{name} ")
+        yield f"{prefix}{name}", {option for entry in command.params for option in (*entry.opts, *entry.secondary_opts)}
+        yield from commands(command, f"{prefix}{name} ")
 
 
 def python_name_exists(name):
@@ -84,7 +84,7 @@ def test_each_name_of_0_2_0_exists_or_is_listed():
 
 
 def test_former_keys_are_listed_on_the_page():
-    missing = [before for before in former_keys() if before in NAMES["keys"] and not is_listed(before)]
+    missing = [key for key in former_keys() if key in NAMES["keys"] and not is_listed(key)]
     assert missing == []
 
 

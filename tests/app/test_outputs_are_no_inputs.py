@@ -1,4 +1,4 @@
-"""No command replaces a file that it reads, whatever path names it."""
+"""No command replaces a file that it reads, under any path to the file."""
 
 import errno
 import os
@@ -40,15 +40,15 @@ def test_file_named_by_another_input_file_is_not_replaced(tmp_path: Path) -> Non
     """The model of a configuration is known only after the configuration has been read."""
     model = tmp_path / "model.csv"
     shutil.copyfile(model_path("ssm"), model)
-    before = model.read_bytes()
+    content = model.read_bytes()
     config = tmp_path / "config.yaml"
     config.write_text(f"model: {model}\n", encoding="utf-8")
     assert "this command reads that file" in refusal("simulate", "--config", config, "--log", model)
-    assert model.read_bytes() == before
+    assert model.read_bytes() == content
 
 
 def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) -> None:
-    """An output option does not count as read, nor does a file that another command has read."""
+    """Outputs, and files that only an earlier command has read, are not protected."""
     inputs = ("simulate", "--log", "--trajectory", "b.yaml")
     arguments = ["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]
     assert named_inputs(arguments) == [word for word in inputs for _ in range(2)]
@@ -64,18 +64,18 @@ def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) 
     assert file.read_text(encoding="utf-8") == "new"
 
 
-WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
+COMMAND = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
 
 def run_simulate(*arguments, code=0):
-    return invoke(app, *WORDS, *arguments, code=code)
+    return invoke(app, *COMMAND, *arguments, code=code)
 
 
 def test_log_states_the_drive_and_its_command(tmp_path):
     run_simulate("--log", tmp_path / "s.mcap")
     metadata = read_drive_log(tmp_path / "s.mcap").metadata
     assert metadata["case"]["plant"] == "model:ssm" and metadata["case"]["seed"] == "3"
-    assert metadata["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert metadata["case"]["repeat"] == " ".join(["diffdrive-mpc", *COMMAND])
     assert ControllerConfig.model_validate(yaml.safe_load(metadata["configuration"]["yaml"])).horizon == 12
     assert yaml.safe_load(metadata["model"]["yaml"])["name"]
 

@@ -67,7 +67,7 @@ def test_different_sample_times_of_controller_and_plant_are_refused_with_both_va
     assert simulate(controller, make_plant("model:sm", sample_time=0.05), circle).metrics.position_rmse_m < 0.02
 
 
-OWN = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"
+MAPPING_WITH_TRACK = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def identification(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     columns = drive(seconds=40.0, dt=0.05)
     columns["t"] = 1.000002 * columns["t"]
-    log, mapping = write_csv(folder / "drive.csv", columns), write_mapping(folder / "map.yaml", OWN)
+    log, mapping = write_csv(folder / "drive.csv", columns), write_mapping(folder / "map.yaml", MAPPING_WITH_TRACK)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(trial_drives, "PATHS", ("circle",))
@@ -84,14 +84,14 @@ def identification(tmp_path_factory):
 
 
 def test_identify_writes_sample_time_track_and_surface_of_the_log(identification):
-    folder, screen = identification
+    folder, output = identification
     config = load_config(folder / "my robot" / "config.yaml")
     assert config.sample_time == 0.05
     assert config.wheels.encoder_track == 0.6
     assert config.wheels.track == pytest.approx(1.6 * 0.6, rel=0.05)
     assert config.limits.wheel_speed > config.limits.v
     assert load_surface(folder / "my robot" / "surface.yaml").slip.wheel_yaw_gain == pytest.approx(1 / 1.6, rel=0.02)
-    assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
+    assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in output
 
 
 def test_topics_and_types_of_a_bag_are_written_to_the_node_parameters(tmp_path):

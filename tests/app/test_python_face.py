@@ -1,4 +1,4 @@
-"""The Python interface: names in place of objects, sweeps, and one line for each mistake."""
+"""Python interface: names in place of objects, and sweeps."""
 
 import warnings
 from dataclasses import replace
@@ -36,16 +36,16 @@ def test_names_are_accepted_in_place_of_objects(controller):
     config = load_config("ssm")
     plant = make_plant(PLANT, sample_time=config.sample_time)
     expected = simulate(Controller(config), plant, load_trajectory("circle", config))
-    named = simulate("ssm", PLANT, "circle")
-    np.testing.assert_array_equal(named.true_pose, expected.true_pose)
-    np.testing.assert_array_equal(named.command, expected.command)
+    run = simulate("ssm", PLANT, "circle")
+    np.testing.assert_array_equal(run.true_pose, expected.true_pose)
+    np.testing.assert_array_equal(run.command, expected.command)
     controller.start("circle", 0.0)
     assert controller.reference.name == "circle"
 
 
 def test_plant_by_name_has_the_sample_time_of_the_controller_and_may_be_a_model():
-    mine = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
-    run = simulate({"model": "ssm", "sample_time": 0.05}, mine, STRAIGHT)
+    model = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
+    run = simulate({"model": "ssm", "sample_time": 0.05}, model, STRAIGHT)
     assert run.sample_time == 0.05
     assert run.metrics.completed
 
@@ -63,7 +63,7 @@ def test_keywords_replace_values_of_the_configuration():
     assert (config.horizon, config.weights.across) == (20, 200.0)
 
 
-def test_start_at_speed_is_warned_of_and_a_start_from_rest_is_not(controller):
+def test_start_at_speed_gives_a_warning_and_a_start_from_rest_gives_none(controller):
     t = np.linspace(0.0, 0.5, 30)
     with pytest.warns(UserWarning, match="reference 'arrays': infeasible from 0.13 s .* it falls 0.16 m behind"):
         simulate(controller, PLANT, Trajectory.from_arrays(t, 0.85 * t, 0 * t))
@@ -79,7 +79,7 @@ def test_argument_error_is_a_type_error():
 def test_sweep_returns_a_table_with_one_row_per_run():
     shipped = load_model("sm")
     converted = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")
-    # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.
+    # Use the provenance of the same robot, because the yaw ratio of a model built in Python is less certain.
     mine = replace(converted, provenance=shipped.provenance)
     values = {"horizon": [10, 30], "weights.across": 150.0}
     table = sweep(model=["sm", mine], trajectory=STRAIGHT, seeds=range(2), plant=PLANT, jobs=1, **values)

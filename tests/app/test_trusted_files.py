@@ -15,8 +15,8 @@ def untrusted(tmp_path):
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])
 def test_term_that_exits_is_refused_with_one_line(error, untrusted):
     (untrusted / "term.py").write_text(f"raise {error}\n")
-    code, printed, _ = call("simulate", "--config", untrusted / "config.yaml", "--plant", "model:ssm")
-    assert code == 2 and f"{untrusted}/term.py: its execution fails with" in printed, printed
+    code, output, _ = call("simulate", "--config", untrusted / "config.yaml", "--plant", "model:ssm")
+    assert code == 2 and f"{untrusted}/term.py: its execution fails with" in output, output
     with pytest.raises(ConfigError, match="its execution fails with"):
         Controller(load_config(untrusted / "config.yaml"))
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-WITHOUT = """
+PROGRAM = """
 import sys
 from importlib import metadata
 
@@ -23,7 +23,7 @@ main()
 
 
 def run(folder, *arguments):
-    program = WITHOUT.replace("WORDS", repr([str(word) for word in arguments]))
+    program = PROGRAM.replace("WORDS", repr([str(word) for word in arguments]))
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder, check=False)
 
 
@@ -45,9 +45,9 @@ def test_remaining_models_are_listed(tmp_path):
     ],
 )
 def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, arguments, subject, package):
-    done = run(tmp_path, *arguments)
+    result = run(tmp_path, *arguments)
     line = f"error: {subject} is in the package diffdrive-mpc-{package}: pip install 'diffdrive-mpc[{package}]'\n"
-    assert (done.returncode, done.stderr) == (1, line)
+    assert (result.returncode, result.stderr) == (1, line)
 
 
 @pytest.mark.system

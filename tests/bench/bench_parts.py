@@ -1,4 +1,4 @@
-"""Fast plant and ready-made outcomes for tests of the bench."""
+"""Fast plant, and outcomes of short runs, for tests of the bench."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 
 @dataclass(frozen=True)
 class Arc(ConstantTwist):
-    """A reference with constant twist, by default a gentle curve."""
+    """Reference with constant twist, by default a gentle curve."""
 
     v: float = 0.5
     omega: float = 0.3
@@ -51,9 +51,9 @@ def check_return(peer: TrackingController) -> Run:
     plant = make_plant("model:sm", surface="ideal", sensors="perfect")
     plant.reset = lambda pose: type(plant).reset(plant, [-0.05, 0.1, 0.1])
     run = simulate(peer, plant, Arc(duration=6.0))
-    late = run.counted & (run.time > 4.5)
+    is_settled = run.counted & (run.time > 4.5)
     assert run.errors.position[0] > 0.1
-    assert run.errors.position[late].max() < 0.02
+    assert run.errors.position[is_settled].max() < 0.02
     return run
 
 

@@ -44,8 +44,8 @@ def check_page(page: Any) -> None:
     page.set_viewport_size(PHONE)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     page.emulate_media(media="print")
-    shown = "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
-    assert page.evaluate(shown) == 0
+    script = "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
+    assert page.evaluate(script) == 0
     page.emulate_media(media="screen")
     page.set_viewport_size(DESK)
 

@@ -14,7 +14,7 @@ from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.sim import make_plant, simulate
 
 SPEED = 0.5  # m/s, of both paths
-STEPS = {"s": 1.0, "cane": 0.7}  # largest jump of the yaw rate of the path [rad/s]
+STEPS = {"s": 1.0, "cane": 0.7}  # maximum jump of the yaw rate of the path [rad/s]
 
 
 def min_lateral_error(step: float) -> float:
@@ -25,26 +25,26 @@ def min_lateral_error(step: float) -> float:
     dt, count = 0.01, 160
     path = np.where(np.arange(count) < count // 2, 0.0, step)
     # Variables: omega, heading error and e at each instant, then the bound of |e|.
-    shift, keep, none = np.diff(np.eye(count), axis=0), np.eye(count)[:-1], np.zeros((count - 1, count))
-    moves = np.block([[-dt * keep, shift, none, none[:, :1]], [none, -dt * SPEED * keep, shift, none[:, :1]]])
-    known = np.concatenate([-dt * path[:-1], np.zeros(count - 1)])
-    slew = np.hstack([shift, none, none, none[:, :1]])
+    shift, eye, zeros = np.diff(np.eye(count), axis=0), np.eye(count)[:-1], np.zeros((count - 1, count))
+    dynamics = np.block([[-dt * eye, shift, zeros, zeros[:, :1]], [zeros, -dt * SPEED * eye, shift, zeros[:, :1]]])
+    rhs = np.concatenate([-dt * path[:-1], np.zeros(count - 1)])
+    slew = np.hstack([shift, zeros, zeros, zeros[:, :1]])
     errors = np.hstack([np.zeros((count, 2 * count)), np.eye(count)])
     bounded = np.vstack([np.hstack([sign * errors, -np.ones((count, 1))]) for sign in (1.0, -1.0)])
-    rest = np.concatenate([np.full(2 * (count - 1), Limits().omega_slew * dt), np.zeros(2 * count)])
-    ends = [(None, None)] * (3 * count) + [(0.0, None)]
+    upper = np.concatenate([np.full(2 * (count - 1), Limits().omega_slew * dt), np.zeros(2 * count)])
+    ranges = [(None, None)] * (3 * count) + [(0.0, None)]
     for first, values in ((0, path), (count, np.zeros(count)), (2 * count, np.zeros(count))):
         for column in (0, count - 1):
-            ends[first + column] = (values[column], values[column])
+            ranges[first + column] = (values[column], values[column])
     cost = np.append(np.zeros(3 * count), 1.0)
-    result = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
+    result = linprog(cost, np.vstack([slew, -slew, bounded]), upper, dynamics, rhs, bounds=ranges, method="highs")
     assert result.status == 0
     return float(result.fun)
 
 
 @pytest.mark.parametrize("path", STEPS)
 @pytest.mark.parametrize("model", ["mbm", "sm", "ssm"])
-def test_drive_without_stops_stays_near_the_geometric_minimum_error(path, model):
+def test_error_of_a_drive_without_stops_is_near_the_geometric_minimum(path, model):
     run = run_case(Case(model=model, trajectory=path, timing="commanded", seed=60))
     bound = min_lateral_error(STEPS[path])
     assert run.metrics.completed
@@ -52,11 +52,11 @@ def test_drive_without_stops_stays_near_the_geometric_minimum_error(path, model)
     assert bound < run.metrics.lateral_max_m <= 0.02
 
 
-EDGE = ["fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "spline-0"]
+EDGE_PATHS = ["fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "spline-0"]
 WHEEL_SPEED = ("limits.wheel_speed", 1.53)
 
 
-@pytest.mark.parametrize("name", EDGE)
+@pytest.mark.parametrize("name", EDGE_PATHS)
 def test_path_at_the_limits_is_driven_to_its_end(name: str) -> None:
     run = run_case(Case(trajectory=name))
     assert run.metrics.completed
@@ -82,21 +82,21 @@ def test_limits_are_active_on_tight_for_about_half_of_the_time(overrides: tuple[
         "slew": (change >= 0.999 * np.array([limits.v_slew, limits.omega_slew])).any(axis=1),
         "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
     }
-    share = {name: rows.mean() for name, rows in active.items()}
-    assert share["command"] > 0.05
-    assert share["slew"] > 0.1
+    fractions = {name: rows.mean() for name, rows in active.items()}
+    assert fractions["command"] > 0.05
+    assert fractions["slew"] > 0.1
     # Within the shipped command limits, the wheel limits are never reached.
-    assert (share["wheels"] > 0.05) == bool(overrides)
+    assert (fractions["wheels"] > 0.05) == bool(overrides)
     assert 0.35 < (active["command"] | active["slew"] | active["wheels"]).mean() < 0.65
 
 
 PATHS = ["circle", "square", "s", "cane"]
-SETTLED = 10
+SETTLING_TICKS = 10
 """Ticks after which the filter has processed the first poses."""
 
 
 class Recorder:
-    """Records the step results of a controller."""
+    """Controller that records its step results."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
@@ -117,10 +117,10 @@ def normalised_errors(model: str) -> tuple[dict[str, float], np.ndarray]:
     for trajectory in PATHS:
         controller = Recorder(Controller(load_config(model)))
         run = simulate(controller, make_plant("mujoco", seed=20), load_trajectory(trajectory))
-        for step, true in zip(controller.steps[SETTLED:], run.true_pose[SETTLED:], strict=True):
+        for step, true_pose in zip(controller.steps[SETTLING_TICKS:], run.true_pose[SETTLING_TICKS:], strict=True):
             for sensor, value in step.estimate.innovations.items():
                 innovations.setdefault(sensor, []).append(value)
-            error = step.estimate.pose - true
+            error = step.estimate.pose - true_pose
             error[2] = wrap_angle(error[2])
             errors.append(np.square(error / step.estimate.pose_deviation))
     return {sensor: float(np.mean(values)) for sensor, values in innovations.items()}, np.mean(errors, axis=0)
@@ -132,7 +132,7 @@ def test_innovations_and_errors_on_mujoco_match_the_variances_of_the_estimator(m
     innovations, (x, y, heading) = normalised_errors(model)
     assert 0.75 < innovations["pose"] < 1.2  # 0.83 to 0.97
     assert 0.35 < innovations["wheel_speed"] < 1.5  # 0.38 to 0.99
-    # The gyro corrects first after a prediction; the wheels, which lag by over half a sample, see what remains.
+    # The gyro corrects the prediction first; the wheels, which lag by over half a sample, correct the remaining error.
     assert 0.05 < innovations["yaw_rate"] < 1.0  # 0.12 (SM), 0.71 (SSM): means over trajectories at seed 20
     assert 0.75 < innovations["wheel_yaw_rate"] < 2.0  # 1.36 (SSM), 1.47 (SM)
     assert 0.3 < x < 1.0  # means over seeds: 0.43 to 0.47

@@ -1,4 +1,4 @@
-"""Cases of the comparison, and its results other than the error tables."""
+"""Cases of the comparison, and results other than the error tables."""
 
 import numpy as np
 import pytest
@@ -42,9 +42,9 @@ def test_bench_compares_the_declared_pairs() -> None:
     assert (by_osqp.model, dict(by_osqp.overrides)) == ("ssm", {"solver.method": "osqp"})
     assert {case.top_speed for case in plan.speed} == set(SPEEDS)
     assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
-    ours = [case.late for case in plan.dead_time if case.model == "ssm"]
+    mpc = [case.late for case in plan.dead_time if case.model == "ssm"]
     peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
-    assert ours == list(LATE_TICKS)
+    assert mpc == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
     assert not set(plan.beyond) & set(plan.all)
 
@@ -63,20 +63,20 @@ def test_top_speed_changes_the_timing_but_not_the_path() -> None:
 
 
 def test_late_plant_repeats_the_motion_after_its_delay() -> None:
-    plain, late = (make_plant("model:ssm", "ideal", "perfect") for _ in range(2))
-    behind = LatePlant(late, 3)
-    for plant in (plain, behind):
+    reference, inner = (make_plant("model:ssm", "ideal", "perfect") for _ in range(2))
+    late_plant = LatePlant(inner, 3)
+    for plant in (reference, late_plant):
         plant.reset([0.0, 0.0, 0.0])
     commands = np.random.default_rng(1).uniform(-0.5, 0.5, (60, 2))
     motion: list[list[np.ndarray]] = [[], []]
     for command in commands:
-        for plant, poses in zip((plain, behind), motion, strict=True):
+        for plant, poses in zip((reference, late_plant), motion, strict=True):
             plant.measure()
             plant.advance(command)
             poses.append(plant.true_pose)
     np.testing.assert_allclose(motion[1][3:], motion[0][:-3], atol=1e-12)
-    assert behind.measure().sent == pytest.approx(tuple(commands[-1])), "the sent command, not the applied one"
-    assert behind.time == plain.time
+    assert late_plant.measure().sent == pytest.approx(tuple(commands[-1])), "the sent command, not the applied one"
+    assert late_plant.time == reference.time
 
 
 @pytest.fixture(scope="module")
@@ -95,19 +95,19 @@ def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
 
 
 def test_order_states_which_controllers_differ_significantly(outcome: RunOutcome) -> None:
-    """SM is always 1 mm behind MBM; SSM is as often better than SM as worse."""
+    """SM is always 1 mm worse than MBM; SSM is equally often better and worse than SM."""
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
-    ahead = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
-    rows = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + ahead))
-    places = order(rows.assign(completed=False))
-    assert places[2].behind == pytest.approx(interval(ahead))
-    assert [place.name for place in places] == ["MBM", "SM", "SSM"]
-    assert places[1].behind == pytest.approx([1e-3, 1e-3])
-    assert places[1].is_significant and not places[2].is_significant
-    assert places[0].rmse == pytest.approx(base.mean())
+    difference = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
+    rows = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + difference))
+    ranking = order(rows.assign(completed=False))
+    assert ranking[2].behind == pytest.approx(interval(difference))
+    assert [entry.name for entry in ranking] == ["MBM", "SM", "SSM"]
+    assert ranking[1].behind == pytest.approx([1e-3, 1e-3])
+    assert ranking[1].is_significant and not ranking[2].is_significant
+    assert ranking[0].rmse == pytest.approx(base.mean())
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
-    assert [place.name for place in order(unknown)] == ["SM", "SSM"]
-    assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
+    assert [entry.name for entry in order(unknown)] == ["SM", "SSM"]
+    assert ranking[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
 def test_bootstrap_interval_covers_the_mean_and_is_reproducible() -> None:

@@ -1,4 +1,4 @@
-"""The table of dimensions, from which options, settings, cases and rows are derived."""
+"""Table of dimensions, which defines options, settings, cases and rows."""
 
 import re
 
@@ -28,10 +28,10 @@ def help_of(command: str) -> str:
 
 
 def test_timing_selects_another_reference_of_a_trajectory() -> None:
-    filed, stopping, commanded = (
+    from_file, stopping, commanded = (
         load_reference(Case(trajectory="slalom", timing=timing)) for timing in ("file", "stop", "commanded")
     )
-    assert commanded.duration < filed.duration < stopping.duration
+    assert commanded.duration < from_file.duration < stopping.duration
 
 
 @pytest.mark.parametrize(
@@ -57,5 +57,5 @@ def test_every_finite_number_is_read_exactly(numbers: list[float]) -> None:
     assert parse_setting("key=" + ",".join(repr(number) for number in numbers))[1] == numbers
 
 
-def test_single_run_takes_one_value_for_each_key() -> None:
+def test_single_run_has_one_value_for_each_key() -> None:
     assert single_settings(["horizon=5", "weights.along=2"]) == (("horizon", 5), ("weights.along", 2))

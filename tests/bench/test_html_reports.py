@@ -48,8 +48,8 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_command(tmp_path_factory.mktemp("single"), "simulate", *QUICK)
 
 
-def run_command(folder: Path, *words: str) -> Path:
-    invoke(app, *words, "--out", folder)
+def run_command(folder: Path, *arguments: str) -> Path:
+    invoke(app, *arguments, "--out", folder)
     return folder / "report.html"
 
 
@@ -64,21 +64,21 @@ def test_pointing_at_one_view_marks_the_same_tick_in_the_other(run_page: Path) -
 
 def test_plotly_accepts_every_figure(run_page: Path, tmp_path: Path, outcome: RunOutcome) -> None:
     path = tmp_path / "report.html"
-    path.write_text(page_text(every_kind("a", outcome)), encoding="utf-8")
+    path.write_text(page_text(page_of_all_views("a", outcome)), encoding="utf-8")
     for report in (run_page, path):
         views = content_of(report)["views"]
         figures = [view.get(name) for view in views for name in ("figure", "plane", "times")]
-        shown = [Figure(figure) for figure in figures if figure]
-        assert len(shown) == len(views) + 1  # the view of runs has two figures
-        assert all({"labels", "group"} == set(trace.meta) for figure in shown for trace in figure.data)
+        plotly_figures = [Figure(figure) for figure in figures if figure]
+        assert len(plotly_figures) == len(views) + 1  # the view of runs has two figures
+        assert all({"labels", "group"} == set(trace.meta) for figure in plotly_figures for trace in figure.data)
     plane, times = (Figure(content_of(run_page)["views"][0][name]) for name in ("plane", "times"))
-    driven = next(trace for trace in plane.data if trace.name == "driven")
+    driven_trace = next(trace for trace in plane.data if trace.name == "driven")
     lateral = times.data[0]
-    assert driven.meta == lateral.meta
-    assert len(driven.x) == len(lateral.x)
+    assert driven_trace.meta == lateral.meta
+    assert len(driven_trace.x) == len(lateral.x)
 
 
-def every_kind(name: str, outcome: RunOutcome) -> Page:
+def page_of_all_views(name: str, outcome: RunOutcome) -> Page:
     """Build a page with every kind of view; every name that can come from a file is `name`."""
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
@@ -91,41 +91,41 @@ def every_kind(name: str, outcome: RunOutcome) -> Page:
         Chart(name, Axis(name), Axis(name, "log", (0.0, 1.0)), series, name, marks),
         GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
-    shown = Shown(
+    content = Shown(
         [name], [name], [KeyFigure(name, name, name)], [Toggle("controller", (name,), (name,), styled=True)], views,
         [Warned(name, name)], [ConfigurationView(name, name)],
     )  # fmt: skip
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
-    return Page(name, name, shown, [table], Origin(name, [(name, name)]))
+    return Page(name, name, content, [table], Origin(name, [(name, name)]))
 
 
 @pytest.mark.system("browser")
 def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: RunOutcome) -> None:
     name = HOSTILE
     path = tmp_path / "report.html"
-    path.write_text(page_text(every_kind(name, outcome)), encoding="utf-8")
+    path.write_text(page_text(page_of_all_views(name, outcome)), encoding="utf-8")
     check_report(path)
     with open_offline(path) as page:
         assert page.title() == name
         assert page.locator("#title").inner_text() == name
         assert page.locator("main script, main b:not(svg b)").count() == 0
-        drawn = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((label) => label.textContent)")
-        assert name in drawn
+        labels = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((label) => label.textContent)")
+        assert name in labels
 
 
 def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 
 
-def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutcome) -> None:
+def test_thinned_runs_preserve_peaks_and_series_preserve_values(outcome: RunOutcome) -> None:
     run = outcome.run
     ticks = kept_ticks(run, 60)
     assert len(ticks) == 60
     assert (np.diff(ticks) > 0).all()
     assert run.errors.position[ticks].max() == run.errors.position.max()
     series = run_series(run, "a", points=60)
-    driven = next(entry for entry in series.plane if entry.name == "driven")
-    assert np.array(driven.x, float) == pytest.approx(run.true_pose[ticks, 0], abs=5.1e-4)
+    path = next(entry for entry in series.plane if entry.name == "driven")
+    assert np.array(path.x, float) == pytest.approx(run.true_pose[ticks, 0], abs=5.1e-4)
     lateral, along = (np.array(entry.y, float) for entry in series.panes[ERROR])
     assert lateral == pytest.approx(1e3 * run.errors.lateral[ticks], abs=0.051)
     assert (np.abs(along) <= 1e3 * run.errors.position[ticks] + 0.1).all()
@@ -133,11 +133,11 @@ def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutco
 
 
 def test_normal_run_has_no_warnings(outcome: RunOutcome) -> None:
-    quiet = outcome.run.with_step_time(np.full(len(outcome.run.time), 1e-3))
-    assert run_warnings(quiet, case_config(outcome.case)) == []
+    run = outcome.run.with_step_time(np.full(len(outcome.run.time), 1e-3))
+    assert run_warnings(run, case_config(outcome.case)) == []
 
 
-def test_every_problem_of_a_run_is_warned_of_with_a_remedy(outcome: RunOutcome) -> None:
+def test_every_problem_of_a_run_gives_a_warning_with_a_remedy(outcome: RunOutcome) -> None:
     run, config = outcome.run, case_config(outcome.case)
     count = len(run.time)
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
@@ -146,9 +146,9 @@ def test_every_problem_of_a_run_is_warned_of_with_a_remedy(outcome: RunOutcome) 
         replace(measurement, pose=None) if count // 3 < k < 2 * count // 3 else measurement
         for k, measurement in enumerate(run.measurements)
     )
-    fast = np.full((count, 2), [config.limits.v, 0.0])
+    commands = np.full((count, 2), [config.limits.v, 0.0])
     faulty = replace(
-        run, modes=modes, measurements=without_poses, command=fast, ended="it was lost", messages=("why",) * count,
+        run, modes=modes, measurements=without_poses, command=commands, ended="it was lost", messages=("why",) * count,
         true_pose=run.true_pose + 9.0, solver_methods=("osqp",) * count,
     )  # fmt: skip
     warnings = run_warnings(faulty.with_step_time(times), config, "SSM")

@@ -27,7 +27,7 @@ def test_identified_model_tracks_slow_and_ringing_robots_better_than_two_delays(
 
 
 def test_accelerating_slow_wheels_are_not_reported_as_saturated():
-    """A false report kept this robot at half of its speed, 1.3 m behind its reference."""
+    """A false report would limit this robot to half of its speed, 1.3 m behind its reference."""
     metrics = drive("hauler", "figure8", "sm", 2)
     assert metrics.completed
     assert metrics.position_rmse_m < 0.03
@@ -37,7 +37,7 @@ def test_accelerating_slow_wheels_are_not_reported_as_saturated():
 def test_error_is_split_into_repeatable_part_and_noise():
     noise, heading = 0.002 * np.random.default_rng(3).standard_normal((40, 500)), 0.5 * np.pi
     reference = np.column_stack([np.zeros(500), np.linspace(0.0, 5.0, 500), np.full(500, heading)])
-    # With every seed 3 mm ahead, along y; noise to the left, along -x.
+    # Each run is 3 mm ahead, along y, and has noise to the left, along -x.
     runs = [
         SimpleNamespace(
             ended="",

@@ -1,4 +1,4 @@
-"""Control laws of the peers against known results, and their common parts: estimate, prediction, limits."""
+"""Control laws of the peers compared with known results, and their common parts: estimate, prediction, limits."""
 
 from itertools import product
 
@@ -49,8 +49,8 @@ def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
     state, past = np.zeros(4), np.zeros((sampled.memory, 2))
     for k in range(60):
         command = np.array([0.6 + 0.3 * np.sin(0.2 * k), np.cos(0.3 * k)])
-        (recent,), (older,) = sampled.effective_inputs(command[None], past)
-        state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ older
+        (recent,), (previous,) = sampled.effective_inputs(command[None], past)
+        state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ previous
         past = np.vstack([past[1:], command])
         predictor.sent(command)
         plant.advance(command)
@@ -63,10 +63,10 @@ def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
 
 
 @given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), turn=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0))
-def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, turn: float, v: float) -> None:
+def test_lyapunov_function_of_kanayama_decreases_for_an_ideal_robot(x: float, y: float, turn: float, v: float) -> None:
     """V = (x^2 + y^2) / 2 + (1 - cos turn) / across, for a robot that follows commands immediately; any sign of v.
 
-    The paper proves it for v > 0; for v < 0 the robot is the same one with front and rear exchanged.
+    The paper proves it for v > 0; for v < 0, front and rear of the robot are exchanged.
     """
     gains, omega = KanayamaGains(along=4.0, across=16.0, heading=8.0, turn=2.0), 0.3
     u, w = kanayama_twist(gains, np.array([v, omega]), np.array([x, y, turn]))
@@ -96,34 +96,34 @@ def test_lqr_linearises_the_motion_of_the_robot() -> None:
     v, omega = 0.7, 0.4
     A, _ = law.linearised(v, omega)
     error = 1e-4 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, -1.0])
-    after = integrate_pose(error[:3], v + error[4], omega + error[5], dt)
+    end_pose = integrate_pose(error[:3], v + error[4], omega + error[5], dt)
     reference = integrate_pose(np.zeros(3), v, omega, dt)
-    gap, (c, s) = after - reference, (np.cos(reference[2]), np.sin(reference[2]))
-    moved = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], gap[2]])
-    np.testing.assert_allclose((A @ error)[:3], moved, atol=3e-9)
+    gap, (c, s) = end_pose - reference, (np.cos(reference[2]), np.sin(reference[2]))
+    expected = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], gap[2]])
+    np.testing.assert_allclose((A @ error)[:3], expected, atol=3e-9)
 
 
 @pytest.mark.parametrize("v", [0.6, -0.6])
 @settings(max_examples=25)
 @given(x=st.floats(-0.1, 0.1), y=st.floats(-0.1, 0.1), turn=st.floats(-0.5, 0.5))
-def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y: float, turn: float) -> None:
+def test_arc_of_pursuit_passes_through_the_look_ahead_point(v: float, x: float, y: float, turn: float) -> None:
     law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=v, omega=0.5, duration=20.0)
     law.start(arc)
     pose = arc.sample([2.0]).pose[0]
     forward = np.array([v, 0.5])
     view = LawInput(2.0, PredictedMotion(pose + [x, y, turn], forward), pose, forward)
-    wanted, turn = law.decide(view)
+    speed, turn = law.decide(view)
     carrot = law.carrot(view)
     # The pose after a drive along the arc until the chord equals the distance to the point.
     if abs(turn) > 1e-6:
-        radius = wanted / turn
+        radius = speed / turn
         angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
-        reached = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
-        assert np.hypot(*(reached - carrot)) < 1e-6 or carrot[0] * v < 0
+        end_point = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
+        assert np.hypot(*(end_point - carrot)) < 1e-6 or carrot[0] * v < 0
 
 
-# The law is tested: the tuned gains of some peers without slip are too stiff for a displaced start.
-MODERATE = {
+# The tests of the laws use moderate gains: some tuned gains without slip are too high for a displaced start.
+MODERATE_GAINS = {
     "pursuit": PURSUIT.model_dump() | {"look_ahead_time": 0.3, "least_radius": 0.3},
     "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
     "lqr": {"lead": 0.05, "along": 20, "across": 60, "heading": 5, "integral": 10, "omega": 0.1},
@@ -132,8 +132,8 @@ MODERATE = {
 
 @pytest.mark.parametrize("name", LAWS)
 def test_peer_returns_to_the_reference_from_a_displaced_start(name: str) -> None:
-    moderate = MODERATE.get(name.partition("+")[0])
-    gains = law_kind(name).gains(**moderate) if moderate else None
+    values = MODERATE_GAINS.get(name.partition("+")[0])
+    gains = law_kind(name).gains(**values) if values else None
     run = check_return(make_tracking_peer(name, gains) if gains else make_peer(name))
     robot = load_robot()
     assert (np.abs(run.command) <= [robot.limits.v, robot.limits.omega]).all()

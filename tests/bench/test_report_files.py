@@ -62,23 +62,25 @@ def outcome() -> RunOutcome:
 @pytest.fixture(scope="module")
 def results(outcome: RunOutcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
-    short = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
+    horizon = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
-    return ComparisonResults(settings, rows_of(outcome, peer), rows_of(short, outcome), TimingPass(0.9, 0.2, 1.4e-5))
+    return ComparisonResults(settings, rows_of(outcome, peer), rows_of(horizon, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
-def write_out(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
+def write_out(
+    results: ComparisonResults, folder: Path, on_figure: Callable[[], None] = lambda: None
+) -> dict[str, object]:
     """Write the report into `folder`; return its `meta` part."""
     study = ComparisonStudy(results.settings)
     report = study.report(results, 12.3)
     meta = describe_run(12.3) | report.meta
-    write_report(study, report, meta, folder, done)
+    write_report(study, report, meta, folder, on_figure)
     return meta
 
 
 def test_report_is_complete_and_valid(results: ComparisonResults, outcome: RunOutcome, tmp_path: Path) -> None:
-    done: list[int] = []
-    write_out(results, tmp_path, lambda: done.append(1))
+    drawn_figures: list[int] = []
+    write_out(results, tmp_path, lambda: drawn_figures.append(1))
     data = json.loads((tmp_path / "bench.json").read_text())
     assert set(data) == {"meta", "runs"}
     assert [list(run) for run in data["runs"]] == [list(FIELDS)] * 3
@@ -86,10 +88,10 @@ def test_report_is_complete_and_valid(results: ComparisonResults, outcome: RunOu
     assert {name: type(value) for name, value in published.items()} == FIELDS and published["completed"] is True
     assert [run["horizon"] for run in data["runs"]] == [30, None, 15]
     assert data["meta"]["machine"]["cores"] >= 1
-    pictures = sorted(path.name for path in (tmp_path / "figures").iterdir())
+    figures = sorted(path.name for path in (tmp_path / "figures").iterdir())
     expected = ["horizon.png", "overview.png", "ssm-cane.png", "step-time.png"]
-    assert pictures == expected
-    assert len(done) == len(drawings(results)) == len(expected)
+    assert figures == expected
+    assert len(drawn_figures) == len(drawings(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()
     assert all(f"(figures/{name})" in text for name in expected)
     assert all(f"## {table.title}" in text for table in report_tables(results))
@@ -108,7 +110,7 @@ def test_tables_show_means_over_all_runs_of_any_length_and_outcome(outcome: RunO
 
 
 @pytest.mark.parametrize(
-    ("ours", "peer", "value", "note"),
+    ("mpc", "peer", "value", "note"),
     [
         ((2.4, True), (2.5, True), "2.4 mm", "SSM; worst: kanayama 2.5 mm"),
         ((2.6, True), (2.5, True), "2.5 mm", "kanayama; best MPC: SSM 2.6 mm"),
@@ -117,42 +119,42 @@ def test_tables_show_means_over_all_runs_of_any_length_and_outcome(outcome: RunO
         ((2.4, False), (2.5, False), "-", "no controller completed every run"),
     ],
 )
-def test_min_error_is_that_of_a_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
-    main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([ours[0], peer[0]] * 2)
-    main = main.assign(position_rmse_m=errors, completed=[True, True, ours[1], peer[1]])
+def test_min_error_is_taken_from_controllers_that_completed_every_run(results, mpc, peer, value, note) -> None:
+    main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([mpc[0], peer[0]] * 2)
+    main = main.assign(position_rmse_m=errors, completed=[True, True, mpc[1], peer[1]])
     page = page_contents(replace(results, main=main))
     card = page.key_figures[1]
-    assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
+    assert ("Not ranked" in page.summary[0]) is not (mpc[1] and peer[1])
     assert (card.label, card.value, card.note) == ("minimum position error, RMSE", value, note)
 
 
 def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> None:
     assert describe_incomplete(results) is None
-    ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
-    stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
+    mpc, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
+    stopped = replace(mpc.run, true_pose=mpc.run.true_pose + 1.0)
     assert not stopped.metrics.completed
-    complaint = describe_incomplete(
-        replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame())
+    message = describe_incomplete(
+        replace(results, main=rows_of(RunOutcome(mpc.case, stopped), peer), horizon=DataFrame())
     )
-    assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
-    assert describe_incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
+    assert message.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
+    assert describe_incomplete(replace(results, main=rows_of(mpc, RunOutcome(peer.case, stopped)))) is None
 
 
 @pytest.mark.parametrize("kind", ["folder", "link"])
 def test_late_conflict_replaces_no_file(kind: str, tmp_path: Path) -> None:
-    out, mine = tmp_path / "out", tmp_path / "mine"
+    out, user_file = tmp_path / "out", tmp_path / "mine"
     out.mkdir()
     (out / "a.txt").write_text("old")
-    mine.write_text("mine")
+    user_file.write_text("mine")
     if kind == "folder":
         (out / "b.txt").mkdir()
     else:
-        (out / "b.txt").symlink_to(mine)
+        (out / "b.txt").symlink_to(user_file)
     with pytest.raises(ConfigError, match=r"'b\.txt' exists and is no"), staged(out) as folder:
         (folder / "a.txt").write_text("new")
         (folder / "b.txt").write_text("new")
     assert (out / "a.txt").read_text() == "old"
-    assert mine.read_text() == "mine"
+    assert user_file.read_text() == "mine"
     assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt"]
 
 
@@ -190,8 +192,8 @@ def test_results_of_the_same_command_are_replaced_completely(tmp_path: Path) -> 
     assert not (tmp_path / "old").exists()
 
 
-def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
-    """The page of the second command has a different name, also in later runs; files of the first stay."""
+def test_results_of_two_commands_do_not_replace_each_other(tmp_path: Path) -> None:
+    """The page of the second command has a different name, also in later runs; files of the first command stay."""
     _write(tmp_path, "bench", "bench.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
@@ -207,26 +209,26 @@ def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
 
 
 def test_failed_move_leaves_the_old_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stale results are kept as well."""
+    """Stale results are also preserved."""
     _write(tmp_path, "bench", "a", "b")
-    before = {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)}
+    original = {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)}
     move = Path.replace
 
-    def replace_on_a_full_disk(self: Path, to: Path) -> Path:
+    def replace_on_a_full_disk(self: Path, target: Path) -> Path:
         if self.name == "c":
             raise OSError("disk full")
-        return move(self, to)
+        return move(self, target)
 
     monkeypatch.setattr(Path, "replace", replace_on_a_full_disk)
     with pytest.raises(OSError, match="disk full"):
         _write(tmp_path, "bench", "a", "new/b", "c")
     assert _files_in(tmp_path) == {"a", "b"} and not (tmp_path / "new").exists()
-    assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == before
+    assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == original
 
 
 @pytest.mark.parametrize("contents", ["", "[]", "{", '{"a": 1}', '{"a": {"by": "bench"}}', '{"../x": null}'])
 def test_damaged_list_of_contents_is_ignored(tmp_path: Path, contents: str) -> None:
-    """Every file then counts as a file of the user."""
+    """All files are treated as files of the user."""
     (tmp_path / CONTENTS).write_text(contents, encoding="utf-8")
     (tmp_path / "a").write_text("mine", encoding="utf-8")
     _write(tmp_path, "bench", "b")
@@ -235,17 +237,17 @@ def test_damaged_list_of_contents_is_ignored(tmp_path: Path, contents: str) -> N
 
 def test_file_outside_the_folder_is_never_stale(tmp_path: Path) -> None:
     """The list of contents, which a user may edit, names a file outside the folder."""
-    out, mine = tmp_path / "out", tmp_path / "mine"
-    mine.write_text("mine", encoding="utf-8")
+    out, user_file = tmp_path / "out", tmp_path / "mine"
+    user_file.write_text("mine", encoding="utf-8")
     _write(out, "bench", "a")
-    state = mine.stat()
-    contents = f'{{"../mine": {{"by": "bench", "bytes": {state.st_size}, "changed_ns": {state.st_mtime_ns}}}}}'
+    status = user_file.stat()
+    contents = f'{{"../mine": {{"by": "bench", "bytes": {status.st_size}, "changed_ns": {status.st_mtime_ns}}}}}'
     (out / CONTENTS).write_text(contents, encoding="utf-8")
     _write(out, "bench", "b")
-    assert mine.read_text(encoding="utf-8") == "mine"
+    assert user_file.read_text(encoding="utf-8") == "mine"
 
 
-def _hold(out: str, ready: object, shared: bool) -> None:
+def _hold_folder(out: str, ready: object, shared: bool) -> None:
     with staged(Path(out), owner="bench", shared=shared) as folder:
         (folder / "first").write_text("x", encoding="utf-8")
         ready.set()  # type: ignore[attr-defined]
@@ -257,7 +259,7 @@ def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_p
     """A killed command leaves no lock, and its unfinished files are removed; commands may share a folder."""
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
-    process = context.Process(target=_hold, args=(str(tmp_path), ready, shared))
+    process = context.Process(target=_hold_folder, args=(str(tmp_path), ready, shared))
     process.start()
     try:
         assert ready.wait(60)
@@ -269,8 +271,8 @@ def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_p
     finally:
         process.kill()
         process.join()
-    (left,) = tmp_path.glob(".unfinished-*")
-    os.utime(left, (0, 0))
+    (unfinished,) = tmp_path.glob(".unfinished-*")
+    os.utime(unfinished, (0, 0))
     _write(tmp_path, "bench", "third", shared=shared)
     assert "third" in _files_in(tmp_path)
     assert not list(tmp_path.glob(".unfinished-*"))

@@ -17,11 +17,11 @@ def slow_square(number: int) -> int:
     return number**2
 
 
-def refuse() -> int:
+def raise_value_error() -> int:
     raise ValueError("no such plant")
 
 
-def die() -> int:
+def exit_process() -> int:
     os._exit(9)
 
 
@@ -31,9 +31,9 @@ def threads() -> str | None:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_have_the_order_of_the_tasks(jobs: int) -> None:
-    done: list[int] = []
-    assert run_tasks([partial(slow_square, k) for k in range(5)], jobs, lambda: done.append(1)) == [0, 1, 4, 9, 16]
-    assert len(done) == 5
+    calls: list[int] = []
+    assert run_tasks([partial(slow_square, k) for k in range(5)], jobs, lambda: calls.append(1)) == [0, 1, 4, 9, 16]
+    assert len(calls) == 5
 
 
 def test_every_process_has_one_thread() -> None:
@@ -43,13 +43,13 @@ def test_every_process_has_one_thread() -> None:
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_exception_of_a_task_is_raised(jobs: int) -> None:
     with pytest.raises(ValueError, match="no such plant"):
-        run_tasks([refuse, refuse], jobs, lambda: None)
+        run_tasks([raise_value_error, raise_value_error], jobs, lambda: None)
 
 
 def test_killed_process_raises_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(WorkerDiedError, match="killed; try a smaller --jobs"):
-        run_tasks([die, die], 2, lambda: None)
-    monkeypatch.setattr("diffdrive_mpc.bench.comparison.study._drive", lambda case, whole: die())
+        run_tasks([exit_process, exit_process], 2, lambda: None)
+    monkeypatch.setattr("diffdrive_mpc.bench.comparison.study._drive", lambda case, whole: exit_process())
     arguments = "--quick --models ssm --trajectories cane,s --plant model:ssm --jobs 2"
     result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
     assert result.stderr.startswith("error: one of 2 processes was killed")
@@ -57,7 +57,7 @@ def test_killed_process_raises_error_with_a_remedy(monkeypatch: pytest.MonkeyPat
     assert not (tmp_path / "out").exists()
 
 
-def test_interruption_ends_the_processes_at_once() -> None:
+def test_interruption_ends_the_processes_immediately() -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt
 

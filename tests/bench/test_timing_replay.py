@@ -1,4 +1,4 @@
-"""The timing pass replays a run exactly or raises an error; every outcome gets its own times."""
+"""The timing pass replays a run exactly or raises an error; every outcome has separate times."""
 
 import time
 from dataclasses import replace
@@ -74,12 +74,12 @@ def test_mpc_is_replayed_bit_for_bit() -> None:
     assert 0 <= timing.clean_share == timed.clean_share <= 1
 
 
-QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
+UNDISTURBED = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
 
 
 @pytest.fixture(autouse=True)
 def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frozen clock, so that no retry times out on a busy machine."""
+    """Freeze the clock, so that no retry times out on a busy machine."""
     monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
 
 
@@ -90,8 +90,8 @@ def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"switches": 1}, False),
         ({"processor": 0.9e-3}, False),  # another process or the host used the core
         ({"processor": 0.985e-3}, True),  # reading clocks
-        ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
+        ({"pace": 1.2e-5}, False),  # a throttled or shared core
     ],
 )
 def test_block_is_disturbed_by_switches_lost_time_or_a_slow_pace(changes: dict[str, float], undisturbed: bool) -> None:
-    assert QUIET._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed
+    assert UNDISTURBED._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed

@@ -36,13 +36,13 @@ def step_commands(seed, duration, hold=2.5) -> FloatArray:
     stream = np.random.default_rng(seed)
     steps = round(duration / hold)
     v, omega = stream.uniform(-0.8, 0.8, steps), stream.uniform(-3.0, 3.0, steps)
-    still = stream.uniform(size=steps) < 0.15
-    v[still] = 0.5 * 0.54 * np.abs(omega[still]) * np.sign(v[still])
+    pivots = stream.uniform(size=steps) < 0.15
+    v[pivots] = 0.5 * 0.54 * np.abs(omega[pivots]) * np.sign(v[pivots])
     return np.repeat(np.column_stack([v, omega]), round(hold / DT), axis=0)
 
 
 def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05, clip=np.inf) -> Record:
-    """Simulate encoder (delayed) and gyro (biased) readings of the artificial robot; `noise` scales the usual noise.
+    """Simulate encoder (delayed) and gyro (biased) readings of the artificial robot; `noise` scales the default noise.
 
     The robot clips |omega_ref| at `clip`.
     """

@@ -1,6 +1,6 @@
-"""Logs degraded on purpose: sound bases, changes to them, and the verdict on the findings.
+"""Degraded logs for tests: valid base logs, changes that degrade them, and the verdict on the findings.
 
-The bases are simulated robots and slices of the logs of a Husky and two Warthogs.
+The base logs are simulated drives and slices of the logs of a Husky and two Warthogs.
 """
 
 import os
@@ -86,9 +86,10 @@ def robot(
 ):
     """Simulate a skidding two-wheeled robot under random steps of one second, or under `command` (n, 2).
 
-    The robot has lags, dead time, skid and noise. Both gains fall by the share `sag` along the log. Each rim changes
-    its speed by at most `ramp` [m/s^2]. The body yaws behind its wheels by `yaw_lag` [s]. Levels of the commands are
-    multiples of `quantum`. The floor sees the share `rolling` of the rim speeds, a scalar or (n, 2) left and right.
+    The robot has lags, dead time, skid and noise. Both gains decrease by the fraction `sag` over the log. `ramp`
+    [m/s^2] limits the acceleration of each rim. `yaw_lag` [s] is the lag of the yaw rate behind the wheels. Command
+    levels are multiples of `quantum`. `rolling` is the ratio of ground speed to rim speed, a scalar or (n, 2) left
+    and right.
     """
     rng = np.random.default_rng(seed)
     count, hold = round(seconds / dt), round(1.0 / dt)
@@ -97,16 +98,16 @@ def robot(
     if quantum:
         levels = np.round(levels / quantum) * quantum
     command = np.repeat(levels, hold, axis=0)[:count] if command is None else command
-    late = round(dead_time / dt)
-    taken = np.vstack([np.zeros((late, 2)), command])[:count] * gain
-    taken[:, 1] = np.clip(taken[:, 1], -clip, clip)
-    taken *= np.linspace(1.0, 1.0 - sag, count)[:, None]
+    delay_rows = round(dead_time / dt)
+    inputs = np.vstack([np.zeros((delay_rows, 2)), command])[:count] * gain
+    inputs[:, 1] = np.clip(inputs[:, 1], -clip, clip)
+    inputs *= np.linspace(1.0, 1.0 - sag, count)[:, None]
     if np.isfinite(ramp):
-        taken = ramped(taken, ramp * dt, track)
-    first, wheels, keep = np.zeros(2), np.zeros((count, 2)), np.exp(-2 * dt / lag)
+        inputs = ramped(inputs, ramp * dt, track)
+    first_stage, wheels, decay = np.zeros(2), np.zeros((count, 2)), np.exp(-2 * dt / lag)
     for k in range(1, count):
-        first = keep * first + (1 - keep) * taken[k - 1]
-        wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
+        first_stage = decay * first_stage + (1 - decay) * inputs[k - 1]
+        wheels[k] = decay * wheels[k - 1] + (1 - decay) * first_stage
     rims = rolling * (wheels[:, :1] + 0.5 * track * wheels[:, 1:] * [-1.0, 1.0])
     body = np.column_stack([rims.mean(axis=1), skid / track * (rims[:, 1] - rims[:, 0])])
     if yaw_lag:
@@ -129,22 +130,22 @@ def robot(
 
 def low_passed(values, lag, dt):
     """Filter values (n, ...) by a first-order lag [s]."""
-    result, keep = np.array(values, dtype=float), np.exp(-dt / lag)
+    result, decay = np.array(values, dtype=float), np.exp(-dt / lag)
     for k in range(1, len(result)):
-        result[k] = keep * result[k - 1] + (1 - keep) * values[k]
+        result[k] = decay * result[k - 1] + (1 - decay) * values[k]
     return result
 
 
 def ramped(twist, step, track):
     """Limit the change of the rim speeds of twists (n, 2) to `step` [m/s] per row."""
-    half = 0.5 * track * twist[:, 1]
-    rims = np.column_stack([twist[:, 0] - half, twist[:, 0] + half])
+    half_difference = 0.5 * track * twist[:, 1]
+    rims = np.column_stack([twist[:, 0] - half_difference, twist[:, 0] + half_difference])
     for k in range(1, len(rims)):
         rims[k] = rims[k - 1] + np.clip(rims[k] - rims[k - 1], -step, step)
     return np.column_stack([rims.mean(axis=1), (rims[:, 1] - rims[:, 0]) / track])
 
 
-def real(path, rows):
+def read_slice(path, rows):
     """Read a slice of a real log."""
     with path.open(encoding="utf-8") as file:
         header = file.readline().strip().split(",")
@@ -154,12 +155,12 @@ def real(path, rows):
 
 @dataclass(frozen=True)
 class Base:
-    """A sound log: its columns, its mapping, and its names of the streams.
+    """Valid log with its columns, mapping and column names.
 
     Attributes
     ----------
     commands, wheels, gyro, heading
-        Names of columns.
+        Column names of the streams; `heading` is a column of the pose.
     dt
         Time between two rows [s].
     """
@@ -182,19 +183,19 @@ class Base:
         }[name]
 
 
-_OWN = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
+_NAMES = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
 SMALL = {"lag": 0.05, "dead_time": 0.04, "skid": 0.95, "radius": 0.05, "track": 0.3, "gain": (0.97, 1.02), "seed": 31}
 HEAVY = {"lag": 0.25, "dead_time": 0.14, "skid": 0.5, "radius": 0.25, "track": 0.8, "gain": (1.05, 0.9), "seed": 32}
 BASES = {
-    "simulated": Base(robot, SIMULATED, *_OWN),
-    "small": Base(lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_OWN),
-    "heavy": Base(lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_OWN),
+    "simulated": Base(robot, SIMULATED, *_NAMES),
+    "small": Base(lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_NAMES),
+    "heavy": Base(lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_NAMES),
 }
 REAL_NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)
 REAL_BASES = {
-    "husky": Base(lambda: real(log_path("husky_tile"), range(1000, 5000)), HUSKY, *REAL_NAMES),
-    "asphalt": Base(lambda: real(log_path("warthog_asphalt"), range(4800)), WARTHOG, *REAL_NAMES),
-    "gravel": Base(lambda: real(log_path("warthog_gravel"), range(4800)), GRAVEL, *REAL_NAMES),
+    "husky": Base(lambda: read_slice(log_path("husky_tile"), range(1000, 5000)), HUSKY, *REAL_NAMES),
+    "asphalt": Base(lambda: read_slice(log_path("warthog_asphalt"), range(4800)), WARTHOG, *REAL_NAMES),
+    "gravel": Base(lambda: read_slice(log_path("warthog_gravel"), range(4800)), GRAVEL, *REAL_NAMES),
 }
 BASES |= REAL_BASES
 
@@ -212,7 +213,7 @@ def smooth_and_clipped():
 
 @dataclass(frozen=True)
 class Case:
-    """One degraded log.
+    """Degraded log.
 
     Attributes
     ----------
@@ -223,15 +224,15 @@ class Case:
     change
         (columns, base) -> columns of the degraded log, or a list for several logs.
     kind
-        Kinds of finding that name the cause, separated by "; "; empty for a sound log.
+        Kinds of finding that name the cause, separated by "; "; empty for a valid log.
     says
-        Words of the finding: the stream and the remedy, separated by "; ".
+        Expected parts of the finding's text, such as stream and remedy, separated by "; ".
     refused
-        True if no configuration may result; None if both is correct.
+        True if the log must not result in a configuration; None if both outcomes are correct.
     mapping
-        (text) -> text of the mapping.
+        Function that changes the text of the mapping.
     also
-        Kind of a finding that is a true consequence.
+        Kind of an additional finding that is a correct consequence of the change.
     """
 
     base: str
@@ -267,7 +268,7 @@ def shifted(stream, seconds):
 
 
 def scaled(**factors):
-    """Multiply columns by a factor; keys are streams or names of columns."""
+    """Multiply columns by factors; keys are streams or column names."""
 
     def change(columns, base):
         result = dict(columns)
@@ -311,30 +312,30 @@ def spikes(names, size, share=0.01, seed=3):
         rng = np.random.default_rng(seed)
         result = dict(columns)
         for name in names:
-            hit = rng.random(len(columns[name])) < share
-            result[name] = np.where(hit, size * rng.choice([-1.0, 1.0], len(hit)), columns[name])
+            is_outlier = rng.random(len(columns[name])) < share
+            result[name] = np.where(is_outlier, size * rng.choice([-1.0, 1.0], len(is_outlier)), columns[name])
         return result
 
     return change
 
 
 def replaced(**columns):
-    """Replace columns by functions of the columns."""
-    return lambda before, base: before | {name: make(before) for name, make in columns.items()}
+    """Replace columns by results of functions of all columns."""
+    return lambda original, base: original | {name: function(original) for name, function in columns.items()}
 
 
-def rows(chosen):
+def rows(select):
     """Select or reorder rows."""
 
     def change(columns, base):
-        keep = chosen(columns)
-        return {name: value[keep] for name, value in columns.items()}
+        index = select(columns)
+        return {name: value[index] for name, value in columns.items()}
 
     return change
 
 
 def simulated(**options):
-    """Simulate a different robot, or a different drive of it."""
+    """Simulate a different robot, or a different drive of the same robot."""
     return lambda columns, base: robot(**options)
 
 
@@ -359,12 +360,12 @@ TICKS = 4096 / (2 * np.pi)
 
 
 def ticks(columns, base):
-    """Return the columns with running ticks instead of the wheel speeds."""
+    """Return the columns with cumulative encoder ticks instead of the wheel speeds."""
     return columns | {name: np.floor(np.cumsum(columns[name] * base.dt) * TICKS) for name in base.wheels}
 
 
 def dead_twist(columns, base):
-    """Return the columns with v and omega of encoders of which the left one is dead."""
+    """Return the columns with v and omega from the encoders, of which the left reads zero."""
     return twist_columns(columns | {"left": 0.0 * columns["left"]}, base)
 
 
@@ -452,7 +453,7 @@ def put(old, new):
 
 
 def write_columns(path, columns):
-    """Write a CSV file; a column of NaN alone becomes one of empty cells."""
+    """Write a CSV file; the cells of an all-NaN column are empty."""
     table = np.column_stack(list(columns.values()))
     empty = np.isnan(table).all(axis=0)
     lines = [
@@ -465,34 +466,34 @@ def write_columns(path, columns):
 def logs_of(case, folder):
     """Write the degraded log or logs, and the mapping."""
     base = BASES[case.base]
-    changed = case.change(base.columns(), base)
-    together = changed if isinstance(changed, list) else [changed]
-    paths = [write_columns(folder / f"log{i}.csv", columns) for i, columns in enumerate(together)]
+    degraded = case.change(base.columns(), base)
+    logs = degraded if isinstance(degraded, list) else [degraded]
+    paths = [write_columns(folder / f"log{i}.csv", columns) for i, columns in enumerate(logs)]
     mapping = folder / "map.yaml"
     mapping.write_text(case.mapping(base.mapping))
     return paths, mapping
 
 
-def verdict(case, findings, raised=None):
-    """Return "right", "half", "wrong" or "missed": whether the findings name the cause of the case and no other.
+def verdict(case, findings, error=None):
+    """Compare the findings with the cause of the case; return "right", "half", "wrong" or "missed".
 
-    Notes name no cause unless the case expects a note.
+    Notes are ignored unless the case expects a note.
     """
-    kinds, words = case.kind.split("; "), case.says.split("; ")
-    named = [finding for finding in findings if finding.kind in kinds]
-    # A file that cannot be read has one line, which names the cause.
-    others = raised is None and any(
+    kinds, fragments = case.kind.split("; "), case.says.split("; ")
+    matching = [finding for finding in findings if finding.kind in kinds]
+    # For a file that cannot be read, the only text is the error message.
+    has_others = error is None and any(
         finding.severity != "note" and finding.kind not in (*kinds, case.also) for finding in findings
     )
     if not case.kind:
-        return "wrong" if others or raised else "right"
-    sentences = [*map(str, named), *([] if raised is None else [raised])]
-    whole = any(all(word in sentence for word in words) for sentence in sentences)
-    if whole and not others:
+        return "wrong" if has_others or error else "right"
+    texts = [*map(str, matching), *([] if error is None else [error])]
+    is_complete = any(all(fragment in sentence for fragment in fragments) for sentence in texts)
+    if is_complete and not has_others:
         return "right"
-    if named or whole:
+    if matching or is_complete:
         return "half"
-    return "wrong" if others or raised else "missed"
+    return "wrong" if has_others or error else "missed"
 
 
 SIDES = "{left: left, right: right}"
@@ -502,7 +503,7 @@ RPM, DEGREES = 60 / (2 * np.pi), 180 / np.pi
 
 
 def turned(degrees):
-    """Rotate the headings of the pose frame against the robot."""
+    """Add an offset [deg] to the measured headings."""
 
     def change(columns, base):
         heading = columns[base.heading] + np.radians(degrees)
@@ -517,12 +518,12 @@ def whole(quantum):
 
 
 def clipped_side(level):
-    """Limit the left encoder to a share of its largest speed."""
+    """Clip the readings of the left encoder at a fraction of their maximum."""
 
     def change(columns, base):
         left = columns[base.wheels[0]]
-        most = level * np.nanmax(np.abs(left))
-        return columns | {base.wheels[0]: np.clip(left, -most, most)}
+        limit = level * np.nanmax(np.abs(left))
+        return columns | {base.wheels[0]: np.clip(left, -limit, limit)}
 
     return change
 
@@ -542,7 +543,7 @@ def later(columns):
 
 
 def order_changes(columns, base):
-    """Swap left and right of the encoders from the middle on."""
+    """Swap left and right of the encoders in the second half."""
     left, right = (columns[name] for name in base.wheels)
     names = dict(
         zip(base.wheels, (np.where(later(columns), *pair) for pair in ((right, left), (left, right))), strict=True)
@@ -567,8 +568,8 @@ def echoed(rows, radius=None, track=None):
         left, right = (columns[name] for name in base.wheels)
         if radius is not None:
             left, right = 0.5 * radius * (left + right), radius * (right - left) / track
-        late = np.clip(np.arange(len(left)) - rows, 0, None)
-        return columns | {base.commands[0]: left[late], base.commands[1]: right[late]}
+        delayed_rows = np.clip(np.arange(len(left)) - rows, 0, None)
+        return columns | {base.commands[0]: left[delayed_rows], base.commands[1]: right[delayed_rows]}
 
     return change
 
@@ -579,8 +580,8 @@ def latched(seconds, phase=0.5):
     def change(columns, base):
         step = round(seconds / base.dt)
         first = round(phase * step)
-        taken = np.clip((np.arange(len(columns["x"])) - first) // step * step + first, 0, None)
-        return columns | {name: columns[name][taken] for name in base.commands}
+        sampled_rows = np.clip((np.arange(len(columns["x"])) - first) // step * step + first, 0, None)
+        return columns | {name: columns[name][sampled_rows] for name in base.commands}
 
     return change
 
@@ -590,13 +591,13 @@ def constant(*names, value=0.3):
 
 
 def straight(columns, base):
-    """Drive straight only; omega is commanded a residue of rounding."""
+    """Drive straight only; the commanded omega consists of rounding errors."""
     columns = robot(drive=(1, 0), seed=41)
     return columns | {"omega_ref": columns["omega_ref"] + 2.6e-17 * np.random.default_rng(42).normal(size=6000)}
 
 
 def of_a_controller(columns, base):
-    """Smooth the commands, as a controller with a new one at each tick does."""
+    """Smooth the commands, like those of a controller that changes them at each tick."""
     return columns | {name: low_passed(columns[name], 0.02, base.dt) for name in base.commands}
 
 
@@ -609,30 +610,30 @@ TABLE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="u
 
 def read_cases(group):
     """Read the cases of a group of degraded_logs.yaml."""
-    for base, description, change, *rest in TABLE[group]:
-        kind, says, refused, mapping, also = (*rest, *("", "", False, None, "")[len(rest) :])
+    for base, description, change, *options in TABLE[group]:
+        kind, says, refused, mapping, also = (*options, *("", "", False, None, "")[len(options) :])
         yield Case(base, description, eval(change), kind, says, refused, eval(mapping) if mapping else str, also)
 
 
 def with_expo(size):
-    """Apply an exponential stick curve to the commands that the robot receives; the log has those of the stick."""
+    """Apply an exponential stick curve to the commands that the robot receives; the log contains the stick."""
     stick = robot()
     command = np.column_stack([stick["v_ref"], stick["omega_ref"]])
-    top = np.abs(command).max(axis=0)
-    driven = robot(command=command * (1 - size + size * (command / top) ** 2))
-    return driven | {name: stick[name] for name in ("v_ref", "omega_ref")}
+    max_command = np.abs(command).max(axis=0)
+    columns = robot(command=command * (1 - size + size * (command / max_command) ** 2))
+    return columns | {name: stick[name] for name in ("v_ref", "omega_ref")}
 
 
 def with_zeros(share):
-    """Replace a share of the commands by zeros of a second publisher, in the robot and in the log."""
+    """Replace a fraction of the commands by zeros of a second publisher, for the robot and in the log."""
     columns = robot()
-    taken = np.random.default_rng(0).random(len(columns["t"])) > share
-    return robot(command=np.column_stack([columns["v_ref"], columns["omega_ref"]]) * taken[:, None])
+    is_original = np.random.default_rng(0).random(len(columns["t"])) > share
+    return robot(command=np.column_stack([columns["v_ref"], columns["omega_ref"]]) * is_original[:, None])
 
 
 def flat_tyre(share, side):
-    late = np.arange(6000) >= 3000
-    return robot(rolling=1.0 - share * late[:, None] * (np.arange(2) == side))
+    is_flat = np.arange(6000) >= 3000
+    return robot(rolling=1.0 - share * is_flat[:, None] * (np.arange(2) == side))
 
 
 def with_late_encoder(columns, seconds, side):
@@ -640,15 +641,15 @@ def with_late_encoder(columns, seconds, side):
 
 
 def without_slow_readings(columns, share):
-    least = share * max(np.abs(columns[side]).max() for side in ("left", "right"))
-    return columns | {side: np.where(np.abs(columns[side]) < least, 0.0, columns[side]) for side in ("left", "right")}
+    limit = share * max(np.abs(columns[side]).max() for side in ("left", "right"))
+    return columns | {side: np.where(np.abs(columns[side]) < limit, 0.0, columns[side]) for side in ("left", "right")}
 
 
-FIRST_TEN, SOUND, SCALES, TIMES, READINGS, CAUSES, FAULTS = (tuple(read_cases(group)) for group in TABLE)
-CASES = (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS, *CAUSES)
+FIRST_TEN, VALID, SCALES, TIMES, READINGS, CAUSES, FAULTS = (tuple(read_cases(group)) for group in TABLE)
+CASES = (*FIRST_TEN, *VALID, *SCALES, *TIMES, *READINGS, *CAUSES)
 
 
-# Logs of real robots, in the folder that DIFFDRIVE_MPC_DATA names. Tests of them have the mark `real_logs`.
+# Logs of real robots in the folder DIFFDRIVE_MPC_DATA. Tests that use them have the marker `real_logs`.
 
 
 FOLDERS = {
@@ -656,7 +657,7 @@ FOLDERS = {
     "warthog_asphalt": "norlab_warthog_terrains",
     "warthog_gravel": "norlab_warthog_terrains",
 }
-"""Folder of each log by its name, which is also the name of its mapping."""
+"""Folder by log name; the mapping of a log has the same name."""
 
 
 def log_path(name):

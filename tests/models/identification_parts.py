@@ -62,12 +62,12 @@ def differences(function, point, step=1e-6):
     return np.column_stack([(high - low) / (2 * step) for high, low in ends])
 
 
-def check_written(result, folder, within, structure=None):
-    """Check that an identification's files give its model and a controller that drives with it; return the model."""
+def check_written(result, folder, tolerance, structure=None):
+    """Check that the files of an identification contain its model and define a controller; return the model."""
     result.write(folder)
     model, config = load_model(folder / "model.yaml"), load_config(folder / "config.yaml")
     commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
-    assert model.simulate(commands) == pytest.approx(result.model.simulate(commands), abs=within)
+    assert model.simulate(commands) == pytest.approx(result.model.simulate(commands), abs=tolerance)
     assert config.sample_time == model.dt
     assert Controller(config).model.structure == model.structure
     assert result.report.as_json()["model"] == (structure or model.structure)

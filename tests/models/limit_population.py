@@ -8,13 +8,13 @@ from scipy import signal
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-_SHARES = (0.6, 0.9)
+_LIMIT_FRACTIONS = (0.6, 0.9)
 _DEFECTS = ("nothing", "slew", "compressed gain", "dead band", "sagging gain", "gain of the other channel")
 
 
 @dataclass(frozen=True)
 class LimitCase:
-    """A log and the limit of its commands.
+    """Log with the limit of its commands.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class LimitCase:
 
 
 def drawn_case(seed: int) -> LimitCase:
-    """Simulate a random robot with two lags and a dead time, whose commands one limit clips, or no limit.
+    """Simulate a random robot with two lags, a dead time and at most one limit of its commands.
 
     Its speeds deviate from that model by correlated noise; without a limit the robot has another defect.
     """
@@ -43,31 +43,31 @@ def drawn_case(seed: int) -> LimitCase:
     dt, count = 0.05, int(rng.integers(1500, 5000))
     command = np.column_stack([_drive(rng, dt, count) for _ in CHANNELS]) * rng.uniform([0.4, 0.6], [4.0, 3.0])
     row = int(rng.integers(2))
-    limited = rng.random() < 0.5
-    defect = "nothing" if limited else str(rng.choice(_DEFECTS))
+    is_limited = rng.random() < 0.5
+    defect = "nothing" if is_limited else str(rng.choice(_DEFECTS))
     applied = command.copy()
     level = np.inf
-    if limited:
-        level = rng.uniform(*_SHARES) * np.quantile(np.abs(command[:, row]), 0.995)
+    if is_limited:
+        level = rng.uniform(*_LIMIT_FRACTIONS) * np.quantile(np.abs(command[:, row]), 0.995)
         applied[:, row] = np.clip(applied[:, row], -level, level)
-    size = np.abs(command).max(axis=0)
+    max_command = np.abs(command).max(axis=0)
     if defect == "compressed gain":
-        applied = size * np.tanh(0.5 * applied / size) / 0.5
+        applied = max_command * np.tanh(0.5 * applied / max_command) / 0.5
     elif defect == "dead band":
-        applied = np.sign(applied) * np.maximum(np.abs(applied) - 0.08 * size, 0.0)
+        applied = np.sign(applied) * np.maximum(np.abs(applied) - 0.08 * max_command, 0.0)
     elif defect == "sagging gain":
         applied *= np.linspace(1.0, 0.85, count)[:, None]
     elif defect == "gain of the other channel":
-        applied *= 1.0 - 0.2 * np.abs(command[:, ::-1]) / size[::-1]
+        applied *= 1.0 - 0.2 * np.abs(command[:, ::-1]) / max_command[::-1]
     elif defect == "slew":
-        applied = _limit_slew(applied, rng.uniform(0.5, 2.0) * size * dt)
+        applied = _limit_slew(applied, rng.uniform(0.5, 2.0) * max_command * dt)
     speeds = np.column_stack([_channel_response(rng, column, dt) for column in applied.T])
-    keep = np.exp(-dt / rng.uniform(0.1, 1.0))
-    white = rng.normal(size=(count, 2)) * np.sqrt(1 - keep**2)
-    speeds += rng.uniform(0.01, 0.15) * speeds.std(axis=0) * signal.lfilter([1.0], [1.0, -keep], white, axis=0)
+    decay = np.exp(-dt / rng.uniform(0.1, 1.0))
+    white = rng.normal(size=(count, 2)) * np.sqrt(1 - decay**2)
+    speeds += rng.uniform(0.01, 0.15) * speeds.std(axis=0) * signal.lfilter([1.0], [1.0, -decay], white, axis=0)
     speeds += 0.01 * speeds.std(axis=0) * rng.normal(size=(count, 2))
     record = Record(f"robot {seed}", 0.0, dt, command, twist=speeds, yaw_rate=speeds[:, 1].copy())
-    return LimitCase(f"robot {seed}, {defect}", (record,), CHANNELS[row] if limited else None, level)
+    return LimitCase(f"robot {seed}, {defect}", (record,), CHANNELS[row] if is_limited else None, level)
 
 
 def _drive(rng, dt, count):
@@ -85,9 +85,9 @@ def _drive(rng, dt, count):
 
 def _channel_response(rng, applied, dt):
     """Simulate the speeds (K,) of a random channel."""
-    late, keep = int(rng.integers(0, 5)), np.exp(-dt / rng.uniform(0.03, 0.4))
-    delayed = np.concatenate([np.zeros(late + 1), applied])[: len(applied)]
-    for part in (keep, keep ** rng.uniform(1.0, 5.0)):
+    delay, decay = int(rng.integers(0, 5)), np.exp(-dt / rng.uniform(0.03, 0.4))
+    delayed = np.concatenate([np.zeros(delay + 1), applied])[: len(applied)]
+    for part in (decay, decay ** rng.uniform(1.0, 5.0)):
         delayed = signal.lfilter([1 - part], [1.0, -part], delayed)
     return rng.uniform(0.6, 1.1) * delayed
 

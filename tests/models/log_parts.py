@@ -54,9 +54,9 @@ def write_mapping(path, text=MAPPING):
     return path
 
 
-def message(kind, reading, seconds):
-    """Build a message of the type `kind`, with the stamp `seconds` [s] if it has a header."""
-    types, short = STORE.types, kind.split("/")[-1]
+def message(message_type, reading, seconds):
+    """Build a message of `message_type`, with the stamp `seconds` [s] if it has a header."""
+    types, type_name = STORE.types, message_type.split("/")[-1]
 
     def vector(x=0.0, y=0.0, z=0.0):
         return types["geometry_msgs/msg/Vector3"](x, y, z)
@@ -107,7 +107,7 @@ def message(kind, reading, seconds):
         ],
         "JointState": lambda: [header, ["fl", "fr", "rl", "rr"], np.empty(0), np.zeros(4), np.array(reading, float)],
     }
-    return types[kind](*bodies[short]())
+    return types[message_type](*bodies[type_name]())
 
 
 def write_bag(folder, topics, storage="sqlite3"):
@@ -118,12 +118,12 @@ def write_bag(folder, topics, storage="sqlite3"):
     plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         queue = []
-        for name, (kind, received, stamped, readings) in topics.items():
-            connection = writer.add_connection(name.partition("#")[0], kind, typestore=STORE)
+        for name, (message_type, received, stamped, readings) in topics.items():
+            connection = writer.add_connection(name.partition("#")[0], message_type, typestore=STORE)
             for instant, stamp, reading in zip(received, stamped, readings, strict=True):
-                queue.append((round((BAG_START + instant) * 1e9), connection, kind, reading, BAG_START + stamp))
-        for instant, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
-            writer.write(connection, instant, STORE.serialize_cdr(message(kind, reading, stamp), kind))
+                queue.append((round((BAG_START + instant) * 1e9), connection, message_type, reading, BAG_START + stamp))
+        for instant, connection, message_type, reading, stamp in sorted(queue, key=lambda item: item[0]):
+            writer.write(connection, instant, STORE.serialize_cdr(message(message_type, reading, stamp), message_type))
     return folder
 
 
@@ -168,11 +168,11 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     levels = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
     levels[1::3] = 0.0
     lengths = rng.uniform(0.3, 0.9, len(presses))
-    sent = [times + np.arange(0.0, length, 1 / rate) for times, length in zip(presses, lengths, strict=True)]
-    commands = np.repeat(levels, [len(part) for part in sent], axis=0)
-    sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
-    sent_count = np.searchsorted(sent, time, side="right")
-    active_commands = np.where(sent_count[:, None] > 0, commands[sent_count - 1], 0.0)
+    send_times = [times + np.arange(0.0, length, 1 / rate) for times, length in zip(presses, lengths, strict=True)]
+    commands = np.repeat(levels, [len(part) for part in send_times], axis=0)
+    send_times = np.concatenate(send_times) + rng.uniform(0.0, 0.001, len(commands))
+    count = np.searchsorted(send_times, time, side="right")
+    active_commands = np.where(count[:, None] > 0, commands[count - 1], 0.0)
     twist = np.zeros_like(active_commands)
     for k in range(1, len(time)):
         twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (active_commands[k - 1] - twist[k - 1])
@@ -180,6 +180,6 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     odometry = np.column_stack([np.interp(times, time, column) for column in twist.T])
     odometry += rng.normal(0, 0.003, odometry.shape)
     return {
-        "/cmd_vel": ("geometry_msgs/msg/Twist", sent, sent, commands),
+        "/cmd_vel": ("geometry_msgs/msg/Twist", send_times, send_times, commands),
         "/odom": ("nav_msgs/msg/Odometry", times + 0.002, times, odometry),
     }

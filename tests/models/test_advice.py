@@ -1,4 +1,4 @@
-"""Logs with artificial defects: the cause is named, and the advice corrects it."""
+"""Logs with artificial defects: findings name the cause, and the advice corrects it."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text, to_topic_keys
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
 
-SKIDS = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
+SKIDDING = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
 SLOW = {"seed": 62, "seconds": 60.0, "lag": 0.4, "gain": (0.8, 1.2), "dead_time": 0.2}
 QUICK = {"seed": 63, "seconds": 60.0, "lag": 0.05, "dead_time": 0.02}
 NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
@@ -53,19 +53,19 @@ def gyro_and_sides(columns, base):
 
 
 def slow_body(lag):
-    """Delay the yaw of the body behind that of its wheels, as on ice."""
-    keep = np.exp(-0.02 / lag)
-    return replaced(gyro=lambda columns: lfilter([1 - keep], [1, -keep], columns["gyro"]))
+    """Delay the yaw rate of the body relative to the wheels, as on ice."""
+    decay = np.exp(-0.02 / lag)
+    return replaced(gyro=lambda columns: lfilter([1 - decay], [1, -decay], columns["gyro"]))
 
 
-def coarse(columns):
-    """Return stamps in quarters of a second, as 32-bit floats have some weeks after their epoch."""
+def coarse_stamps(columns):
+    """Return stamps in multiples of 0.25 s, the resolution of 32-bit floats some weeks after their epoch."""
     return np.round(4.0 * columns["t"]) / 4.0
 
 
-def halved_from_the_middle_on(columns, base):
-    half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
-    return columns | {name: np.where(half, 1.0, 0.5) * columns[name] for name in base.wheels}
+def halve_encoders_in_the_second_half(columns, base):
+    is_first_half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
+    return columns | {name: np.where(is_first_half, 1.0, 0.5) * columns[name] for name in base.wheels}
 
 
 def findings_of(paths, mapping):
@@ -81,22 +81,22 @@ def advice_on(case, folder):
 
 
 CORRECTED = {
-    "gyro late": (simulated_case(SKIDS, shifted("gyro", 0.3)), {"gyro delay"}),
+    "gyro late": (simulated_case(SKIDDING, shifted("gyro", 0.3)), {"gyro delay"}),
     "gyro early": (simulated_case(QUICK, shifted("gyro", -0.3)), {"gyro delay"}),
     "encoders late": (simulated_case(SLOW, shifted("encoders", 0.3)), {"encoders delay"}),
     "pose late": (simulated_case(QUICK, shifted("pose", 0.3)), {"pose delay"}),
-    "commands late": (simulated_case(SKIDS, shifted("command", 0.4)), {"command delay"}),
+    "commands late": (simulated_case(SKIDDING, shifted("command", 0.4)), {"command delay"}),
     "encoders in rpm": (simulated_case(SLOW, scaled(encoders=RPM)), {"encoders left.unit", "encoders right.unit"}),
-    "commands in mm/s": (simulated_case(SKIDS, scaled(v_ref=1000.0)), {"command v.unit"}),
+    "commands in mm/s": (simulated_case(SKIDDING, scaled(v_ref=1000.0)), {"command v.unit"}),
     "gyro upside down": (simulated_case(QUICK, scaled(gyro=-1.0)), {"gyro yaw_rate.sign"}),
     "left wheel reversed": (simulated_case(SLOW, scaled(left=-1.0)), {"encoders left.sign"}),
-    "pose mirrored": (simulated_case(SKIDS, scaled(y=-1.0)), {"pose y.sign"}),
+    "pose mirrored": (simulated_case(SKIDDING, scaled(y=-1.0)), {"pose y.sign"}),
     "gyro in deg/s, sides swapped": (simulated_case(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
     "gyro held": (simulated_case(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
-    "milliseconds": (simulated_case(SKIDS, scaled(t=1000.0)), {"time unit"}),
-    "stamps in bursts, confirmed by poses": (simulated_case(SKIDS, replaced(t=in_bursts)), {"time sample_time"}),
+    "milliseconds": (simulated_case(SKIDDING, scaled(t=1000.0)), {"time unit"}),
+    "stamps in bursts, confirmed by poses": (simulated_case(SKIDDING, replaced(t=in_bursts)), {"time sample_time"}),
     "yaw in degrees": (simulated_case(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
-    "encoders half from the middle on": (simulated_case(QUICK, halved_from_the_middle_on), {"log times"}),
+    "encoders half from the middle on": (simulated_case(QUICK, halve_encoders_in_the_second_half), {"log times"}),
 }
 
 
@@ -118,15 +118,15 @@ def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
         gains = [(advice.after.fit - advice.before.fit).max(), advice.after.agreement - advice.before.agreement]
         assert max(gains) > 1 or name == "yaw in degrees"
     advice.write(tmp_path)
-    fixed = tmp_path / "fixed.yaml"
-    assert load_mapping(fixed) == advice.mapping
-    assert not any(finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", fixed).findings)
+    corrected = tmp_path / "fixed.yaml"
+    assert load_mapping(corrected) == advice.mapping
+    assert not any(finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", corrected).findings)
 
 
 NOT_CORRECTED = {
-    "stamps in bursts, without poses": simulated_case(SKIDS, replaced(t=in_bursts), NO_POSE),
-    "time reversed": simulated_case(SKIDS, replaced(t=lambda columns: columns["t"][::-1])),
-    "stamps of coarse floats": simulated_case(SKIDS, replaced(t=coarse), NO_POSE),
+    "stamps in bursts, without poses": simulated_case(SKIDDING, replaced(t=in_bursts), NO_POSE),
+    "time reversed": simulated_case(SKIDDING, replaced(t=lambda columns: columns["t"][::-1])),
+    "stamps of coarse floats": simulated_case(SKIDDING, replaced(t=coarse_stamps), NO_POSE),
     "a body slower than its wheels": simulated_case({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
     "coarse encoders that are not held": simulated_case(
         {"seed": 65, "seconds": 60.0, "lag": 0.2}, replaced(left=rounded("left", 2.0), right=rounded("right", 2.0))
@@ -153,7 +153,7 @@ def test_log_without_proposals_is_not_read_again():
     assert advise(selection, [Finding("gap", "note", "", "")], lambda _: pytest.fail("a change was tried")) is None
 
 
-# The written mapping equals the intended one.
+# The written mapping equals the intended mapping.
 
 
 SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
@@ -180,20 +180,20 @@ def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():
 
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
     changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
-    new = changed(bag, to_topic_keys(changes))
-    assert new.topics.imu.sign == 1
-    assert new.topics.command.on_change
-    assert "/cmd_vel" in mapping_text(new)
+    changed_mapping = changed(bag, to_topic_keys(changes))
+    assert changed_mapping.topics.imu.sign == 1
+    assert changed_mapping.topics.command.on_change
+    assert "/cmd_vel" in mapping_text(changed_mapping)
     with pytest.raises(ConfigError, match=r"left\.unit"):
         changed(bag, to_topic_keys([MappingChange("encoders", "left.unit", "rpm")]))
 
 
 UNDETECTED = {"asphalt: command +0.3 s"}
-"""Late stamps of commands on a robot with a longer dead time: it only seems to respond faster than it does."""
+"""Commands with late stamps: they are equivalent to a shorter dead time of the robot."""
 
 
 def diagnose(case, folder):
-    """Return the findings on the logs of a case, or the message that refuses them."""
+    """Return the findings for the logs of a case, or the message of the error if the logs are refused."""
     try:
         paths, mapping = logs_of(case, folder)
         logs = [read_log(path, mapping) for path in paths]
@@ -204,7 +204,7 @@ def diagnose(case, folder):
 
 
 def marks_of(case):
-    """Return the marks of a case: the system suite covers most bases, tests of real logs cover robots of others."""
+    """Return the markers of a case: `real_logs` for bases from real logs, `system` for most simulated bases."""
     system = case in (*TIMES, *READINGS, *CAUSES) and case.base not in REAL_BASES
     return [
         mark for mark, has in ((pytest.mark.real_logs, case.base in REAL_BASES), (pytest.mark.system, system)) if has
@@ -212,17 +212,17 @@ def marks_of(case):
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])
-def test_only_the_true_cause_is_named(case, tmp_path):
-    findings, raised = diagnose(case, tmp_path)
-    messages = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
-    assert verdict(case, findings, raised) == ("missed" if case.name in UNDETECTED else "right"), messages
-    refused = raised is not None or any(finding.severity == "error" for finding in findings)
+def test_findings_name_only_the_true_cause(case, tmp_path):
+    findings, error = diagnose(case, tmp_path)
+    messages = [f"{finding.severity}: {finding}" for finding in findings] + [error]
+    assert verdict(case, findings, error) == ("missed" if case.name in UNDETECTED else "right"), messages
+    is_refused = error is not None or any(finding.severity == "error" for finding in findings)
     if case.refused is not None and case.name not in UNDETECTED:
-        assert refused == case.refused, messages
+        assert is_refused == case.refused, messages
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in FAULTS])
-def test_fault_of_a_robot_is_named(case, tmp_path):
+def test_findings_name_the_fault_of_a_robot(case, tmp_path):
     paths, mapping = logs_of(case, tmp_path)
     log = read_log(paths[0], mapping)
     findings = [*log.findings, *find_corrections(log.name, log.records, mapping).findings]

@@ -1,4 +1,4 @@
-"""Base effects: their behaviour, and their estimation from drives."""
+"""Base effects: behaviour and estimation from drives."""
 
 from dataclasses import replace
 
@@ -40,9 +40,9 @@ LENGTHS = st.floats(-1, 1)
 @given(TWISTS, TWISTS, st.floats(0.001, 0.5))
 def test_slew_is_bounded_and_never_overshoots(start, command, dt):
     slew = TwistSlew(v=1.0, omega=3.0)
-    reached = slew.step(start, command, dt)
-    assert (np.abs(reached - start) <= np.array([1.0, 3.0]) * dt + 1e-12).all()
-    assert (np.abs(command - reached) <= np.abs(command - start) + 1e-12).all()
+    next_twist = slew.step(start, command, dt)
+    assert (np.abs(next_twist - start) <= np.array([1.0, 3.0]) * dt + 1e-12).all()
+    assert (np.abs(command - next_twist) <= np.abs(command - start) + 1e-12).all()
 
 
 @given(TWISTS)
@@ -52,29 +52,31 @@ def test_sides_and_twist_are_inverse(twist):
 
 @given(TWISTS)
 def test_motor_commands_are_whole_steps_within_the_command(twist):
-    wanted, sides = STEPS.sides(twist), STEPS.sides(STEPS.apply(twist))
+    commanded, sides = STEPS.sides(twist), STEPS.sides(STEPS.apply(twist))
     steps = sides[~STEPS.coasts(twist)] / STEPS.resolution
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     assert (np.abs(sides) <= 2.0 + 1e-9).all()
     rolling = ~STEPS.coasts(twist)
-    assert (np.abs(sides[rolling]) <= np.abs(wanted[rolling]) + 1e-9).all()
-    near = rolling & (np.abs(wanted) < 2.0)
-    assert (np.abs(wanted[near] - sides[near]) < STEPS.resolution + 1e-9).all()
+    assert (np.abs(sides[rolling]) <= np.abs(commanded[rolling]) + 1e-9).all()
+    unsaturated = rolling & (np.abs(commanded) < 2.0)
+    assert (np.abs(commanded[unsaturated] - sides[unsaturated]) < STEPS.resolution + 1e-9).all()
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
-def test_side_never_runs_slower_for_a_larger_command(left, right, opposite):
+def test_side_speed_is_monotone_in_its_command(left, right, opposite):
     """Each side is monotone with the other fixed; coasting, which depends on the other side, is excluded."""
-    firm = STEPS.model_copy(update={"coasting_speed": 0.0})
+    no_coast = STEPS.model_copy(update={"coasting_speed": 0.0})
     low, high = sorted([left, right])
-    slower, faster = (firm.sides(firm.apply(firm.twist(np.array([side, opposite]))))[0] for side in (low, high))
+    slower, faster = (
+        no_coast.sides(no_coast.apply(no_coast.twist(np.array([side, opposite]))))[0] for side in (low, high)
+    )
     assert faster >= slower - 1e-9
 
 
-@pytest.mark.parametrize(("opposite", "rolls"), [(1.0, 0.08), (-1.0, -0.08), (0.05, 0.05)])
-def test_side_without_a_step_coasts_with_the_other(opposite, rolls):
+@pytest.mark.parametrize(("opposite", "speed"), [(1.0, 0.08), (-1.0, -0.08), (0.05, 0.05)])
+def test_side_with_a_command_below_one_step_coasts_with_the_other_side(opposite, speed):
     commanded = STEPS.apply(STEPS.twist(np.array([0.009, opposite])))
-    np.testing.assert_allclose(STEPS.sides(commanded), [rolls, opposite], atol=1e-9)
+    np.testing.assert_allclose(STEPS.sides(commanded), [speed, opposite], atol=1e-9)
 
 
 @given(TWISTS)
@@ -94,7 +96,7 @@ def test_strain_is_bounded_and_the_heading_is_conserved(strain, rate, dt, angle)
 
 
 @given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.01, 1.0))
-def test_two_half_samples_equal_a_whole_one(strain, rate, dt):
+def test_two_half_steps_equal_one_full_step(strain, rate, dt):
     relaxation = YawRelaxation(angle=0.04)
     once, mean = relaxation.advance(strain, rate, dt)
     middle, first = relaxation.advance(strain, rate, dt / 2)
@@ -103,14 +105,14 @@ def test_two_half_samples_equal_a_whole_one(strain, rate, dt):
     assert 0.5 * (first + second) == pytest.approx(mean, abs=1e-9)
 
 
-def test_reversal_costs_twice_the_angle_and_a_pause_nothing():
+def test_reversal_loses_twice_the_angle_and_a_pause_loses_none():
     relaxation = YawRelaxation(angle=0.035)
     dt = 0.01
     rates = np.concatenate([np.full(100, 0.8), np.zeros(50), np.full(100, 0.8), np.full(200, -0.8)])
     body = relaxation.follow(rates, dt, 1.0)
     np.testing.assert_allclose(body[:250], rates[:250], atol=1e-12)
-    lost = dt * np.sum(body[250:] - rates[250:])
-    assert lost == pytest.approx(2 * 0.035, rel=0.12)
+    heading_loss = dt * np.sum(body[250:] - rates[250:])
+    assert heading_loss == pytest.approx(2 * 0.035, rel=0.12)
     assert relaxation.gain(1.0, 0.8) == 1.0
     assert relaxation.gain(1.0, -0.8) == -1.0
 
@@ -130,7 +132,7 @@ def test_pose_mount_is_inverted_and_rigid(pose, ahead, left, heading):
     assert np.hypot(*(centre - pose)[:2]) == pytest.approx(np.hypot(ahead, left), abs=1e-12)
 
 
-TRUE = BaseEffects.model_validate(
+TRUE_EFFECTS = BaseEffects.model_validate(
     {
         "twist_slew": {"v": 1.5, "omega": 2.5},
         "wheel_command": {"track": 0.54, "resolution": 0.02, "coasting_speed": 0.12},
@@ -139,23 +141,23 @@ TRUE = BaseEffects.model_validate(
     }
 )
 # Yaw ratio of the encoders at which the gains match the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
-RATIO = 0.95 * TRUE.wheel_command.track / (0.57 * ENCODER_TRACK)
+RATIO = 0.95 * TRUE_EFFECTS.wheel_command.track / (0.57 * ENCODER_TRACK)
 EFFECT_VALUES = {"slew.v": 1.5, "slew.omega": 2.5, "wheels.coasting": 0.12, "relaxation": 0.04, "veer": -0.06}
 GAINS = {"gain.v": 0.95, "gain.omega": 0.57, "lag.v": 1 / 14, "lag.omega": 1 / 20}
 POINT = dict.fromkeys(("dead_time.v", "dead_time.omega", "encoders.delay", "gyro.offset"), 0.0) | GAINS | EFFECT_VALUES
 POINT |= {"encoders.yaw_ratio": RATIO, "encoders.track": ENCODER_TRACK, "wheels.resolution": 0.02}
 
 
-def at_rest(commands):
+def experiment_at_rest(commands):
     readings = np.zeros((len(commands), 3))
     return SampledExperiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
 
 
-def test_free_run_equals_that_of_the_model_file():
+def test_free_run_equals_the_response_of_the_model_file():
     commands = step_commands(3, 60.0)
-    response = respond(linear_model(), TRUE, commands, DT)
+    response = respond(linear_model(), TRUE_EFFECTS, commands, DT)
     expected = np.column_stack([response.wheels * [1.0, RATIO], response.body[:, 1]])
-    np.testing.assert_allclose(free_run(POINT, at_rest(commands)), expected, atol=1e-9)
+    np.testing.assert_allclose(free_run(POINT, experiment_at_rest(commands)), expected, atol=1e-9)
 
 
 @given(st.floats(0.02, 1.0), st.floats(0.3, 2.4))
@@ -181,7 +183,7 @@ def test_ramps_equal_single_steps(levels, limit, start):
 
 
 @given(COMMANDS, st.floats(0.005, 0.3), st.floats(-1.0, 1.0))
-def test_relaxation_over_a_run_equals_that_of_its_samples(rates, angle, strain):
+def test_relaxation_over_a_run_equals_relaxation_sample_by_sample(rates, angle, strain):
     relaxation = YawRelaxation(angle=angle)
     expected, z = [], strain
     for k, rate in enumerate(rates):
@@ -192,27 +194,27 @@ def test_relaxation_over_a_run_equals_that_of_its_samples(rates, angle, strain):
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
-def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
+def test_smoothed_commands_differ_from_rounded_commands_by_less_than_a_step(v, omega):
     base = WheelCommand(track=0.5, resolution=0.02)
     twist = np.array([v, omega])
-    away = base.sides(smooth_command(base, twist)) - base.sides(base.apply(twist))
-    assert np.abs(away).max() < base.resolution
+    deviation = base.sides(smooth_command(base, twist)) - base.sides(base.apply(twist))
+    assert np.abs(deviation).max() < base.resolution
 
 
 def test_each_sample_is_held_out_once():
-    experiments = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
+    experiments = [experiment_at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
     folds = blocks(experiments)
-    rolling = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
-    assert sorted(rolling) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
-    for rest, block in folds:
-        assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
+    samples = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
+    assert sorted(samples) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
+    for training, block in folds:
+        assert not {(i, k) for i, a, b in training for k in range(a, b)} & {
             (i, k) for i, a, b in block for k in range(a, b)
         }
 
 
 @pytest.fixture(scope="module")
 def fit_result():
-    return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
+    return identify_with_effects([record_of(TRUE_EFFECTS, 7, 150.0, yaw_ratio=RATIO)])
 
 
 @pytest.mark.system
@@ -225,7 +227,7 @@ def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
     estimate = fit_result.identified.parameters
     truth = {"v.gain": 0.95, "omega.gain": 0.57, "v.natural_frequency": 14.0, "omega.natural_frequency": 20.0}
     truth |= {"encoders.delay": 0.05, "gyro.offset": 0.02, "wheels.track": 0.54} | EFFECT_VALUES
-    scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
+    scores = {name: (estimate.value(name) - value) / estimate.deviation(name) for name, value in truth.items()}
     assert max(map(abs, scores.values())) < 4, scores
     assert fit_result.point["wheels.resolution"] == pytest.approx(0.02)
 
@@ -235,16 +237,16 @@ def test_model_file_contains_the_estimates(fit_result):
     content = fit_result.identified.file("found", {"origin": "identified", "source": "a test"})
     assert content.base_effects.twist_slew.omega == pytest.approx(fit_result.point["slew.omega"], rel=1e-6)
     assert content.base_effects.pose_mount is None
-    assert (fit_result.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
+    assert (fit_result.fit_percent([record_of(TRUE_EFFECTS, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
 
 
 @pytest.mark.system
-def test_base_without_effects_gets_none():
+def test_no_effect_is_identified_for_a_base_without_effects():
     assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
 
 
 @pytest.mark.long
-def test_limit_of_the_plain_model_is_kept():
+def test_limit_of_the_plain_model_is_preserved():
     record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
     limits = identify_sm([record]).limits
     assert limits == {"omega": pytest.approx(1.0, abs=0.05)}
@@ -254,31 +256,31 @@ def test_limit_of_the_plain_model_is_kept():
 
 
 @pytest.mark.system
-def test_effects_are_kept_only_if_they_predict_better_than_the_plain_model(fit_result):
-    records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
+def test_effects_are_accepted_only_if_they_predict_better_than_the_plain_model(fit_result):
+    records = [record_of(TRUE_EFFECTS, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)
     assert explain_rejection(fit_result, plain, records) is None
-    spoilt = replace(
+    degraded = replace(
         fit_result, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in fit_result.points)
     )
-    assert "no better than the plain model" in explain_rejection(spoilt, plain, records)
+    assert "no better than the plain model" in explain_rejection(degraded, plain, records)
 
 
-def test_place_and_delay_of_a_pose_sensor_are_estimated():
+def test_position_and_delay_of_a_pose_sensor_are_estimated():
     record = record_of(BaseEffects(), 11, 120.0, noise=0.1, delay=0.0)
-    mount, travel, late = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
+    mount, travel, delay_steps = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
     body = respond(linear_model(), BaseEffects(), record.command, DT).body * [travel, 1.0]
     pose = [np.zeros(3)]
     for v, omega in 0.5 * (body[1:] + body[:-1]):
         pose.append(integrate_pose(pose[-1], v, omega, DT))
     measured = mount.sensor(pose)
-    measured = np.concatenate([np.repeat(measured[:1], late, axis=0), measured[:-late]])
+    measured = np.concatenate([np.repeat(measured[:1], delay_steps, axis=0), measured[:-delay_steps]])
     with_pose = replace(record, pose=measured, fresh_pose=None)
     estimate = pose_sensor([with_pose], {**POINT, "gyro.offset": 0.02})
     truth = {"pose.travel": travel, "mount.ahead": 0.2, "mount.left": -0.05, "mount.heading": 0.03}
-    for name, true in truth.items():
-        assert abs(estimate.value(name) - true) < max(4 * estimate.deviation(name), 2e-3), name
-    assert estimate.value("pose.delay") == pytest.approx(late * DT, abs=0.2 * DT)
+    for name, value in truth.items():
+        assert abs(estimate.value(name) - value) < max(4 * estimate.deviation(name), 2e-3), name
+    assert estimate.value("pose.delay") == pytest.approx(delay_steps * DT, abs=0.2 * DT)
 
 
 FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_speed": 0.7}})
@@ -290,7 +292,7 @@ FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_
     [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
     ids=["clips, gyro", "clips, track", "top speed, track"],
 )
-def test_effects_never_worsen_the_prediction_of_held_out_rows(effects, clip, gyro, track):
+def test_effects_do_not_worsen_the_prediction_of_held_out_rows(effects, clip, gyro, track):
     """test_logs_real.py checks this on logs of real robots, in all combinations."""
     record = record_of(effects, 9, 120.0, clip=clip)
     record = record if gyro else replace(record, yaw_rate=None, fresh_yaw_rate=None)
@@ -305,9 +307,9 @@ def test_effects_never_worsen_the_prediction_of_held_out_rows(effects, clip, gyr
 @pytest.mark.long
 def test_top_speed_determines_the_track_missing_in_a_log():
     fit_result = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
-    for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
-        assert abs(fit_result.value(name) - true) < 4 * fit_result.deviation(name), name
-        assert fit_result.deviation(name) < 0.05 * true
+    for name, value in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
+        assert abs(fit_result.value(name) - value) < 4 * fit_result.deviation(name), name
+        assert fit_result.deviation(name) < 0.05 * value
 
 
 EFFECTS = {
@@ -338,7 +340,7 @@ def test_response_without_effects_equals_the_linear_model():
     np.testing.assert_array_equal(response.wheels, response.body)
 
 
-def test_settled_start_stays_settled():
+def test_response_from_a_settled_start_is_constant():
     model, command = load_model("sm"), np.array([0.4, -0.7])
     effects = BaseEffects(twist_slew=TwistSlew(v=1, omega=1), yaw_relaxation=YawRelaxation(angle=0.03))
     response = respond(model, effects, np.tile(command, (50, 1)), DT, start=command)
@@ -356,11 +358,11 @@ def test_settled_twist_is_changed_only_by_steps_and_veer():
 
 
 def test_commands_within_the_slew_limit_pass_unchanged():
-    """A controller with a slew limit no wider than the base's can omit the base's limit from its model."""
+    """A controller with a slew limit up to that of the base can omit the limit of the base from its model."""
     model = load_model("sm")
-    slow = np.column_stack([0.4 * np.sin(0.5 * DT * np.arange(200)), 0.8 * np.sin(0.7 * DT * np.arange(200))])
-    limited = respond(model, BaseEffects(twist_slew=TwistSlew(v=1.0, omega=2.5)), slow, DT)
-    np.testing.assert_allclose(limited.wheels, respond(model, BaseEffects(), slow, DT).wheels, atol=1e-12)
+    commands = np.column_stack([0.4 * np.sin(0.5 * DT * np.arange(200)), 0.8 * np.sin(0.7 * DT * np.arange(200))])
+    limited = respond(model, BaseEffects(twist_slew=TwistSlew(v=1.0, omega=2.5)), commands, DT)
+    np.testing.assert_allclose(limited.wheels, respond(model, BaseEffects(), commands, DT).wheels, atol=1e-12)
 
 
 def test_top_speed_reduces_both_channels():

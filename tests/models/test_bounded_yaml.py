@@ -18,7 +18,7 @@ from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
 
-plain = st.recursive(
+yaml_values = st.recursive(
     st.none()
     | st.booleans()
     | st.integers()
@@ -29,8 +29,8 @@ plain = st.recursive(
 )
 
 
-@given(plain)
-def test_written_data_are_read_back(data):
+@given(yaml_values)
+def test_parsed_data_equal_the_written_data(data):
     assert parse_yaml(yaml.safe_dump(data)) == data
 
 
@@ -44,11 +44,11 @@ DEVICE = "pipe or a device"
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("create", "message"),
     [(os.mkfifo, DEVICE), (lambda path: path.symlink_to("/dev/zero"), DEVICE), (Path.mkdir, "directory")],
 )
-def test_only_regular_files_are_read(make, message, tmp_path):
-    make(tmp_path / "there.yaml")
+def test_only_regular_files_are_read(create, message, tmp_path):
+    create(tmp_path / "there.yaml")
     with pytest.raises(ConfigError, match=message):
         read_yaml(tmp_path / "there.yaml")
 
@@ -57,10 +57,10 @@ def test_message_shortens_long_values_and_keys(tmp_path):
     file = tmp_path / "long.yaml"
     for text in (f"horizon: {'a' * 5000}\n", f"{'k' * 100_000}: 1\n", f'weights: {{along: "\\e[31m{"b" * 5000}"}}\n'):
         file.write_text(text, encoding="utf-8")
-        with pytest.raises(ConfigError) as caught:
+        with pytest.raises(ConfigError) as error:
             load_config(str(file))
-        assert len(str(caught.value)) < 600
-        assert "\x1b" not in str(caught.value)
+        assert len(str(error.value)) < 600
+        assert "\x1b" not in str(error.value)
 
 
 @given(st.text())
@@ -99,7 +99,7 @@ def test_shipped_name_precedes_a_file_of_that_name(tmp_path: Path, monkeypatch: 
 
 
 def test_ctrl_c_during_schema_construction_raises_keyboard_interrupt(monkeypatch):
-    for words, raised in (('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt), ("no such type", SchemaError)):
-        monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(words)))
-        with pytest.raises(raised):
+    for text, error in (('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt), ("no such type", SchemaError)):
+        monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(text)))
+        with pytest.raises(error):
             check(LogMapping, {}, "x.yaml")

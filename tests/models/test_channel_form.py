@@ -108,7 +108,7 @@ def result(tmp_path_factory):
         yield identification, load_model(folder / "written" / "model.yaml")
 
 
-def test_true_values_and_the_limit_lie_within_the_intervals(result):
+def test_true_values_and_the_limit_are_within_the_intervals(result):
     parameters = result[0].report.fitted.identified.parameters
     truth = {f"{name}.{key}": value for name in CHANNELS for key, value in TRUTH[name].items()}
     truth |= {f"{name}.dead_time": DEAD_TIME[name] for name in CHANNELS} | {"v.forward": LIMIT, "v.reverse": LIMIT}
@@ -135,7 +135,7 @@ def test_delays_and_poles_follow_from_the_form(result):
 
 
 def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
-    """The doubt concerns the form of the response; a zero that may not exist causes none."""
+    """The doubts concern the form of the response; an uncertain zero causes no doubt."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
     noisy = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))

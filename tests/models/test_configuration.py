@@ -1,4 +1,4 @@
-"""Written configuration of the controller: values are positive and safe, whatever the identification estimated."""
+"""Written configuration of the controller: values are positive and safe for any result of the identification."""
 
 import control
 import numpy as np
@@ -53,27 +53,27 @@ def limits(result, geometry=GEOMETRY):
     return configure("robot", result, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
 
 
-def test_slew_stays_two_deviations_below_that_of_the_base():
+def test_slew_is_two_deviations_below_the_slew_of_the_base():
     assert limits(model_with(slew=(1.5, 3.0)))["v_slew"] == pytest.approx(1.3)
     assert limits(model_with(slew=(1.5, 3.0)))["omega_slew"] == pytest.approx(2.8)
-    quick = limits(model_with(slew=(9.0, 9.0)))  # no more than the default
-    assert (quick["v_slew"], quick["omega_slew"]) == (2.0, 6.0)
+    result = limits(model_with(slew=(9.0, 9.0)))  # no more than the default
+    assert (result["v_slew"], result["omega_slew"]) == (2.0, 6.0)
     assert "v_slew" not in limits(model_with())
 
 
 @given(st.floats(1e-3, 50.0), st.one_of(st.floats(0.0, 1e6), st.just(np.inf), st.just(np.nan)))
-def test_uncertain_slew_is_never_zero_or_negative(slew, deviation):
+def test_uncertain_slew_is_positive(slew, deviation):
     """Two deviations below a slew of 1.0 +- 0.6 m/s^2 would be -0.2."""
-    written = limits(model_with(slew=(slew, slew), deviation=deviation))
+    result = limits(model_with(slew=(slew, slew), deviation=deviation))
     for name in ("v_slew", "omega_slew"):
-        assert written[name] >= 0.499 * min(slew, 2.0)
-        assert written[name] <= 1.001 * slew
+        assert result[name] >= 0.499 * min(slew, 2.0)
+        assert result[name] <= 1.001 * slew
 
 
-def test_limits_are_those_of_the_log_or_of_the_base():
-    written = limits(model_with(limits={"omega": 0.8}))
-    assert (written["v"], written["omega"]) == (0.5, 0.8)
-    assert (written["predicted_v"], written["predicted_omega"]) == pytest.approx((0.55, 0.88))
+def test_limits_are_taken_from_the_log_or_from_the_base():
+    result = limits(model_with(limits={"omega": 0.8}))
+    assert (result["v"], result["omega"]) == (0.5, 0.8)
+    assert (result["predicted_v"], result["predicted_omega"]) == pytest.approx((0.55, 0.88))
 
 
 def test_wheel_speed_limit_covers_the_observed_wheel_speeds():
@@ -81,43 +81,43 @@ def test_wheel_speed_limit_covers_the_observed_wheel_speeds():
 
 
 def test_each_side_is_written_with_its_own_limit():
-    written = limits(model_with(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
-    assert written["v"] == {"forward": 0.5, "reverse": 0.2}
-    assert written["omega"] == {"left": 0.3, "right": 0.6}
+    result = limits(model_with(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
+    assert result["v"] == {"forward": 0.5, "reverse": 0.2}
+    assert result["omega"] == {"left": 0.3, "right": 0.6}
 
 
 def test_saturation_of_the_motors_limits_the_wheel_speed():
-    slow = limits(model_with(effects={"wheel_command": WHEELS}))
-    assert slow["wheel_speed"] == pytest.approx(0.9 * 0.4)
-    fast = limits(model_with(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
-    assert fast["wheel_speed"] == pytest.approx(1.1 * (0.5 + 0.25 * 1.0))
+    low = limits(model_with(effects={"wheel_command": WHEELS}))
+    assert low["wheel_speed"] == pytest.approx(0.9 * 0.4)
+    high = limits(model_with(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
+    assert high["wheel_speed"] == pytest.approx(1.1 * (0.5 + 0.25 * 1.0))
 
 
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
 @pytest.mark.parametrize("slew", [(1.5, 3.0), None])
 def test_file_and_mapping_have_equal_values(slew, geometry):
-    written = configure(
+    configuration = configure(
         "robot", model_with(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
     )
-    text = written.text()
-    assert side_by_side(yaml.safe_load(text)) == written.mapping()
-    assert written.mapping()["sample_time"] == 0.05
+    text = configuration.text()
+    assert side_by_side(yaml.safe_load(text)) == configuration.mapping()
+    assert configuration.mapping()["sample_time"] == 0.05
     assert ("does not determine v_slew" in text) == (slew is None)
     assert ("does not determine wheels.track" in text) == (geometry is None)
     if geometry:
-        assert written.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
+        assert configuration.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
 
 
-def test_reentry_band_grows_with_the_robot_and_is_never_below_the_default():
+def test_reentry_band_scales_with_the_robot_and_is_at_least_the_default():
     large = configure("robot", model_with(), TRAIN, WheelGeometry(0.2, 0.99), slip_prior(TRAIN)).mapping()
     assert large["reentry"]["band"] == pytest.approx(3 * 0.08)
     assert large["failure"]["max_position_error"] == pytest.approx(3.0)
     small = configure("robot", model_with(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
     assert "reentry" not in small
-    fast = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
-    assert configure("robot", model_with(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
-        0.9 * 3 / 1.5 * 0.1
-    )
+    train = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
+    assert configure("robot", model_with(), train, None, slip_prior(train)).mapping()["reentry"][
+        "wait"
+    ] == pytest.approx(0.9 * 3 / 1.5 * 0.1)
 
 
 SETTINGS = identification_settings()
@@ -129,15 +129,15 @@ def lag_of(slow, quick=0.05, dead_time=(0.0, 0.0)):
 
 
 @pytest.mark.parametrize("name", ["sm", "mbm", "ssm"])
-def test_settling_time_is_that_of_the_step_response(name):
+def test_settling_time_equals_that_of_the_step_response(name):
     model = load_model(name)
-    late = 0.0
+    expected = 0.0
     for row in range(2):
         system = control.ss(model.A, model.B[:, [row]], model.C[[row]], 0)
         time, response = control.step_response(system, T=np.linspace(0, 3, 6001))
-        (off,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settling_tolerance * abs(response[-1]))
-        late = max(late, time[off[-1]] + model.dead_time[row])
-    assert settling_time(model) == pytest.approx(late, abs=0.02)
+        (outside,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settling_tolerance * abs(response[-1]))
+        expected = max(expected, time[outside[-1]] + model.dead_time[row])
+    assert settling_time(model) == pytest.approx(expected, abs=0.02)
 
 
 @settings(max_examples=50)
@@ -155,14 +155,14 @@ def test_horizon_covers_the_response_with_few_steps(lag, dt):
 def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
     rng = np.random.default_rng(3)
     time = 0.02 * np.arange(5000)
-    slow = np.column_stack((0.5 * np.sin(time), np.cos(0.7 * time)))
-    twist = slow + rng.normal(size=slow.shape) * [0.03, 0.2]
-    yaw_rate = slow[:, 1] + 0.05 * rng.normal(size=time.size)
+    motion = np.column_stack((0.5 * np.sin(time), np.cos(0.7 * time)))
+    twist = motion + rng.normal(size=motion.shape) * [0.03, 0.2]
+    yaw_rate = motion[:, 1] + 0.05 * rng.normal(size=time.size)
     fresh = rng.random(time.size) < 0.7
     is_outlier = rng.random(time.size) < outliers
     twist[is_outlier] += 5.0
-    result = sensor_noise([Record("a", 0.0, 0.02, slow, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
-    # An outlier affects three differences of a hundred, of which nine tenths count.
+    result = sensor_noise([Record("a", 0.0, 0.02, motion, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
+    # One outlier in a hundred readings affects three differences in a hundred; the estimate uses nine tenths of them.
     assert result["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
     assert result["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert result["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)

@@ -20,18 +20,18 @@ def response(system):
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm", "husky"])
 def test_model_is_unchanged_by_a_round_trip_through_control(name):
     model = load_model(name).with_extra_dead_time([0.04, 0.03])
-    back = VelocityModel.from_control(model.to_control(), dead_time=model.dead_time)
+    converted = VelocityModel.from_control(model.to_control(), dead_time=model.dead_time)
     for matrix in ("A", "B", "C", "dead_time"):
-        np.testing.assert_array_equal(getattr(back, matrix), getattr(model, matrix))
-    assert back.name == model.name
+        np.testing.assert_array_equal(getattr(converted, matrix), getattr(model, matrix))
+    assert converted.name == model.name
     assert model.to_control().input_labels == ["v_ref", "omega_ref"]
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
 def test_transfer_function_responds_like_its_model(name):
     system = control.ss2tf(load_model(name).to_control())
-    back = VelocityModel.from_control(system).to_control()
-    np.testing.assert_allclose(response(back), response(system), atol=1e-12)
+    converted = VelocityModel.from_control(system).to_control()
+    np.testing.assert_allclose(response(converted), response(system), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -41,11 +41,11 @@ def test_discrete_system_is_inverted_exactly_with_its_delays(name, form):
     model = load_model(name)
     model = model.with_extra_dead_time(DT * np.array([5, 6]) - model.dead_time)
     system = form(model.to_control(DT))
-    back = VelocityModel.from_control(system)
-    np.testing.assert_allclose(back.dead_time, model.dead_time, atol=1e-15)
-    np.testing.assert_allclose(response(back.to_control(DT)), response(system), atol=1e-12)
+    converted = VelocityModel.from_control(system)
+    np.testing.assert_allclose(converted.dead_time, model.dead_time, atol=1e-15)
+    np.testing.assert_allclose(response(converted.to_control(DT)), response(system), atol=1e-12)
     if form is control.ss:
-        np.testing.assert_allclose(response(back.to_control()), response(model.to_control()), atol=1e-12)
+        np.testing.assert_allclose(response(converted.to_control()), response(model.to_control()), atol=1e-12)
 
 
 def test_discrete_system_includes_a_dead_time_of_a_fraction_of_a_sample():

@@ -1,4 +1,4 @@
-"""Importance of each kind of doubt for driving: one verdict for every kind, and none for unknown kinds."""
+"""Relevance of each kind of doubt for driving: one verdict for every kind."""
 
 import ast
 from pathlib import Path
@@ -28,8 +28,8 @@ def kinds_in_the_sources() -> set[str]:
                 continue
             if name == "Finding" and getattr(call.args[1], "value", "") == "note":
                 continue
-            words = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
-            result |= {word for word in words if isinstance(word, str)}
+            values = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
+            result |= {value for value in values if isinstance(value, str)}
     return result
 
 
@@ -50,7 +50,7 @@ def test_only_the_total_delay_matters(deviation, expected):
 
 
 def test_delay_of_a_fit_is_known_better_than_its_parts():
-    """One lag of 20 ms after 50 ms of dead time: steps at 50 Hz determine the sum, hardly the parts."""
+    """For a lag of 20 ms after 50 ms of dead time, steps at 50 Hz determine the sum much better than the parts."""
     lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
     fit = identify_channel(_channel(noisy_drive(lag, 8, count=400, noise=(0.03, 0.03))), "v", limit=False).fit
     delay = response_delays(fit, ["v"], [0])
@@ -60,7 +60,7 @@ def test_delay_of_a_fit_is_known_better_than_its_parts():
 
 
 def test_uncertainty_of_a_fit_matters_only_if_relevant_for_driving():
-    """One robot in a long quiet log, and in a short one with noise as large as its speed."""
+    """Use one robot with a long log of low noise, and with a short log of noise as large as its speed."""
     lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
     quiet, noisy = (
         identify_channel(_channel(noisy_drive(lag, 8, count=count, noise=(noise, noise))), "v", limit=False).warnings

@@ -1,4 +1,4 @@
-"""A drafted mapping reads a log like the correct mapping."""
+"""Drafted mappings: a log has the same record with the draft as with the correct mapping."""
 
 import numpy as np
 import pytest
@@ -35,10 +35,10 @@ def draft_of(log, tmp_path):
 def test_columns_and_units_are_guessed(tmp_path, names):
     rows = zip(names[0], names[1].split(","), names[2], strict=True)
     log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, name, factor in rows})
-    (guessed,) = read_log(log, draft_of(log, tmp_path)).records
+    (drafted,) = read_log(log, draft_of(log, tmp_path)).records
     (correct,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
     for field in FIELDS:
-        np.testing.assert_allclose(getattr(guessed, field), getattr(correct, field), atol=1e-9, err_msg=field)
+        np.testing.assert_allclose(getattr(drafted, field), getattr(correct, field), atol=1e-9, err_msg=field)
 
 
 @pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
@@ -59,12 +59,12 @@ def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
     counts = np.round(1e4 * COLUMNS["t"])
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
     log = write_csv(tmp_path / "log.csv", columns)
-    with pytest.raises(ConfigError, match=r"wheels\.track") as caught:
+    with pytest.raises(ConfigError, match=r"wheels\.track") as error:
         load_mapping(draft_of(log, tmp_path))
-    assert "'sample_time' [s] for a log without time stamps" in str(caught.value)
-    filled = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
-    filled = filled.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
-    mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", filled))
+    assert "'sample_time' [s] for a log without time stamps" in str(error.value)
+    text = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
+    text = text.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
+    mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", text))
     assert mapping.columns.encoders.left.unit == "ticks"
     assert mapping.columns.command.right.column == "cmd_right"
 

@@ -76,11 +76,11 @@ def test_existing_file_is_not_replaced(tmp_path):
     assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
-def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
+def test_full_disk_ends_the_recording_and_preserves_the_written_part(tmp_path):
     with file_size_limit(300_000):
         recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + TIMEOUT
-    while not recorder.fault and time.monotonic() < end:
+    k, deadline = 0, time.monotonic() + TIMEOUT
+    while not recorder.fault and time.monotonic() < deadline:
         record_tick(recorder, k)
         recorder.poll()
         k += 1
@@ -134,8 +134,8 @@ def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
     arguments = [sys.executable, "-c", KILLED_RECORDER, str(tmp_path), *sys.path]
     completed = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=TIMEOUT)
     assert completed.returncode == -signal.SIGKILL, completed.stderr
-    end = time.monotonic() + TIMEOUT
-    while is_running(int(completed.stdout)) and time.monotonic() < end:
+    deadline = time.monotonic() + TIMEOUT
+    while is_running(int(completed.stdout)) and time.monotonic() < deadline:
         time.sleep(0.01)
     log = read_drive_log(tmp_path / "drive.mcap")
     assert not log.cut and len(log.rows) == 100
@@ -143,8 +143,8 @@ def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
 
 def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder = recorder_in(tmp_path)
-    k, end = 0, time.monotonic() + TIMEOUT
-    while recorder.path.stat().st_size < 20_000 and time.monotonic() < end:
+    k, deadline = 0, time.monotonic() + TIMEOUT
+    while recorder.path.stat().st_size < 20_000 and time.monotonic() < deadline:
         record_tick(recorder, k)
         k += 1
         time.sleep(0.001)
@@ -161,7 +161,7 @@ POSE = Stamped(np.array([0.1, -1 / 3, 3.1]), 12.3456789012345, np.diag([1e-5, 2e
 
 
 @pytest.mark.parametrize("hold", [None, ("paused", False), ("odometry is 0.30 s old", True)])
-def test_tick_is_read_back(hold):
+def test_parsed_tick_equals_the_written_tick(hold):
     measurement = Measurement(POSE, Stamped((0.5, 0.1 + 0.2), 12.5), Stamped(-0.7, 12.49))
     record = TickRecord(7, 12.6, 2, measurement, hold, np.array([0.3, 1e-17]), "TRACKING", 'a, "b"', "unlimited", 1e-4)
     parsed = TickRecord.read(record.line())
@@ -173,17 +173,17 @@ def test_tick_is_read_back(hold):
         assert result.time == original.time and np.array_equal(result.value, original.value)
         assert (result.covariance is None) == (original.covariance is None)
     assert np.array_equal(parsed.measurement.pose.covariance, POSE.covariance)
-    nothing = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
-    assert TickRecord.read(nothing.line()).measurement == Measurement()
+    empty_record = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
+    assert TickRecord.read(empty_record.line()).measurement == Measurement()
 
 
-def test_drive_is_read_back():
+def test_parsed_drive_equals_the_written_drive():
     record = DriveRecord(3, True, False, 1 / 3, {"name": "s", "breaks": [0.0]}, {"horizon": 30}, "kind: sm\n")
     assert DriveRecord.read(record.line()) == record
 
 
 @pytest.mark.parametrize("line", ["", "[1]", "{}", json.dumps({"format": 99}), json.dumps({"format": 1})])
 def test_invalid_line_raises_error(line):
-    for kind in (TickRecord, DriveRecord):
+    for record_type in (TickRecord, DriveRecord):
         with pytest.raises(TickRecordError):
-            kind.read(line)
+            record_type.read(line)

@@ -29,13 +29,13 @@ def refusal_message(call):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_errors_show_escapes_of_names(name, tmp_path):
-    for kind in {*_subclasses(DiffdriveMpcError)} - {
+    for error_type in {*_subclasses(DiffdriveMpcError)} - {
         cls for cls in _subclasses(DiffdriveMpcError) if "__init__" in vars(cls)
     }:
-        assert str(kind(f"odd{name}")).isprintable()
-    with pytest.warns(FormerNameWarning) as caught:
+        assert str(error_type(f"odd{name}")).isprintable()
+    with pytest.warns(FormerNameWarning) as caught_warnings:
         warnings.warn(FormerNameWarning(f"a{name}"), stacklevel=1)
-    assert str(caught[0].message).isprintable()
+    assert str(caught_warnings[0].message).isprintable()
     assert str(Finding("gap", "note", f"a{name}", name)).isprintable()
     file = tmp_path / "file.yaml"
     for load in (load_config, load_model, load_trajectory):
@@ -57,20 +57,20 @@ def test_logs_show_escapes_of_columns_and_topics(name, tmp_path):
 
 
 def test_results_show_escapes_of_names(tmp_path):
-    odd = "odd\x1b[2J\u202e"
-    data = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8")) | {"name": odd}
+    name = "odd\x1b[2J\u202e"
+    data = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8")) | {"name": name}
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(data))
     model = load_model(tmp_path / "model.yaml")
     controller = Controller(load_config("ssm"), model=model)
-    for shown in (repr(model), repr(controller)):
-        assert r"odd\x1b[2J\u202e" in shown
-        assert shown.isprintable()
+    for text in (repr(model), repr(controller)):
+        assert r"odd\x1b[2J\u202e" in text
+        assert text.isprintable()
 
 
-def _subclasses(kind):
-    for inner in kind.__subclasses__():
-        yield inner
-        yield from _subclasses(inner)
+def _subclasses(base):
+    for subclass in base.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
 
 
 def test_long_messages_are_truncated():

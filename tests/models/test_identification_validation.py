@@ -33,7 +33,7 @@ from studies.shipped_models.model_fitting import identify_track, side_difference
 MODEL = published_ssm()
 
 
-def test_fit_is_that_of_a_free_run_from_the_first_reading():
+def test_fit_is_computed_from_a_free_run_that_starts_at_the_first_reading():
     drive = noisy_drive(MODEL, 1)
     drives = [drive.part(0, 1400), drive.part(1500, 3000)]
     validation = validate(system(MODEL), drives)
@@ -49,11 +49,11 @@ def test_fit_is_that_of_a_free_run_from_the_first_reading():
 
 def test_limit_and_offset_are_part_of_the_prediction():
     drive = noisy_drive(MODEL, 2, limit=0.6, noise=(0.0, 0.0))
-    plain = system(MODEL)
-    complete = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
+    partial = system(MODEL)
+    complete = LinearSystem(*partial[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
     drive = record(drive.command, drive.twist + [0.0, 0.05])
     assert validate(complete, [drive]).fit_percent.min() > 99.0
-    assert validate(plain, [drive]).fit_percent[1] < 80.0
+    assert validate(partial, [drive]).fit_percent[1] < 80.0
 
 
 def test_white_residuals_pass_and_coloured_residuals_do_not():
@@ -68,20 +68,20 @@ def test_white_residuals_pass_and_coloured_residuals_do_not():
     assert good.ljung_box_p.min() > 1e-3
     assert bad.ljung_box_p.max() < 1e-9
     assert bad.autocorrelation[:, 1] == pytest.approx([0.6, 0.6], abs=0.05)
-    inside = np.abs(good.autocorrelation[:, 1:]) < good.whiteness_bound
-    assert inside.mean() > 0.9
+    is_within = np.abs(good.autocorrelation[:, 1:]) < good.whiteness_bound
+    assert is_within.mean() > 0.9
     assert good.autocorrelation[:, 0] == pytest.approx([1.0, 1.0])
 
 
-def test_whiteness_bound_is_that_of_the_fewest_readings():
-    """For a yaw rate read a quarter as often as the speed, about 95 of 100 lags lie inside."""
+def test_whiteness_bound_uses_the_output_with_fewer_readings():
+    """The yaw rate has a quarter of the readings of the speed; about 95 of 100 lags are within the bound."""
     errors = np.random.default_rng(6).normal(size=(4000, 2))
     errors[np.arange(4000) % 4 > 0, 1] = np.nan
     check = check_residuals([errors], [single(np.random.default_rng(7).normal(size=(4000, 2)), np.zeros((4000, 2)))])
     assert check.whiteness_bound == pytest.approx(1.96 / np.sqrt(1000), rel=1e-3)
     # Only lags between two readings have pairs.
-    inside = np.abs(check.autocorrelation[1, 4::4]) < check.whiteness_bound
-    assert inside.mean() > 0.9
+    is_within = np.abs(check.autocorrelation[1, 4::4]) < check.whiteness_bound
+    assert is_within.mean() > 0.9
 
 
 def test_residuals_of_a_wrong_model_are_correlated_with_the_command():
@@ -99,10 +99,10 @@ def test_reported_correlation_is_the_maximum_over_all_lags():
     echo = np.zeros_like(drive.twist)
     echo[20:, 0] = 0.1 * drive.command[:-20, 0]
     residuals = validate(system(MODEL), [record(drive.command, drive.twist + echo)]).residuals
-    past = np.abs(residuals.cross_correlation[0, 0, residuals.cross_correlation.shape[2] // 2 :])
-    assert past.argmax() == 20
-    assert past[20] == pytest.approx(1.0, abs=0.05)
-    assert residuals.unexplained[0, 0] * residuals.cross_bound[0, 0] == pytest.approx(past[20])
+    correlation = np.abs(residuals.cross_correlation[0, 0, residuals.cross_correlation.shape[2] // 2 :])
+    assert correlation.argmax() == 20
+    assert correlation[20] == pytest.approx(1.0, abs=0.05)
+    assert residuals.unexplained[0, 0] * residuals.cross_bound[0, 0] == pytest.approx(correlation[20])
 
 
 def driven_record(twist, lever_arm=(0.0, 0.0), lag=0):
@@ -124,14 +124,14 @@ def test_exact_twist_does_not_drift():
     assert [drift.horizon for drift in exact] == [1.0, 5.0]
     assert max(drift.position_rmse for drift in exact) < 1e-9
     assert max(drift.heading_rmse for drift in exact) < 1e-9
-    late = pose_drift([driven_record(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
-    assert max(drift.position_rmse for drift in late) < 1e-9
+    delayed = pose_drift([driven_record(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
+    assert max(drift.position_rmse for drift in delayed) < 1e-9
 
 
 def test_slow_poses_between_the_seconds_give_the_drift():
     twist = set_points(6, 1500, (0.5, 1.0))
-    slow = replace(driven_record(twist), fresh_pose=np.arange(1500) % 11 == 5)
-    drifts = pose_drift([slow], [twist], side_slip=0.1)
+    slow_record = replace(driven_record(twist), fresh_pose=np.arange(1500) % 11 == 5)
+    drifts = pose_drift([slow_record], [twist], side_slip=0.1)
     assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
     assert max(drift.position_rmse for drift in drifts) < 1e-9
 
@@ -168,7 +168,7 @@ def write_identified(identified, path):
 
 
 @pytest.mark.parametrize("structure", IDENTIFY)
-def test_loaded_model_equals_the_identified_one(structure, tmp_path):
+def test_loaded_model_equals_the_identified_model(structure, tmp_path):
     identified = IDENTIFY[structure]()
     path = write_identified(identified, tmp_path / "model.yaml")
     loaded = load_model(path)
@@ -223,14 +223,14 @@ def test_true_parameters_are_recovered_without_noise(gain, frequency, damping, d
     assert identified.parameters.value("dead_time") == pytest.approx(dead_time, abs=1e-3)
 
 
-def test_known_dead_time_is_kept():
+def test_known_dead_time_is_not_estimated():
     identified = identify([step_record((1.0, 12.0, 1.1), 0.04, 0.5)], dead_time=0.04)
     assert identified.fit.system.dead_time.tolist() == [0.04]
     assert identified.parameters.names == ("gain", "natural_frequency", "damping")
     assert identified.parameters.values == pytest.approx([1.0, 12.0, 1.1], rel=1e-3)
 
 
-def test_bound_on_the_shorter_time_constant_is_kept():
+def test_bound_on_the_shorter_time_constant_is_respected():
     """A robot with one lag has no second pole: without the bound its estimate would become arbitrarily fast."""
     one_lag = [step_record((1.0, 80.0, 4.5), 0.04, level) for level in (0.5, -0.8)]
     parameters = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
@@ -248,7 +248,7 @@ def test_tracks_are_recovered():
         identify_track(difference, -yaw_rate)
 
 
-def test_fit_is_100_percent_if_perfect_0_for_the_mean_and_else_below():
+def test_fit_is_100_percent_for_the_data_and_0_percent_for_their_mean():
     y = np.sin(np.arange(50.0))
     assert fit_percent(y, y) == 100.0
     assert fit_percent(y, np.full(50, y.mean())) == pytest.approx(0.0, abs=1e-9)

@@ -39,28 +39,28 @@ def check_agreement(parameters, truth, within=4.0):
 
 
 @pytest.fixture(scope="module")
-def whole():
-    """Drive, and the parameters identified from it as one record."""
+def single_fit():
+    """Drive and the parameters identified from it as a single record."""
     drive = noisy_drive(SM, 2, count=1960)
     return drive, identify_sm([drive], limits=False).parameters
 
 
-def test_split_or_shifted_log_gives_the_same_model(whole):
-    drive, single = whole
+def test_split_or_shifted_log_gives_the_same_model(single_fit):
+    drive, single = single_fit
     parts = [drive.part(0, 1100), drive.part(1100, 1960)]
-    moved = Record("moved", drive.start + 1e4, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate)
-    split, later = (identify_sm(records, limits=False).parameters for records in (parts, [moved]))
-    assert later.values.tolist() == single.values.tolist()
+    shifted_record = Record("moved", drive.start + 1e4, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate)
+    split, shifted = (identify_sm(records, limits=False).parameters for records in (parts, [shifted_record]))
+    assert shifted.values.tolist() == single.values.tolist()
     assert split.values.tolist() == single.values.tolist()
 
 
 @pytest.mark.parametrize("offset", [0, 37])
-def test_stretches_without_history_give_the_same_model(offset, whole):
-    """Cut at every step of the command, or just before it; in any order."""
-    drive, single = whole
+def test_stretches_without_history_give_the_same_model(offset, single_fit):
+    """Cut the record at or before every step of the command, and reverse the order of the parts."""
+    drive, single = single_fit
     edges = [0, *range(40 + offset, 1960, 120), 1960]
     split = identify_sm([drive.part(*ends) for ends in pairwise(edges)][::-1], limits=False).parameters
-    # A third of the commands before a step is missing, and with it their information.
+    # A third of the commands before a step is missing, which reduces the information.
     assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
 
@@ -69,20 +69,20 @@ def test_outliers_hardly_change_the_model():
     twist = clean.twist.copy()
     twist[np.random.default_rng(0).integers(0, len(twist), 60), 0] += 2.0
     with_outliers = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
-    robust, plain = (
+    robust, least_squares = (
         identify_sm([with_outliers], limits=False, robust=is_robust).parameters for is_robust in (True, False)
     )
     check_agreement(robust, SM_TRUTH)
-    assert robust.deviation("v.gain") < 0.5 * plain.deviation("v.gain")
+    assert robust.deviation("v.gain") < 0.5 * least_squares.deviation("v.gain")
 
 
-def test_only_fresh_readings_count():
-    """Encoders have a fifth of the rate, and arbitrary values in between."""
+def test_only_fresh_readings_are_used():
+    """Encoders have a fifth of the rate; the values between their readings are NaN."""
     full = noisy_drive(SM, 4)
     fresh = np.arange(len(full.command)) % 5 == 0
     twist = np.where(fresh[:, None], full.twist, np.nan)
-    slow = Record("slow", 0.0, DT, full.command, twist=twist, yaw_rate=full.yaw_rate, fresh_twist=fresh)
-    parameters = identify_sm([slow], limits=False).parameters
+    slow_record = Record("slow", 0.0, DT, full.command, twist=twist, yaw_rate=full.yaw_rate, fresh_twist=fresh)
+    parameters = identify_sm([slow_record], limits=False).parameters
     check_agreement(parameters, SM_TRUTH)
     assert parameters.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
 
@@ -104,7 +104,7 @@ def test_coloured_noise_has_fewer_effective_samples():
     assert effective_samples([coloured])[0] == pytest.approx(20000 / 9, rel=0.2)
     # 302 cosines estimate a variance within 8 %.
     assert effective_samples([white])[0] > 16000
-    # Readings in every third row count as much as without the rows between them.
+    # Rows without readings between the readings do not change the result.
     thirds = np.zeros((60000, 1))
     thirds[::3] = coloured
     assert long_run_covariance([thirds[:21000], thirds[21000:]])[0] == pytest.approx(long_run_covariance([coloured])[0])
@@ -118,7 +118,7 @@ def test_limit_of_the_base_is_identified():
     assert identify_sm([free]).limits == {}
 
 
-def test_unobservable_fast_pole_is_a_doubt():
+def test_unobservable_fast_pole_gives_a_doubt():
     lag = two_channels((1.0, 80.0, 5.5), (1.0, 7.0, 0.7))
     experiments = [s.channel(0, 0) for s in twist_experiments([noisy_drive(lag, 8, count=1500)])]
     doubts = identify_channel(experiments, "v", limit=False).warnings
@@ -145,37 +145,37 @@ def test_ssm_recovers_the_published_model():
 
 
 @pytest.fixture(scope="module")
-def ladder():
-    """A drive of the published SSM, and models of orders 1 to 4 identified from it."""
+def models_by_order():
+    """Drive of the published SSM, and models of orders 1 to 4 identified from this drive."""
     drive = noisy_drive(published_ssm(), 15, count=1000)
     return drive, identify_ssm_orders([drive], 4, limits=False)
 
 
-def test_order_two_is_selected_for_a_second_order_robot(ladder):
-    (train, models), held_out = ladder, noisy_drive(published_ssm(), 16, count=700)
+def test_order_two_is_selected_for_a_second_order_robot(models_by_order):
+    (train, models), held_out = models_by_order, noisy_drive(published_ssm(), 16, count=700)
     choice = compare_orders(models, [train], [held_out], "gyro", requested=None)
     assert choice.order == 2
     reversed_record = replace(held_out, twist=-held_out.twist)
     repeated = compare_orders(models, [train], [reversed_record], "gyro", requested=None)
     assert repeated.order == 2  # validation rows do not affect the choice
-    for row, same in zip(choice.rows, repeated.rows, strict=True):
-        np.testing.assert_array_equal(row.block_fit_percent, same.block_fit_percent)
-        assert row.validation_fit_percent[0] > same.validation_fit_percent[0] + 50
+    for row, repeated_row in zip(choice.rows, repeated.rows, strict=True):
+        np.testing.assert_array_equal(row.block_fit_percent, repeated_row.block_fit_percent)
+        assert row.validation_fit_percent[0] > repeated_row.validation_fit_percent[0] + 50
     fits = [row.train_fit_percent.mean() for row in choice.rows]
     assert fits[0] < fits[1] - 10
     assert [row.parameters for row in choice.rows] == [4 + 3, 8 + 3, 12 + 3, 16 + 3]
 
 
-@pytest.mark.parametrize(("four", "limit"), [(True, np.inf), (False, 0.4)])
-def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
+@pytest.mark.parametrize(("has_four_wheels", "limit"), [(True, np.inf), (False, 0.4)])
+def test_mbm_recovers_motors_both_tracks_and_a_limit(has_four_wheels, limit):
     radius, firmware, effective = 0.07, 0.4, 0.62
     commands = set_points(17, 2000, (0.6, 1.2))
     motors = [(0.95, 12.0, 0.9), (1.02, 10.0, 1.2)]
     rims = np.clip(commands, [-limit, -np.inf], [limit, np.inf]) @ np.array([[1.0, 1.0], [-firmware / 2, firmware / 2]])
-    both = two_channels(*motors, dead_time=(0.047, 0.047)).discretise(DT).simulate(rims / radius)
-    yaw_rate = radius * (both[:, 1] - both[:, 0]) / effective
+    motor_speeds = two_channels(*motors, dead_time=(0.047, 0.047)).discretise(DT).simulate(rims / radius)
+    yaw_rate = radius * (motor_speeds[:, 1] - motor_speeds[:, 0]) / effective
     stream = np.random.default_rng(18)
-    wheels = both + 0.1 * stream.normal(size=both.shape)
+    wheels = motor_speeds + 0.1 * stream.normal(size=motor_speeds.shape)
     twist = np.column_stack([radius * wheels.mean(axis=1), yaw_rate])
     drive = Record(
         "drive",
@@ -185,7 +185,7 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
         twist=twist,
         yaw_rate=yaw_rate + 0.02 * stream.normal(size=len(yaw_rate)),
         wheels=wheels,
-        wheel_speeds=np.tile(both, 2) + 0.1 * stream.normal(size=(2000, 4)) if four else None,
+        wheel_speeds=np.tile(motor_speeds, 2) + 0.1 * stream.normal(size=(2000, 4)) if has_four_wheels else None,
     )
     identified = identify_mbm([drive], radius)
     limits = {} if np.isinf(limit) else {"v": limit}
@@ -195,7 +195,7 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
     }
     for side, motor in zip(("left", "right"), motors, strict=True):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
-            truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}
+            truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if has_four_wheels else ("front",))}
     check_agreement(identified.parameters, truth)
     assert identified.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
     assert identified.model.order == 8
@@ -213,11 +213,11 @@ def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_
     truth = {f"{motor}.gain": gain for motor, gain in gains.items()}
     check_agreement(modes.parameters, SM_TRUTH | truth | {"effective_track": track})
     fits = [validate(model.system, held_out).fit_percent for model in (modes, motors, identify_sm(train))]
-    # v follows from both commands; omega is that of SM.
+    # v follows from both commands; omega has the same model as in SM.
     assert (fits[0] > np.maximum(fits[1] + [0.2, 5.0], fits[2] - [0.0, 1e-3])).all()
 
 
-def test_invalid_input_raises_one_clear_line():
+def test_invalid_input_raises_value_error_with_the_reason():
     drive = noisy_drive(SM, 20, count=200)
     with pytest.raises(ValueError, match="no yaw_rate"):
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
@@ -227,7 +227,7 @@ def test_invalid_input_raises_one_clear_line():
         identify_sm([record(drive.command, np.zeros((200, 2)))])
 
 
-SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
+SPIKE_MODEL = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
 
 
 def with_spikes(drive, size):
@@ -240,7 +240,7 @@ def with_spikes(drive, size):
     return Record("spiked", 0.0, DT, drive.command, twist=twist, yaw_rate=yaw_rate)
 
 
-def as_read(drive, folder):
+def write_and_read(drive, folder):
     """Write the drive to a log and read the log."""
     table = np.column_stack((drive.command, drive.twist, drive.yaw_rate))
     np.savetxt(folder / "log.csv", table, delimiter=",", header="v,w,ev,ew,gz", comments="")
@@ -255,8 +255,8 @@ def as_read(drive, folder):
 @pytest.mark.long
 @pytest.mark.parametrize("size", [5.0, 1000.0])
 def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_path):
-    clean = noisy_drive(SPIKED, 5)
-    records, findings = as_read(with_spikes(clean, size), tmp_path)
+    clean = noisy_drive(SPIKE_MODEL, 5)
+    records, findings = write_and_read(with_spikes(clean, size), tmp_path)
     assert [finding.severity for finding in findings] == ["warning", "warning"]
     assert "(1 %)" in findings[1].words
     reference, identified = (identify_sm(part, limits=False) for part in ([clean], records))
@@ -268,26 +268,26 @@ def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_p
 
 @pytest.mark.parametrize("seed", range(5))
 def test_clean_drive_has_no_spikes(seed, tmp_path):
-    assert as_read(noisy_drive(SPIKED, seed), tmp_path)[1] == []
+    assert write_and_read(noisy_drive(SPIKE_MODEL, seed), tmp_path)[1] == []
 
 
 def test_uneven_command_times_do_not_shorten_the_dead_time():
     """At 20 Hz with 8 ms of jitter, using only the active command at each grid point would lose 16 ms."""
-    period, fine, seconds, random = 0.05, 0.001, 80.0, np.random.default_rng(0)
+    period, fine, seconds, rng = 0.05, 0.001, 80.0, np.random.default_rng(0)
     count = int(seconds / period)
-    sent, read = period * np.arange(count) + np.clip(random.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
+    times, read = period * np.arange(count) + np.clip(rng.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
     commands, grid = set_points(1, count, (0.8, 1.5), 12), np.arange(0, seconds + 1, fine)
-    twist = SM.discretise(fine).simulate(commands[np.clip(np.searchsorted(sent, grid, side="right") - 1, 0, None)])
-    readings = twist[np.searchsorted(grid, read)] + random.normal(0, (0.01, 0.03), (count, 2))
+    twist = SM.discretise(fine).simulate(commands[np.clip(np.searchsorted(times, grid, side="right") - 1, 0, None)])
+    readings = twist[np.searchsorted(grid, read)] + rng.normal(0, (0.01, 0.03), (count, 2))
     signals = {"twist": Signal(read, readings), "yaw_rate": Signal(read, readings[:, 1:])}
-    even = resample("log", RawStretch(sent, Signal(sent, commands), signals), 0.0, seconds, period, check_settings())
+    even = resample("log", RawStretch(times, Signal(times, commands), signals), 0.0, seconds, period, check_settings())
     parameters = identify_sm([even], limits=False).parameters
     for channel in ("v", "omega"):
-        late = [
+        lags = [
             read(f"{channel}.dead_time") + 2 * read(f"{channel}.damping") / read(f"{channel}.natural_frequency")
             for read in (parameters.value, SM_TRUTH.get)
         ]
-        assert late[0] == pytest.approx(late[1], abs=0.005)
+        assert lags[0] == pytest.approx(lags[1], abs=0.005)
 
 
 @pytest.mark.system
@@ -300,8 +300,8 @@ def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_othe
     assert np.subtract(*(validate(model.system, held_out).fit_percent for model in models)).min() > -0.5
 
 
-def test_order_with_a_fit_below_the_floor_is_not_chosen(ladder):
-    drive, models = ladder
+def test_order_with_a_fit_below_the_floor_is_not_chosen(models_by_order):
+    drive, models = models_by_order
     floor = validate(models[3].system, [drive]).fit_percent
     free, above = (compare_orders(models, [drive], [], "gyro", floor=limit).order for limit in (None, floor))
     assert free < above

@@ -1,4 +1,4 @@
-"""Reading of ROS 2 bags in both storage formats: contents, clocks, and malicious files."""
+"""Reader of ROS 2 bags in both storage formats: contents, clocks, and malicious files."""
 
 import os
 import shutil
@@ -31,7 +31,7 @@ COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
 
 
-def same(first, second):
+def records_are_equal(first, second):
     pairs = [(getattr(first, field.name), getattr(second, field.name)) for field in fields(first)]
     return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs if isinstance(a, np.ndarray))
 
@@ -39,7 +39,7 @@ def same(first, second):
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("command", ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"])
 @pytest.mark.parametrize("pose", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"])
-def test_bag_gives_the_same_record_as_the_csv_of_the_same_drive(tmp_path, storage, command, pose):
+def test_record_of_a_bag_equals_that_of_a_csv_log(tmp_path, storage, command, pose):
     """Times are the stamps, not the times of receipt; the pose of the odometry is not used."""
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS, command, pose), storage)
     log = read_log(bag, write_mapping(tmp_path / "topics.yaml", TOPICS))
@@ -55,7 +55,7 @@ def test_bag_gives_the_same_record_as_the_csv_of_the_same_drive(tmp_path, storag
 
 
 @pytest.mark.parametrize(
-    ("mounts", "zxy"),
+    ("mounts", "axis"),
     [
         ([("body", "base_link", np.pi)], (-1, 0, 0)),
         ([("body", "base_link", np.pi / 2)], (0, np.nan, 1)),
@@ -63,17 +63,17 @@ def test_bag_gives_the_same_record_as_the_csv_of_the_same_drive(tmp_path, storag
         ([("body", "base_link", np.pi / 6)], (np.cos(np.pi / 6), 0, np.sin(np.pi / 6))),
     ],
 )
-def test_gyro_of_a_bag_is_read_about_the_vertical_of_tf_static(tmp_path, mounts, zxy):
-    """Mounts: upside down, on its side, upside down by two frames, and tilted."""
+def test_gyro_of_a_bag_is_read_about_the_vertical_of_tf_static(tmp_path, mounts, axis):
+    """The gyro is mounted upside down, on its side, upside down by two transforms, or tilted."""
     topics = bag_topics(COLUMNS)
-    topics["/imu"] = (*topics["/imu"][:3], np.outer(COLUMNS["gyro"], zxy))
+    topics["/imu"] = (*topics["/imu"][:3], np.outer(COLUMNS["gyro"], axis))
     topics["/tf_static"] = ("tf2_msgs/msg/TFMessage", [0.0] * len(mounts), [0.0] * len(mounts), mounts)
     (record,) = read_log(write_bag(tmp_path / "bag", topics)).records
     assert np.allclose(record.yaw_rate, COLUMNS["gyro"], atol=1e-12)
 
 
 def test_stated_sign_of_a_gyro_replaces_tf_static(tmp_path):
-    """The sign is not applied twice; the node ignores the transforms in this case, too."""
+    """The sign is not applied twice. The node also ignores the transforms in this case."""
     topics = bag_topics({**COLUMNS, "gyro": -COLUMNS["gyro"]})
     topics["/tf_static"] = ("tf2_msgs/msg/TFMessage", [0.0], [0.0], [("body", "base_link", np.pi)])
     mapping = write_mapping(tmp_path / "map.yaml", "topics: {odometry: /odom, imu: {topic: /imu, sign: -1}}\n")
@@ -83,10 +83,10 @@ def test_stated_sign_of_a_gyro_replaces_tf_static(tmp_path):
 
 def test_default_topics_are_read_without_a_mapping(tmp_path):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), "mcap")
-    (whole,) = read_log(bag).records
-    (single,) = read_log(bag / "bag.mcap").records
-    assert whole.pose is None and whole.twist is not None and whole.yaw_rate is not None
-    assert same(whole, single)
+    (bag_record,) = read_log(bag).records
+    (file_record,) = read_log(bag / "bag.mcap").records
+    assert bag_record.pose is None and bag_record.twist is not None and bag_record.yaw_rate is not None
+    assert records_are_equal(bag_record, file_record)
 
 
 def test_signs_and_delays_of_topics_are_applied(tmp_path):
@@ -117,8 +117,8 @@ def test_unset_stamps_fall_back_to_the_times_of_receipt(tmp_path):
 
 def test_two_clocks_are_an_error_with_a_remedy(tmp_path):
     bag = altered_bag(tmp_path, "/imu", lambda received, stamped, readings: (received, stamped - 1000.0, readings))
-    line = "two clocks: the times of /cmd_vel are 1000.007 s ahead of those of /imu; set"
-    with pytest.raises(ConfigError, match=line):
+    message = "two clocks: the times of /cmd_vel are 1000.007 s ahead of those of /imu; set"
+    with pytest.raises(ConfigError, match=message):
         read_log(bag)
     mapping = TOPICS + "  clock: receive\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "topics.yaml", mapping)).records
@@ -132,12 +132,12 @@ def test_drifting_clock_is_a_finding(tmp_path):
 
 
 def test_messages_out_of_order_or_not_finite_are_omitted(tmp_path):
-    def spoil(received, stamped, readings):
+    def corrupt(received, stamped, readings):
         stamped, readings = stamped.copy(), readings.copy()
         stamped[50], readings[70] = stamped[40], np.inf
         return received, stamped, readings
 
-    log = read_log(altered_bag(tmp_path, "/imu", spoil))
+    log = read_log(altered_bag(tmp_path, "/imu", corrupt))
     assert [str(finding) for finding in log.findings] == [
         "bag, /imu, message 71: 1 messages are not finite and are left out",
         "bag, /imu, message 51: 1 messages are not later than an earlier message and are left out",
@@ -145,7 +145,7 @@ def test_messages_out_of_order_or_not_finite_are_omitted(tmp_path):
     assert list(np.flatnonzero(~log.records[0].fresh_yaw_rate)) == [50, 70]
 
 
-def only(topics, *names):
+def select_topics(topics, *names):
     return {name: topics[name] for name in names}
 
 
@@ -156,7 +156,7 @@ NO_TOPICS = "columns: {time: t, command: {v: v, omega: w}, gyro: {yaw_rate: g}}"
 
 
 @pytest.mark.parametrize(
-    ("names", "mapping", "line"),
+    ("names", "mapping", "message"),
     [
         (("/odom", "/imu"), None, f"no topic '/cmd_vel'; name it under 'topics' in a mapping, {DRAFTED}"),
         (("/cmd_vel", "/imu"), "topics: {command: /cmd, odometry: /imu, pose: /slam}", TWO_MISTAKES),
@@ -164,14 +164,14 @@ NO_TOPICS = "columns: {time: t, command: {v: v, omega: w}, gyro: {yaw_rate: g}}"
         (("/pose",), None, NO_COMMAND),
     ],
 )
-def test_missing_or_wrong_topic_raises_error_in_one_line(tmp_path, names, mapping, line):
-    bag = write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), *names))
+def test_missing_or_wrong_topic_raises_error_in_one_line(tmp_path, names, mapping, message):
+    bag = write_bag(tmp_path / "bag", select_topics(bag_topics(COLUMNS), *names))
     mapping_file = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
-    with one_line_error(ConfigError, match=line):
+    with one_line_error(ConfigError, match=message):
         read_log(bag, mapping_file)
 
 
-def cut_in_half(path):
+def truncate(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
@@ -183,7 +183,7 @@ def overwrite_middle(path):
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-@pytest.mark.parametrize("damage", [cut_in_half, overwrite_middle, lambda path: path.write_bytes(b"no bag")])
+@pytest.mark.parametrize("damage", [truncate, overwrite_middle, lambda path: path.write_bytes(b"no bag")])
 def test_damaged_bag_raises_error_in_one_line(tmp_path, storage, damage):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), storage)
     file = bag / {"sqlite3": "bag.db3", "mcap": "bag.mcap"}[storage]
@@ -196,21 +196,21 @@ def test_damaged_bag_raises_error_in_one_line(tmp_path, storage, damage):
 def test_definitions_inside_a_bag_are_not_used(tmp_path):
     """The library would generate code from a definition, so an invalid definition must have no effect."""
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
-    (plain,) = read_log(bag).records
+    (original,) = read_log(bag).records
     shutil.copytree(bag, tmp_path / "changed")
     with sqlite3.connect(tmp_path / "changed" / "bag.db3") as database:
         database.execute("UPDATE message_definitions SET encoded_message_definition = 'import os\nfloat64 x)=('")
     (record,) = read_log(tmp_path / "changed").records
-    assert same(plain, record)
+    assert records_are_equal(original, record)
 
 
 def test_commands_sent_on_change_are_held(tmp_path):
-    bag = altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays])  # it changes every 25
+    bag = altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays])  # one row per change
     text = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom, imu: /imu}\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "map.yaml", text)).records
     assert record.dt == pytest.approx(0.02)
-    whole = np.column_stack([COLUMNS["v_ref"], COLUMNS["omega_ref"]])
-    assert np.array_equal(record.command, whole[: len(record.command)])
+    expected = np.column_stack([COLUMNS["v_ref"], COLUMNS["omega_ref"]])
+    assert np.array_equal(record.command, expected[: len(record.command)])
 
 
 ON_CHANGE = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom}\n"
@@ -225,13 +225,13 @@ def test_commands_in_bursts_give_a_finding_with_the_mapping_that_uses_the_whole_
     assert finding.changes == (MappingChange("command", "on_change", True),)
     assert log.records[0].dt == pytest.approx(sensor_dt, rel=1e-4)
     assert sum(record.end - record.start for record in log.records) < 20.0
-    whole = read_log(path, write_mapping(tmp_path / "map.yaml", ON_CHANGE))
-    (record,) = whole.records
+    complete_log = read_log(path, write_mapping(tmp_path / "map.yaml", ON_CHANGE))
+    (record,) = complete_log.records
     assert record.end - record.start > 38.0
-    assert whole.findings == ()
+    assert complete_log.findings == ()
 
 
-def test_a_bag_of_ros_1_is_refused_with_the_command_that_converts_it(tmp_path):
+def test_ros_1_bag_is_refused_with_the_conversion_command(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer1(tmp_path / "drive.bag") as writer:
         writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
@@ -270,8 +270,8 @@ def test_custom_message_is_read_with_its_definition(tmp_path):
 MAGIC = b"\x89MCAP0\r\n"
 
 
-def mcap_text(words: str) -> bytes:
-    return struct.pack("<I", len(words)) + words.encode()
+def mcap_text(text: str) -> bytes:
+    return struct.pack("<I", len(text)) + text.encode()
 
 
 def mcap_record(kind: int, content: bytes) -> bytes:
@@ -283,7 +283,7 @@ def mcap_message(content: bytes) -> bytes:
 
 
 def mcap_topic(name: str) -> bytes:
-    texts = [mcap_text(word) for word in ("geometry_msgs/msg/Twist", "ros2msg", "", name, "cdr", "")]
+    texts = [mcap_text(text) for text in ("geometry_msgs/msg/Twist", "ros2msg", "", name, "cdr", "")]
     schema = mcap_record(3, struct.pack("<H", 1) + b"".join(texts[:3]))
     return schema + mcap_record(4, struct.pack("<HH", 1, 1) + b"".join(texts[3:]))
 
@@ -308,27 +308,27 @@ def _footer(summary: int = 0) -> bytes:
     return mcap_record(2, struct.pack("<QQI", summary, 0, 0)) + MAGIC
 
 
-def _mcap(path: Path, body: bytes) -> Path:
+def _write_mcap(path: Path, body: bytes) -> Path:
     path.write_bytes(HEAD + body + _footer())
     return path
 
 
-def _indexed(path: Path, chunks: list[bytes], mentioned: int = 1) -> Path:
-    """Write a file whose index names each chunk `mentioned` times."""
+def _write_indexed(path: Path, chunks: list[bytes], repeats: int = 1) -> Path:
+    """Write a file whose index lists each chunk `repeats` times."""
     body, index = HEAD, b""
     for chunk in chunks:
         size = struct.unpack("<Q", chunk[25:33])[0]
         offsets = struct.pack("<I", 10) + struct.pack("<HQ", 1, len(body) + len(chunk))
-        place = struct.pack("<QQQQ", 0, 10, len(body), len(chunk))
-        index += mcap_record(8, place + offsets + struct.pack("<Q", 31) + ZSTD + struct.pack("<QQ", 0, size))
+        entry = struct.pack("<QQQQ", 0, 10, len(body), len(chunk))
+        index += mcap_record(8, entry + offsets + struct.pack("<Q", 31) + ZSTD + struct.pack("<QQ", 0, size))
         body += chunk
     body += mcap_record(15, bytes(4))
-    path.write_bytes(body + mcap_topic("/cmd_vel") + index * mentioned + _footer(len(body)))
+    path.write_bytes(body + mcap_topic("/cmd_vel") + index * repeats + _footer(len(body)))
     return path
 
 
-def _refused(path: Path) -> str:
-    """Return the message that refuses a bag; memory may not exceed twice that of a chunk."""
+def _refusal(path: Path) -> str:
+    """Return the error message of a refused bag; check that memory use is at most 2.2 times the chunk limit."""
     tracemalloc.start()
     try:
         with one_line_error(ConfigError, path.name) as error:
@@ -344,44 +344,44 @@ def _refused(path: Path) -> str:
 @pytest.mark.parametrize("stated_size", [1_000, 400_000_000])
 def test_decompression_bomb_is_refused_for_any_stated_size(tmp_path: Path, compression: str, stated_size: int) -> None:
     """400 MB are compressed to a few kilobytes."""
-    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, compression), compression, stated_size))
-    assert "chunk" in _refused(path)
+    path = _write_mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, compression), compression, stated_size))
+    assert "chunk" in _refusal(path)
 
 
 def test_total_size_of_the_chunks_is_limited(tmp_path: Path) -> None:
     """Each chunk is small, but their sum is much larger than the file."""
-    whole = mcap_message(bytes(1_000_000))
-    packed = zstandard.ZstdCompressor().compress(whole)
-    path = _mcap(tmp_path / "many.mcap", mcap_chunk(packed, "zstd", len(whole)) * 40)
-    assert "100 times its size" in _refused(path)
+    content = mcap_message(bytes(1_000_000))
+    packed = zstandard.ZstdCompressor().compress(content)
+    path = _write_mcap(tmp_path / "many.mcap", mcap_chunk(packed, "zstd", len(content)) * 40)
+    assert "100 times its size" in _refusal(path)
 
 
 def test_overlapping_chunks_are_not_all_in_memory(tmp_path: Path) -> None:
     """Random data prevent a high compression ratio."""
-    whole = mcap_message(os.urandom(700_000) + bytes(40_000_000))
-    packed = zstandard.ZstdCompressor().compress(whole)
-    path = _indexed(tmp_path / "overlap.mcap", [mcap_chunk(packed, "zstd", len(whole))] * 4)
-    assert "neither /odom nor /imu" in _refused(path)
+    content = mcap_message(os.urandom(700_000) + bytes(40_000_000))
+    packed = zstandard.ZstdCompressor().compress(content)
+    path = _write_indexed(tmp_path / "overlap.mcap", [mcap_chunk(packed, "zstd", len(content))] * 4)
+    assert "neither /odom nor /imu" in _refusal(path)
 
 
 def test_chunk_that_is_indexed_repeatedly_is_read_once(tmp_path: Path) -> None:
-    whole = mcap_message(b"")
-    chunk = mcap_chunk(zstandard.ZstdCompressor().compress(whole), "zstd", len(whole))
-    with opened(_indexed(tmp_path / "again.mcap", [chunk], mentioned=3)) as reader:
+    content = mcap_message(b"")
+    chunk = mcap_chunk(zstandard.ZstdCompressor().compress(content), "zstd", len(content))
+    with opened(_write_indexed(tmp_path / "again.mcap", [chunk], repeats=3)) as reader:
         assert reader.connections == [("/cmd_vel", "geometry_msgs/msg/Twist", 1)]
 
 
 @pytest.mark.parametrize("length", [3_000_000_000, 2**60])
-@pytest.mark.parametrize("place", ["record", "chunk", "text"])
-def test_excessive_lengths_are_not_allocated(tmp_path: Path, length: int, place: str) -> None:
-    """This applies to the readers of bags and of drive logs."""
+@pytest.mark.parametrize("location", ["record", "chunk", "text"])
+def test_excessive_lengths_are_not_allocated(tmp_path: Path, length: int, location: str) -> None:
+    """Check the readers of bags and of drive logs."""
     body = {
         "record": struct.pack("<BQ", 5, length),
         "chunk": mcap_record(6, struct.pack("<QQQI", 0, 1, 100, 0) + ZSTD + struct.pack("<Q", length) + b"abc"),
         "text": mcap_record(4, struct.pack("<HHI", 1, 1, min(length, 2**32 - 1))),
-    }[place]
-    path = _mcap(tmp_path / "length.mcap", body)
-    _refused(path)
+    }[location]
+    path = _write_mcap(tmp_path / "length.mcap", body)
+    _refusal(path)
     tracemalloc.start()
     assert not is_drive_log(path)
     with pytest.raises(ConfigError, match="length.mcap"):
@@ -404,8 +404,8 @@ def test_unpacked_data_equal_the_original_data() -> None:
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3", "pipe.bag", "bag/metadata.yaml", "bag/bag.mcap"])
-def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
-    """Opening them would block forever, because no process writes to them."""
+def test_pipes_are_refused_without_opening(tmp_path: Path, name: str) -> None:
+    """Opening a pipe would block forever, because no process writes to it."""
     pipe = tmp_path / name
     pipe.parent.mkdir(exist_ok=True)
     if name == "bag/bag.mcap":
@@ -416,7 +416,7 @@ def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
         read_log(pipe.parent if pipe.parent != tmp_path else pipe)
 
 
-def _database(path: Path, change: str) -> Path:
+def _write_database(path: Path, change: str) -> Path:
     base = sqlite3.connect(path)
     base.executescript(
         "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
@@ -439,7 +439,7 @@ _CHAIN = "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ("UPDATE messages SET timestamp = 'noon' WHERE id = 2", "1 messages have a stamp"),
         ("UPDATE messages SET timestamp = NULL", "2 messages have a stamp"),
@@ -450,45 +450,45 @@ _CHAIN = "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" 
         (f"CREATE VIEW v0 AS SELECT * FROM messages;{_CHAIN}", _ONLY_TABLES),
     ],
 )
-def test_invalid_database_is_refused(tmp_path: Path, change: str, words: str) -> None:
+def test_invalid_database_is_refused(tmp_path: Path, change: str, message: str) -> None:
     """Values have a wrong type, a computed column would return 900 MB, or a view or a virtual table runs code."""
-    assert words in _refused(_database(tmp_path / "bag.db3", change))
+    assert message in _refusal(_write_database(tmp_path / "bag.db3", change))
 
 
 def test_bag_with_file_compression_is_refused(tmp_path: Path) -> None:
     metadata = {"relative_file_paths": ["bag.mcap.zstd"], "compression_format": "zstd", "compression_mode": "FILE"}
     (tmp_path / "bag.mcap.zstd").write_bytes(b"")
     (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
-    assert "its whole files are compressed; unpack the bag" in _refused(tmp_path)
+    assert "its whole files are compressed; unpack the bag" in _refusal(tmp_path)
 
 
 def test_error_for_a_compressed_file_contains_the_command(tmp_path: Path) -> None:
     path = tmp_path / "bag.mcap.zst"
     path.write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
-    assert "bag.mcap.zst: the whole file is compressed; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
+    assert "bag.mcap.zst: the whole file is compressed; unpack it: `zstd -d bag.mcap.zst`" in _refusal(path)
 
 
 def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
     topics = bag_topics(COLUMNS)
     _, *rows = topics["/cmd_vel"]
-    few = ("geometry_msgs/msg/TwistStamped", *(part[:50] + 0.5 for part in rows))
-    log = read_log(write_bag(tmp_path / "bag", topics | {"/cmd_vel#stamped": few}))
+    stamped_messages = ("geometry_msgs/msg/TwistStamped", *(part[:50] + 0.5 for part in rows))
+    log = read_log(write_bag(tmp_path / "bag", topics | {"/cmd_vel#stamped": stamped_messages}))
     assert [finding.place for finding in log.findings if finding.kind == "two types"] == ["bag, /cmd_vel"]
-    assert same(log.records[0], read_log(write_bag(tmp_path / "plain", topics)).records[0])
+    assert records_are_equal(log.records[0], read_log(write_bag(tmp_path / "plain", topics)).records[0])
 
 
 @pytest.mark.parametrize("count", [2, 10_000])
 def test_repeated_file_is_refused_without_reading(tmp_path: Path, count: int) -> None:
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
     metadata = bag / "metadata.yaml"
-    stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))
-    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3"] * count
-    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    content = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3"] * count
+    metadata.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(ConfigError, match=f"'bag.db3' {count:,} times; name it once"):
         read_log(bag)
     (bag / "linked.db3").symlink_to("bag.db3")
-    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
-    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
+    metadata.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(ConfigError, match="several names for one file"):
         read_log(bag)
 
@@ -496,17 +496,17 @@ def test_repeated_file_is_refused_without_reading(tmp_path: Path, count: int) ->
 def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """SQLite discards exceptions of its progress handler, so KeyboardInterrupt must be raised again."""
 
-    def interrupted(_: object) -> bool:
+    def interrupt(_: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sqlite_file._Watchdog, "check", interrupted)
+    monkeypatch.setattr(sqlite_file._Watchdog, "check", interrupt)
     monkeypatch.setattr(sqlite_file, "_STEPS", 1)
     with pytest.raises(KeyboardInterrupt):
-        read_log(_database(tmp_path / "bag.db3", ""))
+        read_log(_write_database(tmp_path / "bag.db3", ""))
 
 
 def test_statement_with_too_many_steps_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite_file, "_STEPS", 1)
     limits = replace(file_limits(), sqlite_steps=3)
     monkeypatch.setattr(sqlite_file, "file_limits", lambda: limits)
-    assert "too long" in _refused(_database(tmp_path / "bag.db3", ""))
+    assert "too long" in _refusal(_write_database(tmp_path / "bag.db3", ""))

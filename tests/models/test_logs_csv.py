@@ -1,4 +1,4 @@
-"""Reading of CSV logs, and errors for invalid files."""
+"""Reader of CSV logs, and errors for invalid files."""
 
 import datetime
 
@@ -17,13 +17,13 @@ from refusals import one_line_error
 COLUMNS = drive()
 
 
-def read(tmp_path, columns, mapping=None, **options):
+def read_columns(tmp_path, columns, mapping=None, **options):
     path = write_csv(tmp_path / "log.csv", columns)
     return read_log(path, write_mapping(tmp_path / "map.yaml", *([mapping] if mapping else [])), **options)
 
 
 def test_evenly_sampled_log_is_read_exactly(tmp_path):
-    log = read(tmp_path, COLUMNS)
+    log = read_columns(tmp_path, COLUMNS)
     (record,) = log.records
     assert log.findings == ()
     assert record.dt == DT
@@ -47,9 +47,9 @@ columns:
     scale = {"t": 1e9, "v_ref": 1e3, "omega_ref": 30 / np.pi, "v": 3.6, "x": 100, "y": 1e3}
     degrees = {"omega_wheels": 180 / np.pi, "gyro": -180 / np.pi, "theta": 180 / np.pi}
     columns = {name: value * (scale | degrees)[name] for name, value in COLUMNS.items()}
-    (record,), (plain,) = read(tmp_path, columns, mapping).records, read(tmp_path, COLUMNS).records
+    (record,), (expected,) = read_columns(tmp_path, columns, mapping).records, read_columns(tmp_path, COLUMNS).records
     for field in ("command", "twist", "yaw_rate", "pose"):
-        assert np.allclose(getattr(record, field), getattr(plain, field), rtol=1e-9, atol=1e-9), field
+        assert np.allclose(getattr(record, field), getattr(expected, field), rtol=1e-9, atol=1e-9), field
 
 
 WHEELS = """
@@ -70,7 +70,7 @@ def test_wheel_speeds_are_converted_to_v_and_omega(tmp_path, unit, factor):
         f"c{side}": rpm * (COLUMNS["v_ref"] + s * 0.25 * COLUMNS["omega_ref"]) for side, s in (("l", -1), ("r", 1))
     }
     columns = {"t": COLUMNS["t"], **commands, **{side: factor * rim for side, rim in rims.items()}}
-    (record,) = read(tmp_path, columns, WHEELS.format(unit=unit)).records
+    (record,) = read_columns(tmp_path, columns, WHEELS.format(unit=unit)).records
     assert np.allclose(record.command, np.column_stack([COLUMNS["v_ref"], COLUMNS["omega_ref"]]))
     assert np.allclose(record.twist, np.column_stack([COLUMNS["v"], COLUMNS["omega_wheels"]]))
     assert np.allclose(record.wheels, 10.0 * np.column_stack([rims["l"], rims["r"]]))
@@ -82,12 +82,12 @@ def test_tick_counts_are_converted_to_the_mean_speed_between_rows(tmp_path):
     angle = COLUMNS["t"] ** 2
     columns = {"t": COLUMNS["t"], "cl": COLUMNS["v_ref"] * 10, "cr": COLUMNS["omega_ref"]}
     columns |= {"l": 1000 / (2 * np.pi) * angle, "r": -1000 / (2 * np.pi) * angle}
-    (record,) = read(tmp_path, columns, WHEELS.format(unit="ticks")).records
+    (record,) = read_columns(tmp_path, columns, WHEELS.format(unit="ticks")).records
     assert np.allclose(record.wheels[1:-1], np.outer(2 * record.time[1:-1], [1, -1]), atol=1e-6)
     assert record.fresh_twist[1:-1].all()
 
 
-def test_four_wheels_are_kept_and_averaged_by_side(tmp_path):
+def test_speeds_of_four_wheels_are_stored_and_averaged_by_side(tmp_path):
     names = ("front_left", "front_right", "rear_left", "rear_right")
     mapping = """
 wheels: {radius: 0.1, track: 0.5}
@@ -98,7 +98,7 @@ columns:
 """
     speeds = {name: (i + 1.0) * COLUMNS["v"] for i, name in enumerate(names)}
     columns = {name: COLUMNS[name] for name in ("t", "v_ref", "omega_ref")} | speeds
-    (record,) = read(tmp_path, columns, mapping).records
+    (record,) = read_columns(tmp_path, columns, mapping).records
     assert np.array_equal(record.wheel_speeds, np.column_stack(list(speeds.values())))
     assert np.allclose(record.wheels, np.outer(COLUMNS["v"], [2.0, 3.0]))
     assert np.allclose(record.twist, np.outer(COLUMNS["v"], [0.25, 0.2]))
@@ -106,20 +106,20 @@ columns:
 
 @pytest.mark.parametrize(("period", "quantum"), [(1, 0.2), (2, 0.2), (4, 0.2), (5, 0.02)])
 def test_each_held_reading_is_fresh_even_if_its_value_repeats(tmp_path, period, quantum):
-    """At constant speed, quantised readings repeat for seconds; `held` preserves all of them."""
+    """At constant speed, quantised readings repeat for seconds; `held` preserves all readings."""
     columns = dict(COLUMNS)
     rows = np.arange(len(COLUMNS["t"])) // period * period
     for name in ("v", "omega_wheels"):
         columns[name] = np.round(COLUMNS[name][rows] / quantum) * quantum
     mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n"
     mapping += "  encoders: {v: v, omega: omega_wheels, held: true}\n"
-    (record,) = read(tmp_path, columns, mapping).records
+    (record,) = read_columns(tmp_path, columns, mapping).records
     assert record.fresh_twist.sum() == pytest.approx(len(rows) / period, rel=0.02)
 
 
 def test_delay_shifts_readings_to_their_time_of_validity(tmp_path):
     mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n  gyro: {yaw_rate: gyro, delay: 0.1}\n"
-    (record,) = read(tmp_path, COLUMNS, mapping).records
+    (record,) = read_columns(tmp_path, COLUMNS, mapping).records
     assert np.allclose(record.yaw_rate[:-5], COLUMNS["gyro"][5:], atol=1e-12)
     assert not record.fresh_yaw_rate[-5:].any()
 
@@ -128,7 +128,7 @@ def test_segments_and_a_fixed_sample_time_replace_time_stamps(tmp_path):
     columns = COLUMNS | {"run": [f"run {k // 400}" for k in range(1000)]}
     mapping = "columns:\n  sample_time: 0.02\n  segment: run\n  command: {v: v_ref, omega: omega_ref}\n"
     mapping += "  gyro: {yaw_rate: gyro}\n"
-    records = read(tmp_path, columns, mapping).records
+    records = read_columns(tmp_path, columns, mapping).records
     assert [len(record.command) for record in records] == [400, 400, 200]
     assert np.array_equal(records[1].yaw_rate, COLUMNS["gyro"][400:800])
     assert [record.dt for record in records] == [0.02] * 3
@@ -141,8 +141,8 @@ def test_iso_times_and_ros_stamps_are_read(tmp_path, kind):
         columns = {"t": [datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat() for t in time.tolist()]}
     else:
         columns = {"t": np.floor(time), "nanosec": np.round((time % 1) * 1e9)}
-    named = MAPPING if kind == "ISO 8601" else MAPPING.replace("time: t", "time: {column: t, nanosec: nanosec}")
-    (record,) = read(tmp_path, COLUMNS | columns, named).records
+    mapping = MAPPING if kind == "ISO 8601" else MAPPING.replace("time: t", "time: {column: t, nanosec: nanosec}")
+    (record,) = read_columns(tmp_path, COLUMNS | columns, mapping).records
     assert record.dt == pytest.approx(0.02, abs=1e-9)
     np.testing.assert_allclose(record.yaw_rate, COLUMNS["gyro"], atol=1e-3)
 
@@ -150,20 +150,20 @@ def test_iso_times_and_ros_stamps_are_read(tmp_path, kind):
 def test_wrapped_headings_are_unwrapped(tmp_path):
     wrapped = COLUMNS | {"theta": (COLUMNS["theta"] - np.median(COLUMNS["theta"])) % (2 * np.pi)}
     assert np.ptp(np.diff(wrapped["theta"])) > 6
-    (record,) = read(tmp_path, wrapped).records
+    (record,) = read_columns(tmp_path, wrapped).records
     assert np.allclose(np.diff(record.pose[:, 2]), np.diff(COLUMNS["theta"]), atol=1e-9)
 
 
 def test_stamps_rounded_to_milliseconds_preserve_the_mean_rate(tmp_path):
-    """202 us times 100: a median step of 20 ms would lose one sample in a hundred."""
+    """The samples are 20.2 ms apart; with the median step of 20 ms, one sample in a hundred would be lost."""
     columns = drive(dt=0.0202)
-    (record,) = read(tmp_path, columns | {"t": np.round(columns["t"], 3)}).records
+    (record,) = read_columns(tmp_path, columns | {"t": np.round(columns["t"], 3)}).records
     assert record.dt == pytest.approx(0.0202, rel=2e-4)
     assert abs(len(record.command) - len(columns["t"])) <= 1
 
 
 def test_coarser_sample_time_uses_the_values_at_its_times(tmp_path):
-    (record,) = read(tmp_path, COLUMNS, sample_time=0.1).records
+    (record,) = read_columns(tmp_path, COLUMNS, sample_time=0.1).records
     assert np.array_equal(record.yaw_rate, COLUMNS["gyro"][::5])
     assert np.array_equal(record.command[:, 0], COLUMNS["v_ref"][::5])
 
@@ -179,22 +179,22 @@ def test_log_of_simulate_needs_no_mapping(tmp_path):
     assert record.dt == pytest.approx(run.sample_time, rel=1e-9)
     assert np.array_equal(record.command, run.command)
     assert np.array_equal(record.yaw_rate, run.gyro, equal_nan=True)
-    true = np.column_stack([np.interp(record.time, run.time, column) for column in run.true_pose.T])
-    errors = (record.pose - true)[record.fresh_pose]
+    true_pose = np.column_stack([np.interp(record.time, run.time, column) for column in run.true_pose.T])
+    errors = (record.pose - true_pose)[record.fresh_pose]
     assert 5 < len(errors) < len(record.command)
-    late = run.measured_pose_time < run.time - 0.5 * record.dt
-    moved = np.linalg.norm(run.measured_pose[late, :2] - run.true_pose[late, :2], axis=1)
-    assert np.median(np.linalg.norm(errors[:, :2], axis=1)) < 0.5 * np.median(moved)
+    is_late = run.measured_pose_time < run.time - 0.5 * record.dt
+    displacement = np.linalg.norm(run.measured_pose[is_late, :2] - run.true_pose[is_late, :2], axis=1)
+    assert np.median(np.linalg.norm(errors[:, :2], axis=1)) < 0.5 * np.median(displacement)
 
 
 def test_rows_are_selected_by_time_and_by_the_value_of_a_column(tmp_path):
     mode = ["manual" if t < 4.0 else "auto" for t in COLUMNS["t"]]
     path = write_csv(tmp_path / "log.csv", COLUMNS | {"mode": mode})
-    chosen = MAPPING + "  where: {mode: auto}\ntimes: [[3.0, 8.0], [12.0, 14.0]]\n"
-    log = read_log(path, write_mapping(tmp_path / "map.yaml", chosen))
+    mapping = MAPPING + "  where: {mode: auto}\ntimes: [[3.0, 8.0], [12.0, 14.0]]\n"
+    log = read_log(path, write_mapping(tmp_path / "map.yaml", mapping))
     assert [(round(r.start, 2), round(r.end, 2)) for r in log.records] == [(4.0, 8.0), (12.0, 14.0)]
     with pytest.raises(ConfigError, match="no row satisfies 'where'"):
-        read_log(path, write_mapping(tmp_path / "map.yaml", chosen.replace("auto", "automatic")))
+        read_log(path, write_mapping(tmp_path / "map.yaml", mapping.replace("auto", "automatic")))
 
 
 def test_kilohertz_log_is_decimated_with_a_finding(tmp_path):
@@ -205,36 +205,36 @@ def test_kilohertz_log_is_decimated_with_a_finding(tmp_path):
 
 
 def test_long_log_is_reduced_to_its_most_driven_parts():
-    lively = np.zeros(1000)
-    lively[200:300] = lively[700:800] = np.tile([1.0, -1.0], 50)
-    assert list(most_driven([lively], 200, part=100)) == [*range(200, 300), *range(700, 800)]
+    speed = np.zeros(1000)
+    speed[200:300] = speed[700:800] = np.tile([1.0, -1.0], 50)
+    assert list(most_driven([speed], 200, part=100)) == [*range(200, 300), *range(700, 800)]
 
 
 def test_block_size_does_not_change_the_table(tmp_path, monkeypatch):
     path = write_csv(tmp_path / "log.csv", COLUMNS)
-    whole = read_table(path, list(COLUMNS))
+    table = read_table(path, list(COLUMNS))
     monkeypatch.setattr(csv_table, "_BLOCK", 1000)
     blocks = read_table(path, list(COLUMNS))
-    assert np.array_equal(whole.lines, blocks.lines)
-    assert all(np.array_equal(whole.values[name], blocks.values[name]) for name in COLUMNS)
+    assert np.array_equal(table.lines, blocks.lines)
+    assert all(np.array_equal(table.values[name], blocks.values[name]) for name in COLUMNS)
 
 
-@pytest.mark.parametrize("place", ["first", "middle", "last"])
-def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monkeypatch, place):
+@pytest.mark.parametrize("position", ["first", "middle", "last"])
+def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monkeypatch, position):
     """Most cells of a slow sensor are empty, in columns at any position."""
-    names = {"first": ["gyro", "v", "t"], "middle": ["t", "gyro", "v", "v_ref"], "last": ["t", "gyro", "v"]}[place]
-    silent = np.arange(len(COLUMNS["t"])) % 5 > 0
+    names = {"first": ["gyro", "v", "t"], "middle": ["t", "gyro", "v", "v_ref"], "last": ["t", "gyro", "v"]}[position]
+    is_empty = np.arange(len(COLUMNS["t"])) % 5 > 0
     path = tmp_path / "log.csv"
-    rows = [",".join("" if name in ("gyro", "v") and off else repr(float(COLUMNS[name][k])) for name in names)
-            for k, off in enumerate(silent)]  # fmt: skip
+    rows = [",".join("" if name in ("gyro", "v") and cell_is_empty else repr(float(COLUMNS[name][k])) for name in names)
+            for k, cell_is_empty in enumerate(is_empty)]  # fmt: skip
     path.write_text("\n".join([",".join(names), *rows]) + "\n")
-    quick = read_table(path, names)
+    block_table = read_table(path, names)
     monkeypatch.setattr(csv_table, "_parse_quickly", lambda *_: None)
-    careful = read_table(path, names)
-    assert np.array_equal(quick.empty["gyro"], silent)
+    cell_table = read_table(path, names)
+    assert np.array_equal(block_table.empty["gyro"], is_empty)
     for name in names:
-        assert np.array_equal(quick.values[name], careful.values[name], equal_nan=True)
-        assert np.array_equal(quick.numbers(name)[1], careful.numbers(name)[1])
+        assert np.array_equal(block_table.values[name], cell_table.values[name], equal_nan=True)
+        assert np.array_equal(block_table.numbers(name)[1], cell_table.numbers(name)[1])
 
 
 @pytest.mark.parametrize(
@@ -257,24 +257,24 @@ def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, message)
 SHORT = drive(seconds=4.0)
 
 
-def line_of(tmp_path, columns=SHORT, mapping=MAPPING, content=None):
+def error_message(tmp_path, columns=SHORT, mapping=MAPPING, content=None):
     path = tmp_path / "log.csv"
     path.write_bytes(content) if content is not None else write_csv(path, columns)
-    with one_line_error(ConfigError) as caught:
+    with one_line_error(ConfigError) as error:
         read_log(path, write_mapping(tmp_path / "map.yaml", mapping))
-    return str(caught.value)
+    return str(error.value)
 
 
 def test_error_for_a_cell_that_is_not_a_number_contains_its_line(tmp_path):
     columns = SHORT | {"gyro": [*SHORT["gyro"][:50], "broken", *SHORT["gyro"][51:]]}
-    assert "log.csv, line 52, column 'gyro': 'broken' is not a number" in line_of(tmp_path, columns)
+    assert "log.csv, line 52, column 'gyro': 'broken' is not a number" in error_message(tmp_path, columns)
 
 
 NO_ROWS = "no rows; a log has a header line and a row of numbers per sample"
 
 
 @pytest.mark.parametrize(
-    ("content", "line"),
+    ("content", "message"),
     [
         (b"", NO_ROWS),
         (b"t,v\n", NO_ROWS),
@@ -283,8 +283,8 @@ NO_ROWS = "no rows; a log has a header line and a row of numbers per sample"
         (bytes(range(256)), "cannot be read as CSV"),
     ],
 )
-def test_invalid_table_raises_error_in_one_line(tmp_path, content, line):
-    assert line in line_of(tmp_path, content=content)
+def test_invalid_table_raises_error_in_one_line(tmp_path, content, message):
+    assert message in error_message(tmp_path, content=content)
 
 
 def test_truncated_last_row_is_omitted(tmp_path):
@@ -306,11 +306,11 @@ def test_truncated_last_row_is_omitted(tmp_path):
     ],
 )
 def test_invalid_mapping_raises_error_in_one_line(tmp_path, old, new, line):
-    assert line in line_of(tmp_path, mapping=MAPPING.replace(old, new))
+    assert line in error_message(tmp_path, mapping=MAPPING.replace(old, new))
 
 
 def test_error_lists_all_missing_columns(tmp_path):
     names = {"t": "time", "gyro": "gyr", "theta": "thta"}
-    line = line_of(tmp_path, {names.get(name, name): value for name, value in SHORT.items()})
+    line = error_message(tmp_path, {names.get(name, name): value for name, value in SHORT.items()})
     assert "3 mistakes: (1) column 'gyro' is missing; did you mean 'gyr'?; (2) column 't' is missing; it has " in line
     assert line.endswith("; (3) column 'theta' is missing; did you mean 'thta'?")

@@ -1,4 +1,4 @@
-"""Logs of real robots: reading, and identification with the effects of their bases."""
+"""Logs of real robots: reader, and identification with base effects."""
 
 import os
 from dataclasses import replace
@@ -52,8 +52,8 @@ def test_encoders_and_poses_of_husky_have_half_the_rate():
 def test_encoders_and_gyro_of_husky_are_aligned_after_the_delay_in_the_mapping():
     """The correlation of the yaw rates is maximal for a shift of at most one sample."""
     (record, *_) = read_log(log_path("husky_tile"), "husky_tile").records
-    both = np.isfinite(record.twist[:, 1]) & np.isfinite(record.yaw_rate)
-    wheels, gyro = record.twist[both, 1], record.yaw_rate[both]
+    has_both = np.isfinite(record.twist[:, 1]) & np.isfinite(record.yaw_rate)
+    wheels, gyro = record.twist[has_both, 1], record.yaw_rate[has_both]
     shifts = range(-6, 7)
     middle = slice(10, -10)
     fits = [np.corrcoef(np.roll(wheels, shift)[middle], gyro[middle])[0, 1] for shift in shifts]
@@ -77,13 +77,13 @@ def test_inverted_gyro_on_gravel_is_detected():
 
 MIN_READINGS = identification_settings().min_readings
 CUTS = ("at the step", "60 rows before", "anywhere")
-# Each log, and each way to cut, once; DIFFDRIVE_MPC_ALL=1 takes every log in every way.
+# Each log and each cut once; DIFFDRIVE_MPC_ALL=1 runs all combinations.
 EACH_ONCE = tuple(zip(FOLDERS, CUTS, strict=True))
 CUT_CASES = tuple(product(FOLDERS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ else EACH_ONCE
 
 
 def stretches(records, cut, past):
-    """Cut the records in pieces and omit pieces that are too short. Without a `past`, no piece follows the previous."""
+    """Cut the records into pieces and omit short pieces; without `past`, the pieces are not consecutive."""
     pieces = []
     for record in records:
         count = len(record.command)
@@ -95,44 +95,44 @@ def stretches(records, cut, past):
         }[cut]
         edges = np.unique([0, *edges[(edges > 0) & (edges < count)], count]).tolist()
         pieces += [record.part(a, b) for a, b in pairwise(edges) if past or b - a > 30]
-    # As `identify` does.
+    # `identify` also omits these records.
     pieces = [p for p in pieces if min(p.fresh_twist.sum(), p.fresh_yaw_rate.sum()) >= MIN_READINGS]
     return pieces if past else [replace(piece, start=3600.0 * i) for i, piece in enumerate(pieces)]
 
 
 @cache
-def halves(log):
+def divide_log(log):
     """Return records to identify from and held-out records, divided as `identify` does."""
     records = read_log(log_path(log), log).records
-    if len(records) < 10:  # seven minutes in one piece says it as well as all of it
+    if len(records) < 10:  # seven minutes of one long record are sufficient
         records = (records[0].part(0, 8400),)
     return divide(records, 0.6)
 
 
 @cache
-def as_shipped(log):
-    train, held_out = halves(log)
+def shipped_fit(log):
+    train, held_out = divide_log(log)
     return validate(identify_sm(train, limits=False).system, held_out).fit_percent
 
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
-def test_a_cut_costs_less_than_three_points(log, cut):
-    train, held_out = halves(log)
+def test_cut_reduces_the_fit_by_less_than_three_points(log, cut):
+    train, held_out = divide_log(log)
     fits = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
-    assert (fits > as_shipped(log) - 3.0).all(), fits
+    assert (fits > shipped_fit(log) - 3.0).all(), fits
 
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize("log", FOLDERS)
-def test_a_plain_fit_is_no_better(log):
-    assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
+def test_baseline_fit_is_not_better(log):
+    assert (shipped_fit(log) > baseline_fit(*divide_log(log)) - 0.5).all()
 
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
-def test_cut_without_known_past_costs_little_fit(log, cut):
-    train, held_out = halves(log)
+def test_fit_of_pieces_without_history_is_close_to_the_baseline(log, cut):
+    train, held_out = divide_log(log)
     train = stretches(train, cut, past=False)
     fits = validate(identify_sm(train, limits=False).system, held_out).fit_percent
     assert (fits > baseline_fit(train, held_out) - 0.5).all(), fits
@@ -142,11 +142,11 @@ def test_cut_without_known_past_costs_little_fit(log, cut):
 @pytest.mark.real_logs
 @pytest.mark.parametrize("quarter", range(4))
 @pytest.mark.parametrize("log", FOLDERS)
-def test_no_structure_is_behind_the_better_baseline(log, quarter):
+def test_no_structure_has_a_lower_fit_than_the_better_baseline(log, quarter):
     """Each quarter of the log is held out in turn; SSM explains its training rows as well as SM."""
-    before, rest = divide([*chain(*halves(log))], quarter / 4)
-    held_out, after = divide(rest, 1 / (4 - quarter))
-    train = before + after
+    first_part, remaining = divide([*chain(*divide_log(log))], quarter / 4)
+    held_out, last_part = divide(remaining, 1 / (4 - quarter))
+    train = first_part + last_part
     conditions = IdentificationConditions(wheel_radius=wheel_geometry(train).radius)
     models = [STRUCTURES[name].identify(train, conditions).identified for name in ("sm", "mbm_modes", "ssm")]
     fits = np.array([validate(model.system, held_out).fit_percent for model in models])
@@ -165,24 +165,24 @@ def husky():
     record = read_log(log_path("husky_tile"), "husky_tile").records[0]
     parts = [record.part(0, 6000), record.part(6000, 8400)]
     train, held_out = (weight_readings(sensor_experiments([part])) for part in parts)
-    guess = {name: low_high_guess[2] for name, low_high_guess in effect_settings().parameters.items()}
-    linear = fit_effects({name: guess[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
+    initial = {name: values[2] for name, values in effect_settings().parameters.items()}
+    linear = fit_effects({name: initial[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
     effect_parameters = [
         name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]
     ]
-    start = {**linear.point, **{name: guess[name] for name in effect_parameters}}
+    start = {**linear.point, **{name: initial[name] for name in effect_parameters}}
     return linear, fit_effects(start, [*LINEAR, *effect_parameters], train), held_out
 
 
 @pytest.mark.real_logs
 def test_slew_of_husky_agrees_with_its_configuration(husky):
-    """max_acceleration 2.0 rad/s^2 of the base's controller (husky_control/config/control.yaml)."""
+    """The maximum acceleration is 2.0 rad/s^2 in husky_control/config/control.yaml."""
     assert husky[1].point["slew.omega"] == pytest.approx(2.0, abs=0.06)
 
 
 @pytest.mark.real_logs
 def test_track_of_husky_agrees_with_its_configuration(husky):
-    """wheel_separation 0.512 m, in the same file."""
+    """The wheel separation is 0.512 m in husky_control/config/control.yaml."""
     assert base_track(husky[1].point) == pytest.approx(0.512, abs=0.015)
 
 
@@ -204,8 +204,8 @@ if "DIFFDRIVE_MPC_ALL" in os.environ:
         data = read_data([log_path(log)], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
         removed = {} if track else {"wheels": None, "wheel_speeds": None}
         removed |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
-        halves = [tuple(replace(record, **removed) for record in half) for half in (data.train, data.validation)]
-        data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
+        divide_log = [tuple(replace(record, **removed) for record in part) for part in (data.train, data.validation)]
+        data = replace(data, train=divide_log[0], validation=divide_log[1], yaw="gyro" if gyro else "encoders")
         plain, with_effects = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
         fits = [fitted.validation.fit_percent for fitted in (plain, with_effects)]
         assert (fits[1] > fits[0] - 1.0).all(), fits
@@ -222,7 +222,7 @@ def baseline_fit(train, held_out, clip=False):
         baseline = fit_second_order(u, y, c, training[0].dt, clip)
         firsts = [s.outputs[np.argmax(s.counts), 0] for s in validation]
         runs = [response(baseline, s.inputs[:, 0], f, s.dt) for s, f in zip(validation, firsts, strict=True)]
-        keep = [s.counts[:, 0] for s in validation]
-        measured = [s.outputs[k, 0] for s, k in zip(validation, keep, strict=True)]
-        fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, keep, strict=True)]))
+        masks = [s.counts[:, 0] for s in validation]
+        measured = [s.outputs[k, 0] for s, k in zip(validation, masks, strict=True)]
+        fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, masks, strict=True)]))
     return np.array(fits)

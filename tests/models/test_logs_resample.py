@@ -39,11 +39,11 @@ grids = st.tuples(st.floats(0.005, 0.2), st.integers(2, 60))
 def test_held_value_is_the_mean_of_the_active_values_during_the_sample(signal, grid):
     dt, count = grid
     times = dt * np.arange(count)
-    held = hold(signal, times, dt, 0.0)
+    held_values = hold(signal, times, dt, 0.0)
     ends = np.append(signal.time[1:], np.inf)
-    for t, value in zip(times, held[:, 0], strict=True):
-        shares = np.clip(np.minimum(ends, t + dt) - np.maximum(signal.time, t), 0.0, None) / dt
-        assert value == pytest.approx(shares @ signal.value[:, 0], rel=1e-9, abs=1e-9 * np.abs(signal.value).max())
+    for t, value in zip(times, held_values[:, 0], strict=True):
+        weights = np.clip(np.minimum(ends, t + dt) - np.maximum(signal.time, t), 0.0, None) / dt
+        assert value == pytest.approx(weights @ signal.value[:, 0], rel=1e-9, abs=1e-9 * np.abs(signal.value).max())
 
 
 @given(signals(), grids, st.floats(0.01, 0.3))
@@ -52,13 +52,13 @@ def test_samples_are_between_neighbours_within_reach(signal, grid, reach):
     times = dt * np.arange(count)
     sampled, fresh = sample(signal, times, dt, 0.1 * dt, reach)
     for t, value in zip(times, sampled[:, 0], strict=True):
-        near = np.abs(signal.time - t) <= 0.1 * dt
+        is_near = np.abs(signal.time - t) <= 0.1 * dt
         before, after = np.flatnonzero(signal.time <= t), np.flatnonzero(signal.time >= t)
-        bridged = len(before) and len(after) and signal.time[after[0]] - signal.time[before[-1]] <= reach
-        assert np.isfinite(value) == bool(near.any() or bridged)
-        if near.any():
-            assert value in signal.value[near, 0]
-        elif bridged:
+        is_bridged = len(before) and len(after) and signal.time[after[0]] - signal.time[before[-1]] <= reach
+        assert np.isfinite(value) == bool(is_near.any() or is_bridged)
+        if is_near.any():
+            assert value in signal.value[is_near, 0]
+        elif is_bridged:
             ends = sorted((signal.value[before[-1], 0], signal.value[after[0], 0]))
             assert ends[0] - 1e-9 <= value <= ends[1] + 1e-9
     assert np.isfinite(sampled[fresh]).all()
@@ -75,27 +75,27 @@ def test_each_fresh_sample_is_near_a_reading(signal, grid, reach):
 
 
 @given(signals(min_count=2), st.floats(0.02, 0.3))
-def test_record_does_not_cross_a_gap(signal, longest):
+def test_record_does_not_cross_a_gap(signal, max_gap):
     """Every sample of a record is between two adjacent rows."""
     stretch = RawStretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
     dt = 0.01
-    for first, last in pieces(stretch, longest):
+    for first, last in pieces(stretch, max_gap):
         record = resample("log", stretch, first, last, dt, check_settings())
         assert first <= record.start and record.end <= last + 0.1 * dt + 1e-9
         inside = signal.time[(signal.time >= first) & (signal.time <= last)]
-        assert (np.diff(inside) <= longest).all()
-        known = signal.value[(signal.time >= first) & (signal.time <= last), 0]
+        assert (np.diff(inside) <= max_gap).all()
+        active = signal.value[(signal.time >= first) & (signal.time <= last), 0]
         # Commands are means of active values, except for rounding.
-        away = np.maximum(known.min() - record.command[:, 0], record.command[:, 0] - known.max())
-        assert away.max() <= 1e-9 * np.abs(known).max()
+        deviation = np.maximum(active.min() - record.command[:, 0], record.command[:, 0] - active.max())
+        assert deviation.max() <= 1e-9 * np.abs(active).max()
 
 
 @given(signals(min_count=2))
 def test_pieces_contain_each_row_once(signal):
     stretch = RawStretch(signal.time, signal, {})
     ends = list(pieces(stretch, 0.2))
-    counted = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
-    assert sum(counted) == len(signal.time)
+    counts = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
+    assert sum(counts) == len(signal.time)
     assert all(later[0] - earlier[1] > 0.2 for earlier, later in pairwise(ends))
 
 

@@ -1,4 +1,4 @@
-"""The engine simulates like control and a plain recursion, and its derivatives match its values."""
+"""Output-error engine: simulation compared with python-control and a recursion, and derivatives with differences."""
 
 import numpy as np
 import pytest
@@ -50,14 +50,14 @@ def test_states_are_exact_for_equal_poles():
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
 @given(dead_time=st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)))
 @settings(max_examples=20)
-def test_sampling_equals_that_of_control(name, dead_time):
+def test_sampling_equals_that_of_python_control(name, dead_time):
     model = load_model(name).with_extra_dead_time(dead_time)
-    ours, theirs = sample(system(model), DT), model.discretise(DT)
+    sampled, reference = sample(system(model), DT), model.discretise(DT)
     commands = set_points(0, 200, (0.5, 1.0))
-    recent, older = delay_inputs(commands, ours.delay)
-    states = StateResponse(ours.A)((ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
-    past = np.tile(commands[0], (theirs.memory, 1))
-    assert pytest.approx(theirs.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
+    recent, previous = delay_inputs(commands, sampled.delay)
+    states = StateResponse(sampled.A)((sampled.B0 @ recent + sampled.B1 @ previous)[:, None])[:, 0]
+    past = np.tile(commands[0], (reference.memory, 1))
+    assert pytest.approx(reference.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
 
 
 STRUCTURES = {
@@ -102,7 +102,7 @@ def test_gradient_equals_finite_differences(name, has_prior):
 
 
 def test_initial_state_has_no_residual():
-    """Two experiments that begin in motion are explained exactly by the model that generated them."""
+    """The model that generated two experiments explains them exactly, although they start in motion."""
     model = published_ssm((0.04, 0.02))
     layout = Layout(LocalStateSpace(model.A, model.B, model.C), 2, 2)
     commands = set_points(2, 400, (0.5, 1.0))
@@ -125,7 +125,7 @@ def test_unstable_model_has_infinite_cost():
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
 @settings(max_examples=20)
 def test_local_coordinates_omit_unobservable_directions(seed, n):
-    """There are n (m + p) of them; to first order they contain no change of state coordinates."""
+    """To first order, the n (m + p) coordinates contain no change of the state basis."""
     stream = np.random.default_rng(seed)
     A, B, C = stream.normal(size=(n, n)) - 3 * np.eye(n), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
     structure = LocalStateSpace(A, B, C)
@@ -143,8 +143,8 @@ def test_balancing_does_not_change_the_output(seed, n):
     A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
     balanced_system = balance(A, B, C)
     for s in (0.0, 1.0j, 5.0j):
-        plain, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), balanced_system))
-        assert np.abs(transformed - plain).max() < 1e-6 * (1 + np.abs(plain).max())
+        original, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), balanced_system))
+        assert np.abs(transformed - original).max() < 1e-6 * (1 + np.abs(original).max())
 
 
 def test_model_is_recovered_from_its_impulse_response():
@@ -167,7 +167,7 @@ def test_simulation_starts_at_the_first_reading():
     assert simulate_experiment(system(model), experiment) == pytest.approx(outputs, abs=1e-12)
 
 
-def test_spike_is_weighted_down_and_a_lasting_error_is_not():
+def test_weight_of_a_spike_is_reduced_and_that_of_a_lasting_error_is_not():
     residuals = 0.01 * np.random.default_rng(0).normal(size=(2000, 1))
     residuals[500] += 1.0
     residuals[1000:1040] += 0.3 * np.exp(-np.arange(40.0) / 10)[:, None]
@@ -178,8 +178,8 @@ def test_spike_is_weighted_down_and_a_lasting_error_is_not():
     assert np.mean(weights == 1.0) > 0.995
 
 
-def test_readings_of_a_resting_robot_are_no_spikes():
-    """Nine tenths are exactly zero; the rest occasionally changes by one count."""
+def test_readings_of_a_resting_robot_are_not_spikes():
+    """Nine tenths of the residuals are zero; the others occasionally change by one count."""
     residuals = np.zeros((1000, 1))
     residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
     (weights,) = spike_weights([residuals])
@@ -196,12 +196,12 @@ def test_channel_without_readings_has_weights_and_no_warning():
     assert scale[0] == pytest.approx(1.0, abs=0.2) and scale[1] == 1e-9
 
 
-def stated_error(seed, drift, count=4000):
+def normalised_error(seed, drift, count=4000):
     """Compute the error of a gain over its stated deviation; the true gain drifts slowly about 1 by `drift`."""
     stream = np.random.default_rng(seed)
     command = np.repeat(stream.uniform(-1, 1, count // 40), 40)
-    keep = np.exp(-10 / count)  # a tenth of the log
-    drift_signal = signal.lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], stream.normal(size=2 * count))[count:]
+    decay = np.exp(-10 / count)  # a tenth of the log
+    drift_signal = signal.lfilter([np.sqrt(1 - decay**2)], [1.0, -decay], stream.normal(size=2 * count))[count:]
     output = command * (1.0 + drift * drift_signal) + 0.1 * stream.normal(size=count)
     gain = command @ output / (command @ command)
     error = output - gain * command
@@ -211,6 +211,6 @@ def stated_error(seed, drift, count=4000):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])
-def test_intervals_hold_for_a_constant_and_for_a_drifting_gain(drift):
-    inside = np.mean([abs(stated_error(seed, drift)) < 1.96 for seed in range(300)])
-    assert 0.92 < inside < 0.98
+def test_intervals_have_the_stated_coverage_for_constant_and_drifting_gain(drift):
+    coverage = np.mean([abs(normalised_error(seed, drift)) < 1.96 for seed in range(300)])
+    assert 0.92 < coverage < 0.98

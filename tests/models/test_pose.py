@@ -47,8 +47,8 @@ def arc_function():
     """Build the CasADi function of one arc."""
     pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
     side_slip = ca.SX.sym("side_slip")
-    after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
-    return ca.Function("arc", [pose, v, omega, dt, side_slip], [after])
+    end_pose = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
+    return ca.Function("arc", [pose, v, omega, dt, side_slip], [end_pose])
 
 
 @given(poses, speeds, rates, times, slips)
@@ -60,8 +60,8 @@ def test_casadi_arc_equals_numpy(pose, v, omega, dt, slip):
 
 @given(poses, speeds, rates, times, slips)
 def test_gradients_agree_with_finite_differences(pose, v, omega, dt, slip):
-    after, by_pose, by_twist = linearised_arc(pose, v, omega, dt, slip)
-    assert after == pytest.approx(integrate_pose(pose, v, omega, dt, slip), abs=1e-13)
+    end_pose, by_pose, by_twist = linearised_arc(pose, v, omega, dt, slip)
+    assert end_pose == pytest.approx(integrate_pose(pose, v, omega, dt, slip), abs=1e-13)
     assert by_pose == pytest.approx(differences(lambda p: integrate_pose(p, v, omega, dt, slip), pose), abs=1e-7)
     twist = np.array([v, omega, slip])
     expected = differences(lambda q: integrate_pose(pose, q[0], q[1], dt, q[2]), twist)
@@ -72,17 +72,17 @@ def test_gradients_agree_with_finite_differences(pose, v, omega, dt, slip):
 def test_casadi_derivatives_agree(pose, v, omega, dt, slip):
     arc = arc_function()
     p, twist = ca.SX.sym("p", 3), ca.SX.sym("twist", 3)
-    after = arc(p, twist[0], twist[1], dt, twist[2])
-    jacobian = ca.Function("j", [p, twist], [ca.jacobian(after, ca.vertcat(p, twist))])
+    end_pose = arc(p, twist[0], twist[1], dt, twist[2])
+    jacobian = ca.Function("j", [p, twist], [ca.jacobian(end_pose, ca.vertcat(p, twist))])
     computed = np.array(jacobian(pose, [v, omega, slip]))
     assert np.isfinite(computed).all()
     assert computed == pytest.approx(np.hstack(linearised_arc(pose, v, omega, dt, slip)[1:]), abs=1e-9)
 
 
 @given(poses, speeds, rates, times, st.floats(0.05, 0.95), slips)
-def test_arc_in_two_parts_equals_the_whole_arc(pose, v, omega, dt, share, slip):
-    half_way = integrate_pose(pose, v, omega, share * dt, slip)
-    assert integrate_pose(half_way, v, omega, (1 - share) * dt, slip) == pytest.approx(
+def test_arc_in_two_parts_equals_the_whole_arc(pose, v, omega, dt, fraction, slip):
+    half_way = integrate_pose(pose, v, omega, fraction * dt, slip)
+    assert integrate_pose(half_way, v, omega, (1 - fraction) * dt, slip) == pytest.approx(
         integrate_pose(pose, v, omega, dt, slip), abs=1e-12
     )
 
@@ -104,7 +104,7 @@ RADIUS, TRACK = 0.07, 0.4
 
 
 def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed=0):
-    """Simulate wheels, gyro and poses of a robot that obeys `law` for 80 s; poses are `lag` samples late."""
+    """Simulate wheels, gyro and poses of a robot that obeys `law` for 80 s; poses are delayed by `lag` samples."""
     count = 4000
     wheels = 6.0 * set_points(seed, count, (1.0, 1.0), hold=70)
     twist = law.twist(np.asarray(coefficients), 0.5 * (wheels[1:] + wheels[:-1]))
@@ -141,7 +141,7 @@ def test_each_law_is_recovered(law, truth):
     assert np.all(noisy.standard_deviation > 0)
 
 
-def test_polynomial_absorbs_the_lever_arm():
+def test_polynomial_includes_the_lever_arm():
     """A point ahead of the centre moves sideways with the yaw rate, a point to its left moves back."""
     law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
     result = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
@@ -165,18 +165,18 @@ def test_yaw_rate_of_a_virtual_track_grows_with_the_difference_of_the_wheels(p1,
 
 
 def test_gyro_scale_is_estimated_with_late_poses():
-    late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
-    result = calibrate_gyro([late], pose_lag=5 * DT)
+    record = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
+    result = calibrate_gyro([record], pose_lag=5 * DT)
     assert abs(result.parameters.value("gyro_scale") - 1.03) < 4 * result.parameters.deviation("gyro_scale")
     assert abs(result.parameters.value("gyro_offset") - 0.02) < 4 * result.parameters.deviation("gyro_offset")
-    assert result.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
+    assert result.rmse[0] < 0.5 * calibrate_gyro([record]).rmse[0]
 
 
 def test_lags_and_scale_of_the_wheels_are_estimated_from_poses():
-    """Wheels read 4 % too much, three samples late; poses are one sample late, so that the gyro leads them."""
-    plain = drive(*LAWS[0], noise=(0.005, 0.005), lag=1)
-    read = 1.04 * LAWS[0][0].twist(np.array(LAWS[0][1]), np.roll(plain.wheels, 3, axis=0))[:, [0, 2]]
-    estimate = calibrate_lags([replace(plain, twist=read)])
+    """Wheel readings are 4 % too high and three samples late; poses are one sample late, so the gyro precedes them."""
+    record = drive(*LAWS[0], noise=(0.005, 0.005), lag=1)
+    measured_twist = 1.04 * LAWS[0][0].twist(np.array(LAWS[0][1]), np.roll(record.wheels, 3, axis=0))[:, [0, 2]]
+    estimate = calibrate_lags([replace(record, twist=measured_twist)])
     assert np.all(np.abs(estimate.values - [2 * DT, 1.04, -DT]) < 4 * estimate.standard_deviation)
     assert np.all(estimate.standard_deviation < [0.3 * DT, 0.006, 0.3 * DT])
 
@@ -190,14 +190,14 @@ def test_rotation_centre_is_at_the_lever_arm_behind_the_pose_point(x, theta, ahe
 
 
 def test_missing_signals_and_short_logs_are_refused():
-    whole = drive(*LAWS[0])
+    record = drive(*LAWS[0])
     with pytest.raises(ValueError, match="windows with a pose"):
-        calibrate_wheels([whole.part(0, 200)], LAWS[0][0])
-    mute = Record("mute", 0.0, DT, whole.command, pose=whole.pose)
+        calibrate_wheels([record.part(0, 200)], LAWS[0][0])
+    poses_only = Record("mute", 0.0, DT, record.command, pose=record.pose)
     with pytest.raises(ValueError, match="requires pose and wheels"):
-        calibrate_wheels([mute], LAWS[0][0])
+        calibrate_wheels([poses_only], LAWS[0][0])
     with pytest.raises(ValueError, match="requires pose and yaw_rate"):
-        calibrate_gyro([mute])
+        calibrate_gyro([poses_only])
 
 
 SAMPLES = 3000
@@ -220,9 +220,9 @@ def slipping_record(side_slip, load_shift, noise, seed=0):
 @settings(deadline=None, max_examples=20)
 @given(side_slip=st.floats(-0.05, 0.15), load_shift=st.floats(-0.05, 0.1))
 def test_lateral_slip_is_identified(side_slip, load_shift):
-    loaded = lateral_slip([slipping_record(side_slip, load_shift, 0.0)])
+    estimate = lateral_slip([slipping_record(side_slip, load_shift, 0.0)])
     # Windows of a second contain turns of up to 1.5 rad, in which the lateral direction is not constant.
-    assert loaded.values == pytest.approx([side_slip, load_shift], abs=3e-3)
+    assert estimate.values == pytest.approx([side_slip, load_shift], abs=3e-3)
 
 
 def test_deviation_of_lateral_slip_covers_its_error():
@@ -230,27 +230,27 @@ def test_deviation_of_lateral_slip_covers_its_error():
     for seed in range(20):
         result = lateral_slip([slipping_record(0.08, 0.03, 0.005, seed)])
         errors.append((result.values - [0.08, 0.03]) / result.standard_deviation)
-    size = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert (size > 0.5).all(), size
-    assert (size < 2.0).all(), size
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (ratio > 0.5).all(), ratio
+    assert (ratio < 2.0).all(), ratio
 
 
-@pytest.mark.parametrize(("gyro", "left_out"), [(True, 1), (False, 1), (True, 10)])
-def test_slip_prior_contains_the_true_slip_with_and_without_gyro_and_with_few_poses(gyro, left_out):
-    whole = slipping_record(0.15, 0.02, 0.005)
-    yaw_rate, fresh = whole.yaw_rate if gyro else None, np.arange(SAMPLES) % left_out == 0
-    twist = whole.twist * [1.0, 1.2]  # wheels of a skid-steer robot turn faster than its body
-    record = Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=yaw_rate, pose=whole.pose, fresh_pose=fresh)
+@pytest.mark.parametrize(("gyro", "stride"), [(True, 1), (False, 1), (True, 10)])
+def test_slip_prior_contains_the_true_slip_with_and_without_gyro_and_with_few_poses(gyro, stride):
+    drive_record = slipping_record(0.15, 0.02, 0.005)
+    yaw_rate, fresh = drive_record.yaw_rate if gyro else None, np.arange(SAMPLES) % stride == 0
+    twist = drive_record.twist * [1.0, 1.2]  # wheels of a skid-steer robot turn faster than its body
+    record = Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=yaw_rate, pose=drive_record.pose, fresh_pose=fresh)
     prior = slip_prior([record])
     assert prior.is_regressed
     assert (np.abs(prior.estimate.values - [0.15, 0.02]) < 2 * prior.estimate.standard_deviation).all()
 
 
 def test_slip_prior_is_wide_without_poses_with_noisy_poses_and_without_turns():
-    whole, none = slipping_record(0.1, 0.0, 0.0), np.zeros((SAMPLES, 3))
-    mute = Record("mute", 0.0, DT, whole.twist, twist=whole.twist, yaw_rate=whole.yaw_rate)
-    still = replace(whole, twist=none[:, :2], yaw_rate=none[:, 0], pose=none)
-    assert lateral_slip([]) is lateral_slip([mute]) is lateral_slip([still]) is None
-    assert slip_prior([mute]).estimate.values.tolist() == [0.06, 0.05]
-    noisy = replace(whole, pose=whole.pose + np.random.default_rng(1).normal(size=none.shape))
-    assert not any(slip_prior([record]).is_regressed for record in (mute, still, noisy))
+    drive_record, zeros = slipping_record(0.1, 0.0, 0.0), np.zeros((SAMPLES, 3))
+    without_pose = Record("mute", 0.0, DT, drive_record.twist, twist=drive_record.twist, yaw_rate=drive_record.yaw_rate)
+    standing = replace(drive_record, twist=zeros[:, :2], yaw_rate=zeros[:, 0], pose=zeros)
+    assert lateral_slip([]) is lateral_slip([without_pose]) is lateral_slip([standing]) is None
+    assert slip_prior([without_pose]).estimate.values.tolist() == [0.06, 0.05]
+    noisy = replace(drive_record, pose=drive_record.pose + np.random.default_rng(1).normal(size=zeros.shape))
+    assert not any(slip_prior([record]).is_regressed for record in (without_pose, standing, noisy))

@@ -38,32 +38,32 @@ def test_twist_of_an_arc_is_exact(v, omega, every):
     )
 
 
-@pytest.mark.parametrize("every", [1, 3])
-def test_mean_twist_has_no_delay(every):
-    dt, count, per = 0.05, 1200, 25
-    time = FINE * np.arange(count * per)
-    pose = drive(np.column_stack([np.sin(time), 0.5 * np.cos(time)]))[::per]
-    fresh = np.arange(count) % every == 0
+@pytest.mark.parametrize("stride", [1, 3])
+def test_mean_twist_has_no_delay(stride):
+    dt, count, substeps = 0.05, 1200, 25
+    time = FINE * np.arange(count * substeps)
+    pose = drive(np.column_stack([np.sin(time), 0.5 * np.cos(time)]))[::substeps]
+    fresh = np.arange(count) % stride == 0
     (record,) = with_twist_of_poses([Record("sine", 0.0, dt, np.zeros((count, 2)), pose=pose, fresh_pose=fresh)])
-    when = record.time[record.fresh_twist]
-    off = record.twist[record.fresh_twist] - np.column_stack([np.sin(when), 0.5 * np.cos(when)])
-    slope = np.column_stack([np.cos(when), -0.5 * np.sin(when)])
-    delay = -np.sum(off * slope, axis=0) / np.sum(slope**2, axis=0)
+    times = record.time[record.fresh_twist]
+    error = record.twist[record.fresh_twist] - np.column_stack([np.sin(times), 0.5 * np.cos(times)])
+    slope = np.column_stack([np.cos(times), -0.5 * np.sin(times)])
+    delay = -np.sum(error * slope, axis=0) / np.sum(slope**2, axis=0)
     assert delay == pytest.approx(np.zeros(2), abs=0.002)
 
 
 def write_log(folder, with_gyro=False, heading=True, y_sign=1):
-    """Write 90 s of a robot with gains 0.9 and 0.8, 0.25 s and 0.3 s late; return the log and its mapping."""
+    """Write 90 s of a robot with gains 0.9 and 0.8, delayed by 0.25 s and 0.3 s; return the log and its mapping."""
     stream, dt, count = np.random.default_rng(5), 0.05, 1800
     command = np.repeat(stream.uniform([-0.5, -0.8], [0.5, 0.8], (count // 30, 2)), 30, axis=0)
-    per = round(dt / FINE)
-    twist = np.empty((count * per, 2))
+    ratio = round(dt / FINE)
+    twist = np.empty((count * ratio, 2))
     for column, (gain, dead, lag) in enumerate([(0.9, 0.1, 0.15), (0.8, 0.1, 0.2)]):
-        late = np.concatenate([np.zeros(round(dead / FINE)), np.repeat(command[:, column], per)])[: count * per]
-        keep = np.exp(-FINE / lag)
-        twist[:, column] = gain * signal.lfilter([1 - keep], [1.0, -keep], late)
-    pose = drive(twist)[::per] + stream.normal(size=(count, 3)) * [0.003, 0.003, 0.004]
-    gyro = twist[::per, 1] + 0.005 * stream.normal(size=count)
+        delayed = np.concatenate([np.zeros(round(dead / FINE)), np.repeat(command[:, column], ratio)])[: count * ratio]
+        decay = np.exp(-FINE / lag)
+        twist[:, column] = gain * signal.lfilter([1 - decay], [1.0, -decay], delayed)
+    pose = drive(twist)[::ratio] + stream.normal(size=(count, 3)) * [0.003, 0.003, 0.004]
+    gyro = twist[::ratio, 1] + 0.005 * stream.normal(size=count)
     table = np.column_stack([dt * np.arange(count), command, pose, *([gyro] if with_gyro else [])])
     np.savetxt(folder / "log.csv", table, "%.6f", ",", header="t,v,w,x,y,th" + ",g" * with_gyro, comments="")
     lines = ["source: drawn", "columns:", "  time: {column: t, unit: s}"]
@@ -76,14 +76,14 @@ def write_log(folder, with_gyro=False, heading=True, y_sign=1):
 
 
 @pytest.mark.parametrize(
-    ("with_gyro", "heading", "gain_error", "late"),
+    ("with_gyro", "heading", "gain_error", "delay_error"),
     [
         pytest.param(False, True, 0.02, 0.01, marks=pytest.mark.system),
         pytest.param(True, True, 0.02, 0.01, marks=pytest.mark.system),
         (False, False, 0.04, 0.02),
     ],
 )
-def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading, gain_error, late):
+def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading, gain_error, delay_error):
     log, mapping = write_log(tmp_path, with_gyro, heading)
     result = identify(log, mapping=mapping, structure="sm")
     assert not result.refusal
@@ -91,18 +91,18 @@ def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading,
         file = getattr(result.content.channels, channel)
         assert file.gain == pytest.approx(gain, rel=gain_error)
         identified_delay = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
-        assert identified_delay == pytest.approx(delay, abs=late)
+        assert identified_delay == pytest.approx(delay, abs=delay_error)
     assert "yaw rate of the wheels" not in result.report.markdown()
-    lacking = "a controller needs a gyro or encoders"
+    message = "a controller needs a gyro or encoders"
     for text in (result.configuration.text(), result.report.markdown()):
-        assert (lacking in text) == (not heading and not with_gyro)
+        assert (message in text) == (not heading and not with_gyro)
 
 
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_heading_from_positions_is_true_heading(tmp_path, with_gyro):
-    (true,), (computed,) = (read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False))
-    off = np.angle(np.exp(1j * (computed.pose[:, 2] - true.pose[:, 2])))
-    assert np.sqrt(np.mean(off**2)) < 0.05
+    (expected,), (computed,) = (read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False))
+    error = np.angle(np.exp(1j * (computed.pose[:, 2] - expected.pose[:, 2])))
+    assert np.sqrt(np.mean(error**2)) < 0.05
 
 
 @pytest.mark.parametrize("with_gyro", [False, True])

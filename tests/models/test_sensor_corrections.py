@@ -1,4 +1,4 @@
-"""Sensors wired differently than the log states: detected, corrected, and stated in the configuration of the robot."""
+"""Sensors wired differently than stated are detected, corrected, and written to the configuration of the robot."""
 
 import numpy as np
 import pytest
@@ -34,13 +34,13 @@ def drive(*, gyro=1.0, wheels=1.0, late=0, max_rate=np.inf, seed=0):
     for k, (v, omega) in enumerate(0.5 * (body[1:] + body[:-1])):
         pose[k + 1] = integrate_pose(pose[k], v, omega, DT)
     pose = np.roll(pose, late, axis=0)[late:] + rng.normal(0.0, [0.005, 0.005, 0.005], (len(pose) - late, 3))
-    read = np.clip(gyro * body[:, 1] + rng.normal(0.0, 0.005, len(body)), -max_rate, max_rate)
+    yaw_rate = np.clip(gyro * body[:, 1] + rng.normal(0.0, 0.005, len(body)), -max_rate, max_rate)
     twist = wheels * body * [1.0, 1.2] + rng.normal(0.0, 0.01, body.shape)
-    return Record("drive", 0.0, DT, command[late:], twist=twist[late:], yaw_rate=read[late:], pose=pose)
+    return Record("drive", 0.0, DT, command[late:], twist=twist[late:], yaw_rate=yaw_rate[late:], pose=pose)
 
 
 @pytest.mark.parametrize(
-    ("wired", "expected"),
+    ("changes", "expected"),
     [
         ({}, {}),
         ({"gyro": 0.77}, {"yaw_rate": {"scale": 0.77}}),
@@ -50,15 +50,15 @@ def drive(*, gyro=1.0, wheels=1.0, late=0, max_rate=np.inf, seed=0):
         ({"late": 10}, {"pose": {"delay": 10 * DT}}),
     ],
 )
-def test_wiring_differences_are_detected_and_corrected(wired, expected):
-    record = drive(**wired)
+def test_wiring_differences_are_detected_and_corrected(changes, expected):
+    record = drive(**changes)
     corrections = find_corrections("drive", [record], None)
     assert corrections.settings.keys() == expected.keys()
     for name, values in expected.items():
         assert corrections.settings[name] == pytest.approx(values, rel=0.02, abs=0.004)
     assert len(corrections.findings) == sum(map(len, expected.values()))
-    again = find_corrections("drive", corrections.correct([record]), None)
-    assert again.settings == {}
+    repeated = find_corrections("drive", corrections.correct([record]), None)
+    assert repeated.settings == {}
 
 
 def test_saturated_gyro_has_no_scale():
@@ -115,8 +115,8 @@ def test_record_of_a_drive_with_an_inverted_gyro_gives_a_configuration_that_corr
     controller = Controller(load_config("sm", {"sensors.yaw_rate.sign": -1}))
     plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")
     write_log(simulate(controller, plant, load_trajectory("figure8")), tmp_path / "drive.mcap")
-    with pytest.raises(AdvisedError, match="has the opposite sign of the command") as refused:
+    with pytest.raises(AdvisedError, match="has the opposite sign of the command") as error:
         identify(tmp_path / "drive.mcap")
-    refused.value.advice.write(tmp_path)
+    error.value.advice.write(tmp_path)
     identify(tmp_path / "drive.mcap", tmp_path / "fixed.yaml").write(tmp_path)
     assert load_config(tmp_path / "config.yaml").sensors.yaw_rate.sign == -1

@@ -1,4 +1,4 @@
-"""Robots stated by their makers, by name: a start for a configuration, never treated as identified."""
+"""Robots with values stated by the manufacturer: a start for a configuration, never treated as identified."""
 
 import pytest
 import yaml
@@ -14,11 +14,11 @@ CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd
 
 @pytest.fixture(scope="module")
 def husky_bag(tmp_path_factory):
-    """A bag with the topics of a Husky in its namespace, and another source of commands."""
+    """Bag with the topics of a Husky in its namespace, and another source of commands."""
     topics = bag_topics(drive(60.0), command="geometry_msgs/msg/TwistStamped")
-    named = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
-    named["/a200_0001/joy_teleop/cmd_vel"] = named["/a200_0001/cmd_vel"]
-    return write_bag(tmp_path_factory.mktemp("bag") / "drive", named)
+    husky = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
+    husky["/a200_0001/joy_teleop/cmd_vel"] = husky["/a200_0001/cmd_vel"]
+    return write_bag(tmp_path_factory.mktemp("bag") / "drive", husky)
 
 
 @pytest.fixture(scope="module")
@@ -32,15 +32,15 @@ def test_every_value_is_stated_with_a_source_and_its_revision(name):
     assert robot.provenance == "stated"
     assert all("commit" in source or "read 20" in source for source in robot.sources.values())
     assert "identified" not in yaml.safe_dump(STATED_ROBOTS.read(name)[0])
-    words = "\n".join(robot.lines())
-    assert "dead time" in words
-    assert all(source in words for source in robot.sources.values())
+    text = "\n".join(robot.lines())
+    assert "dead time" in text
+    assert all(source in text for source in robot.sources.values())
 
 
 @pytest.mark.parametrize("name", stated_robots())
 def test_stated_values_form_a_configuration(name):
     robot = load_stated_robot(name)
-    values = robot.bounds(1.1) | {key: stated.value for key, stated in robot.configuration().items()}
+    values = robot.bounds(1.1) | {key: entry.value for key, entry in robot.configuration().items()}
     config = load_config("kinematic", values)
     assert config.limits.v == robot.v.stated
     assert config.wheels.track == pytest.approx(
@@ -49,10 +49,10 @@ def test_stated_values_form_a_configuration(name):
     assert config.limits.predicted_v > config.limits.v
 
 
-def test_turtlebot_keeps_its_safety_limit():
-    """Its firmware permits higher speeds only without its safety features."""
-    words = "\n".join(load_stated_robot("turtlebot4").lines())
-    assert "v 0.306 m/s (stated: safety)" in words
+def test_turtlebot_has_its_safety_limit():
+    """The firmware permits higher speeds only if the safety features are disabled."""
+    text = "\n".join(load_stated_robot("turtlebot4").lines())
+    assert "v 0.306 m/s (stated: safety)" in text
 
 
 def test_topics_are_in_the_namespace_of_the_odometry(husky_bag):
@@ -62,15 +62,15 @@ def test_topics_are_in_the_namespace_of_the_odometry(husky_bag):
     assert log.topics["imu"][0] == "/a200_0001/platform/sensors/imu_0/data"
 
 
-def test_two_robots_in_one_bag_are_named(tmp_path, husky_bag):
+def test_two_robots_in_one_bag_raise_config_error_with_their_namespaces(tmp_path, husky_bag):
     topics = bag_topics(drive(8.0))
-    both = {f"/{name}/platform/odom": topics["/odom"] for name in ("a", "b")}
-    bag = write_bag(tmp_path / "both", both | {"/a/cmd_vel": topics["/cmd_vel"]})
+    odometry = {f"/{name}/platform/odom": topics["/odom"] for name in ("a", "b")}
+    bag = write_bag(tmp_path / "both", odometry | {"/a/cmd_vel": topics["/cmd_vel"]})
     with pytest.raises(ConfigError, match="several namespaces have it: /a, /b"):
         read_log(bag, load_stated_robot("husky").mapping())
 
 
-def test_limits_of_the_log_are_kept_within_those_of_the_maker(identification):
+def test_limits_of_the_log_do_not_exceed_those_of_the_manufacturer(identification):
     limits = {setting.name: setting for setting in identification.configuration.limits}
     # The log has up to 1.5 rad/s, the manufacturer permits 1.
     assert limits["omega"].value == 1.0

@@ -54,8 +54,8 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
         decay, drive = np.linalg.lstsq(inputs, change, rcond=None)[0]
         values += [-drive / decay, -records[0].dt / np.log(1 + decay)]
     names = ("v.gain", "v.time", "omega.gain", "omega.time")
-    numbers = dict(zip(names, values, strict=True))
-    content = {name: {key: rounded(numbers[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")}
+    by_name = dict(zip(names, values, strict=True))
+    content = {name: {key: rounded(by_name[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")}
     parameters = ParameterEstimate(names, np.array(values), 1e-6 * np.eye(4))
     model = IdentifiedModel(LagsFile, content, parameters, np.zeros(2), conditions.yaw, "regression", (), ())
     return StructureFit(model)
@@ -63,7 +63,7 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
 
 @pytest.fixture
 def lags(monkeypatch):
-    """Registers the structure of one lag per channel."""
+    """Register the structure of one lag per channel."""
     monkeypatch.setitem(registry.STRUCTURES, "lags", Structure("lags", LagsFile, identify_lags))
 
 
@@ -125,15 +125,15 @@ def test_kinematic_model_is_sm_without_lag():
 
 # Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
 # minus signs, and with the two cross terms exchanged.
-PRINTED = {(0, 0): (7.428, 98.86), (1, 1): (14.26, 105.9), (0, 1): (0.1981, 0.01966), (1, 0): (1.013, 0.9052)}
-PRINTED_DENOMINATOR = (1.0, 20.69, 98.62)
-PRINTED_DIGITS = 4
+PUBLISHED = {(0, 0): (7.428, 98.86), (1, 1): (14.26, 105.9), (0, 1): (0.1981, 0.01966), (1, 0): (1.013, 0.9052)}
+PUBLISHED_DENOMINATOR = (1.0, 20.69, 98.62)
+PUBLISHED_DIGITS = 4
 
 
 def coefficients(A, B, C):
     """Return the numerators by (output, input), and the denominator."""
     numerators = {}
-    for output, channel in PRINTED:
+    for output, channel in PUBLISHED:
         tf = control.ss2tf(control.ss(A, B[:, [channel]], C[[output]], 0))
         num = np.atleast_1d(tf.num[0][0])
         numerators[output, channel] = np.pad(num, (3 - len(num), 0))[-2:]
@@ -144,7 +144,7 @@ def coefficients(A, B, C):
 def half_digit(values):
     """Return half a unit of the last printed significant digit."""
     values = np.abs(np.asarray(values, dtype=float))
-    return 0.5 * 10.0 ** (np.floor(np.log10(values)) - PRINTED_DIGITS + 1)
+    return 0.5 * 10.0 ** (np.floor(np.log10(values)) - PUBLISHED_DIGITS + 1)
 
 
 def rounding_bounds(model):
@@ -166,26 +166,26 @@ def rounding_bounds(model):
 
 def test_transfer_functions_agree_to_the_rounding_of_the_matrices():
     nominal, denominator, bounds, den_bound = rounding_bounds(load_model("ssm"))
-    for key, printed in PRINTED.items():
-        allowed = bounds[key] + half_digit(printed)
-        assert (np.abs(np.abs(nominal[key]) - printed) <= allowed).all(), (key, nominal[key], printed, allowed)
-    assert (np.abs(denominator - PRINTED_DENOMINATOR)[1:] <= (den_bound + [0, 0.005, 0.005])[1:]).all()
+    for key, published in PUBLISHED.items():
+        tolerance = bounds[key] + half_digit(published)
+        assert (np.abs(np.abs(nominal[key]) - published) <= tolerance).all(), (key, nominal[key], published, tolerance)
+    assert (np.abs(denominator - PUBLISHED_DENOMINATOR)[1:] <= (den_bound + [0, 0.005, 0.005])[1:]).all()
 
 
-def test_rounding_bounds_reveal_a_lost_sign():
+def test_rounding_bounds_detect_a_sign_error():
     model = load_model("ssm")
     A = model.A.copy()
     A[1, 0] = -A[1, 0]
     nominal, _ = coefficients(A, model.B, model.C)
     _, _, bounds, _ = rounding_bounds(model)
     misfit = max(
-        float((np.abs(np.abs(nominal[key]) - printed) / (bounds[key] + half_digit(printed))).max())
-        for key, printed in PRINTED.items()
+        float((np.abs(np.abs(nominal[key]) - published) / (bounds[key] + half_digit(published))).max())
+        for key, published in PUBLISHED.items()
     )
     assert misfit > 10
 
 
-def test_poles_gains_and_lags_equal_the_published_ones():
+def test_poles_gains_and_lags_equal_the_published_values():
     model = load_model("ssm")
     assert np.sort(model.poles) == pytest.approx([-13.25, -7.44], abs=0.01)
     assert model.dc_gain == pytest.approx(np.array([[1.0026, -0.0002], [0.0092, 1.073]]), abs=5e-4)
@@ -235,24 +235,24 @@ def test_discretisation_is_the_zero_order_hold_of_control(name, dead_time):
     def zero_order_hold(time):
         return control.sample_system(control.ss(model.A, model.B, model.C, 0 * model.C @ model.B), time, "zoh")
 
-    whole, rest = zero_order_hold(dt), np.array(dead_time) - discrete.delay * dt
-    expected = np.column_stack([zero_order_hold(dt - rest[j]).B[:, j] for j in (0, 1)])
-    assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
+    full_step, fraction = zero_order_hold(dt), np.array(dead_time) - discrete.delay * dt
+    expected = np.column_stack([zero_order_hold(dt - fraction[j]).B[:, j] for j in (0, 1)])
+    assert pytest.approx(full_step.A, rel=1e-13, abs=1e-15) == discrete.A
     assert pytest.approx(expected, rel=1e-13, abs=1e-15) == discrete.B0
-    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
+    assert pytest.approx(full_step.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
     assert not discrete.D.any()
     assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
 
 
 def test_side_by_side_channels_equal_those_appended_by_control():
     parts = [TwoPoles(gain=0.9, natural_frequency=7.0, damping=1.2), TwoPoles(gain=1.1, natural_frequency=9, damping=2)]
-    whole = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
-    for ours, theirs in zip(side_by_side(parts), (whole.A, whole.B, whole.C), strict=True):
-        assert np.array_equal(ours, theirs)
+    expected = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
+    for matrix, expected_matrix in zip(side_by_side(parts), (expected.A, expected.B, expected.C), strict=True):
+        assert np.array_equal(matrix, expected_matrix)
 
 
 @given(dead_times)
-def test_settled_robot_stays_settled(dead_time):
+def test_response_of_a_settled_robot_is_constant(dead_time):
     discrete = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
     command = np.array([0.6, -0.4])
     past = np.tile(command, (discrete.memory, 1))

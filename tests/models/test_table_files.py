@@ -1,4 +1,4 @@
-"""Tables of spreadsheets, loggers and data frames: read, or refused in one correct sentence."""
+"""Tables of spreadsheets, loggers and data frames are read, or refused with the reason in one line."""
 
 import csv
 import io
@@ -17,8 +17,8 @@ COLUMNS = drive(seconds=4.0)
 NAMES = list(COLUMNS)
 
 
-def rows(number=repr):
-    return [[number(float(cell)) for cell in row] for row in zip(*COLUMNS.values(), strict=True)]
+def rows(format_number=repr):
+    return [[format_number(float(cell)) for cell in row] for row in zip(*COLUMNS.values(), strict=True)]
 
 
 def with_comma(number):
@@ -31,16 +31,16 @@ def text_of(header, cells, **options):
     return file.getvalue()
 
 
-def line_of(path, mapping):
-    with one_line_error(ConfigError) as caught:
+def error_message(path, mapping):
+    with one_line_error(ConfigError) as error:
         read_log(path, mapping)
-    return str(caught.value)
+    return str(error.value)
 
 
 COMMAS = text_of(NAMES, rows(with_comma), delimiter=";")
 DATES = text_of([*NAMES, "date"], [[*row, "26.11.2026"] for row in rows(with_comma)], delimiter=";")
 EMPTY = [[*row, "", ""] for row in rows()]
-WRITTEN = {
+FORMATS = {
     "decimal comma, semicolons": COMMAS,
     "decimal comma beside dates with points": DATES,
     "Excel": "sep=;\r\n" + COMMAS,
@@ -51,7 +51,7 @@ WRITTEN = {
 }
 
 
-@pytest.mark.parametrize("text", WRITTEN.values(), ids=WRITTEN)
+@pytest.mark.parametrize("text", FORMATS.values(), ids=FORMATS)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
 def test_table_is_read_equally_in_every_format(tmp_path, text, encoding):
     path = tmp_path / "log.csv"
@@ -73,16 +73,16 @@ def test_long_file_in_utf_16_is_read_completely(tmp_path):
         assert file.read().decode() == text
 
 
-@pytest.mark.parametrize("word", ["NA", "N/A", "null", "None", "-", "NaN", "nan", "inf", ""])
-def test_word_for_a_missing_reading_omits_that_reading(tmp_path, word):
-    gyro = [word if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
+@pytest.mark.parametrize("cell", ["NA", "N/A", "null", "None", "-", "NaN", "nan", "inf", ""])
+def test_word_for_a_missing_reading_omits_that_reading(tmp_path, cell):
+    gyro = [cell if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
     path = write_csv(tmp_path / "log.csv", COLUMNS | {"gyro": gyro})
     (record,) = read_log(path, write_mapping(tmp_path / "map.yaml")).records
     assert np.array_equal(record.fresh_yaw_rate, np.arange(len(gyro)) % 10 > 0)
     assert np.array_equal(record.yaw_rate[record.fresh_yaw_rate], COLUMNS["gyro"][record.fresh_yaw_rate])
 
 
-REFUSED = {
+INVALID_TABLES = {
     "no header": (text_of(None, rows()), "line 1 holds numbers, not the names of the columns; add a line of 9 names"),
     "decimal comma between commas": (
         "t,v\n0,02,1,5\n0,04,1,6\n",
@@ -99,8 +99,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("text", "message"), REFUSED.values(), ids=REFUSED)
-def test_unreadable_table_is_refused_with_the_true_reason_in_one_line(tmp_path, text, message):
+@pytest.mark.parametrize(("text", "message"), INVALID_TABLES.values(), ids=INVALID_TABLES)
+def test_unreadable_table_is_refused_with_the_reason_in_one_line(tmp_path, text, message):
     path = tmp_path / "log.csv"
     path.write_text(text, newline="")
-    assert message in line_of(path, write_mapping(tmp_path / "map.yaml"))
+    assert message in error_message(path, write_mapping(tmp_path / "map.yaml"))

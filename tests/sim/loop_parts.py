@@ -15,7 +15,7 @@ from diffdrive_mpc.sim.run import Run
 
 @dataclass(frozen=True)
 class ConstantTwist:
-    """A reference with constant twist: a line, a circle, a turn on the spot, forwards or backwards."""
+    """Reference with constant twist: a line, a circle, a turn on the spot, forwards or backwards."""
 
     v: float
     omega: float
@@ -26,14 +26,14 @@ class ConstantTwist:
     def sample(self, times: ArrayLike) -> ReferenceSample:
         times = np.asarray(times, dtype=float)
         clipped = np.clip(times, 0.0, self.duration)
-        moving = ((times >= 0) & (times <= self.duration)).astype(float)
+        is_moving = ((times >= 0) & (times <= self.duration)).astype(float)
         pose = integrate_pose(self.start, self.v * clipped, self.omega * clipped, 1.0)
-        return ReferenceSample(pose, np.outer(moving, [self.v, self.omega]), np.abs(self.v) * clipped)
+        return ReferenceSample(pose, np.outer(is_moving, [self.v, self.omega]), np.abs(self.v) * clipped)
 
 
 @dataclass(frozen=True)
 class ElbowReference:
-    """1 m straight on, a left turn on the spot, 1 m straight on; one second each."""
+    """Reference of 1 m ahead, a left turn on the spot, and 1 m ahead; each part takes one second."""
 
     duration: float = 3.0
     name: str = "elbow"
@@ -47,7 +47,7 @@ class ElbowReference:
 
 
 class KinematicPlant:
-    """A unicycle that follows commands immediately, with exact sensors and Gaussian pose noise from a seed."""
+    """Unicycle that follows commands immediately, with exact sensors and Gaussian pose noise from a seed."""
 
     sample_time = 0.02
 
@@ -88,7 +88,7 @@ class FixedStep:
 
 
 class FeedForward:
-    """Sends the twist of the reference; `mode_at` sets other modes at some ticks."""
+    """Controller that sends the twist of the reference; `mode_at` sets other modes at some ticks."""
 
     def __init__(self, mode_at: dict[int, str] | None = None) -> None:
         self._mode_at = mode_at or {}
@@ -102,7 +102,7 @@ class FeedForward:
         return FixedStep(self._reference.sample([t - self._t0]).twist[0], mode)
 
 
-class Slow(FeedForward):
+class SlowController(FeedForward):
     """Controller that reports long step times."""
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:

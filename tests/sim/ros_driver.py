@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 
 DOMAIN = own_domain()
-"""ROS domain of this test process, so that it cannot drive the robot of another one."""
+"""ROS domain of this test process, so that it cannot drive the robot of another process."""
 BOUND = 120.0
 """Time limit of every wait [s]."""
 FIRST_TICK = load_base_settings().lock_step.first_tick
@@ -31,7 +31,7 @@ def own_domain(monkeypatch, folder):
 
 
 class Driver(threading.Thread):
-    """Responds to each tick of /clock with the command of its row, and leaves after the last row.
+    """Node that answers each tick of /clock with a row of the commands; removes its publisher after the last row.
 
     `stamp` maps the time of a tick [ns] to the stamp of its command.
     """
@@ -59,8 +59,8 @@ class Driver(threading.Thread):
         node.create_subscription(Odometry, "odom", self.odometry.append, qos_profile_sensor_data)
         node.create_subscription(Clock, "/clock", self.send_command, clock_qos)
         self.publisher = node.create_publisher(TwistStamped if self.stamped else Twist, "cmd_vel", QoSProfile(depth=1))
-        end = time.monotonic() + BOUND
-        while not self.done.is_set() and time.monotonic() < end:
+        deadline = time.monotonic() + BOUND
+        while not self.done.is_set() and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=0.05)
             if self.finished:
                 node.destroy_publisher(self.publisher)
@@ -77,18 +77,18 @@ class Driver(threading.Thread):
         if tick >= len(self.commands):
             self.finished = tick == len(self.commands)
             return
-        whole = TwistStamped()
-        twist = whole.twist
-        whole.header.stamp.sec, whole.header.stamp.nanosec = divmod(self.stamp(now), 10**9)
+        stamped_message = TwistStamped()
+        twist = stamped_message.twist
+        stamped_message.header.stamp.sec, stamped_message.header.stamp.nanosec = divmod(self.stamp(now), 10**9)
         twist.linear.x, twist.angular.z = (float(value) for value in self.commands[tick])
-        self.publisher.publish(whole if self.stamped else twist)
+        self.publisher.publish(stamped_message if self.stamped else twist)
 
 
 def read_messages(bag, topic):
     """Read stamps [ns] and messages of a topic in a bag."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(bag) as reader:
-        connections = [known for known in reader.connections if known.topic == topic]
+        connections = [connection for connection in reader.connections if connection.topic == topic]
         result = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
     return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in result]), result
 

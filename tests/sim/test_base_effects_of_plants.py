@@ -1,4 +1,4 @@
-"""Effects of a base on its commands, alone and in the motion of plants."""
+"""Effects of a base on commands, and on the motion of plants."""
 
 import numpy as np
 import pytest
@@ -59,19 +59,19 @@ def test_two_sided_shaping_equals_the_effects_of_models():
     commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7), (0.03, -0.7)], 12, axis=0)
     shaping = CommandShaping(base, DT)
     ends = [list(shaping.levels(k * DT, command))[-1][1] for k, command in enumerate(commands)]
-    # Exact past zero: the parts of a sample end at the value of the whole sample.
-    whole = effects.twist_slew.follow(effects.twist_range.apply(commands), DT, (0.0, 0.0))
-    np.testing.assert_allclose(ends, whole, atol=1e-12)
+    # The levels are exact across zero: the last part of a sample ends at the value of the full sample.
+    expected = effects.twist_slew.follow(effects.twist_range.apply(commands), DT, (0.0, 0.0))
+    np.testing.assert_allclose(ends, expected, atol=1e-12)
 
 
 def test_base_without_effects_changes_no_motion(tmp_path):
     commands = np.tile([0.3, 0.5], (10, 1))
-    plain = drive_with(tmp_path, "", commands)
-    np.testing.assert_array_equal(drive_with(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
+    expected = drive_with(tmp_path, "", commands)
+    np.testing.assert_array_equal(drive_with(tmp_path, "base: {}", commands).true_pose, expected.true_pose)
 
 
 def test_unequal_wheels_veer_as_geometry_predicts(tmp_path):
-    """Larger wheels on the left turn the robot right, by the difference over the track that skidding widens."""
+    """Larger wheels on the left turn the robot right, by their difference over the effective track."""
     commands = np.tile([0.5, 0.0], (150, 1))
     difference = 0.02
     text = f"twin: {{chassis: {{rolling_radii: [{1 + difference / 2}, {1 - difference / 2}]}}}}"
@@ -87,14 +87,14 @@ def test_rolling_radius_scales_the_distance_per_encoder_count(tmp_path):
 
 
 def test_robot_file_sets_its_surface_and_sensors(tmp_path):
-    """Named surfaces and sensors replace them."""
-    fast = np.concatenate([np.tile([1.5, 0.0], (12, 1))])
-    slippery = drive_with(tmp_path, "friction: 0.05", fast).true_twist[-1, 0]
-    assert drive_with(tmp_path, "friction: 0.05", fast, surface="grippy").true_twist[-1, 0] > 2 * slippery
-    quiet = "sensors: {gyro: {noise_sd: 0.0, bias_sd: 0.0}}"
-    still = drive_with(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
-    assert not still.yaw_rate.any()
-    assert drive_with(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
+    """Named surfaces and sensors override those of the robot file."""
+    commands = np.concatenate([np.tile([1.5, 0.0], (12, 1))])
+    slippery = drive_with(tmp_path, "friction: 0.05", commands).true_twist[-1, 0]
+    assert drive_with(tmp_path, "friction: 0.05", commands, surface="grippy").true_twist[-1, 0] > 2 * slippery
+    sensors = "sensors: {gyro: {noise_sd: 0.0, bias_sd: 0.0}}"
+    resting = drive_with(tmp_path, sensors, np.zeros((5, 2)), sensors="default")
+    assert not resting.yaw_rate.any()
+    assert drive_with(tmp_path, sensors, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
 
 
 TICK = load_robot().sample_time
@@ -122,7 +122,7 @@ def readings(plant, commands):
     return np.array(twists), plant.true_pose
 
 
-def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
+def test_plant_of_a_file_with_effects_equals_the_free_run_of_that_file(path):
     commands = random_commands(4, duration=6.0)
     twists, _ = readings(make_plant(f"model:{path}", surface="ideal", sensors="perfect"), commands)
     response = respond(load_model(path), load_base_effects(path), commands, TICK)

@@ -1,4 +1,4 @@
-"""Loop of plant, sensors and controller in C: bit for bit the loop in Python."""
+"""Loop of plant, sensors and controller in C, compared bit for bit with the loop in Python."""
 
 from dataclasses import fields
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.core.library import load_twin
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 
-OMITTED = {"measurements", "step_time", "solve_time", "reference"}
+OMITTED_FIELDS = {"measurements", "step_time", "solve_time", "reference"}
 RARE_POSES = """
 pose: {period: 0.05, latency: 0.13, loss: 0.3, position_sd: 0.01, turned: 0.2, stamped_on_arrival: true}
 gyro: {scale: 1.1, bias_sd: 0.01}
@@ -22,24 +22,24 @@ encoders: {left: 0.98, swapped: false, speed_sd: 0.3}
 
 def drives(config, trajectory, plant, **arguments):
     """Return the run of the loop in Python, the lean run, and the number of ticks that the lean run made in Python."""
-    loaded = load_config(config) if isinstance(config, str) else load_config(*config)
-    reference, runs, ticks = load_trajectory(trajectory, loaded), [], 0
+    parsed = load_config(config) if isinstance(config, str) else load_config(*config)
+    reference, runs, ticks = load_trajectory(trajectory, parsed), [], 0
     for lean in (False, True):
-        controller = Controller(loaded)
+        controller = Controller(parsed)
         complete, ticks = controller._complete, 0
 
-        def count(*arguments, complete=complete, **named):
+        def count(*arguments, complete=complete, **keywords):
             nonlocal ticks
             ticks += 1
-            return complete(*arguments, **named)
+            return complete(*arguments, **keywords)
 
         controller._complete = count
-        robot = make_plant(plant, seed=3, **plant_settings(loaded), **arguments)
+        robot = make_plant(plant, seed=3, **plant_settings(parsed), **arguments)
         runs.append(simulate(controller, robot, reference, lean=lean))
     return *runs, ticks
 
 
-def differing(run: Run, lean: Run) -> list[str]:
+def different_fields(run: Run, lean: Run) -> list[str]:
     """Return the names of the fields that differ in any bit."""
 
     def is_equal(name: str) -> bool:
@@ -47,7 +47,7 @@ def differing(run: Run, lean: Run) -> list[str]:
         is_array = isinstance(value, np.ndarray)
         return np.array_equal(value, expected, equal_nan=True) if is_array else value == expected
 
-    return [field.name for field in fields(Run) if field.name not in OMITTED and not is_equal(field.name)]
+    return [field.name for field in fields(Run) if field.name not in OMITTED_FIELDS and not is_equal(field.name)]
 
 
 @pytest.mark.parametrize(
@@ -63,14 +63,14 @@ def differing(run: Run, lean: Run) -> list[str]:
 )
 def test_ordinary_ticks_in_c_equal_those_in_python(config, trajectory, plant, arguments) -> None:
     run, lean, python_ticks = drives(config, trajectory, plant, **arguments)
-    assert differing(run, lean) == []
+    assert different_fields(run, lean) == []
     assert python_ticks < 0.05 * len(run.time)
     assert not lean.measurements and np.isnan(lean.step_time).all() and np.isnan(lean.solve_time).all()
     assert lean.metrics.completed
 
 
 @pytest.mark.parametrize(
-    ("config", "trajectory", "plant", "arguments", "mark"),
+    ("config", "trajectory", "plant", "arguments", "text"),
     [
         ("ssm", "circle", "model:husky", {}, "wheels turn"),
         ("ssm", "circle", "model:ssm+0.25", {}, "wheels turn"),
@@ -80,18 +80,18 @@ def test_ordinary_ticks_in_c_equal_those_in_python(config, trajectory, plant, ar
         ("sm", "cane", "model:two_delays", {"sensors": "RARE"}, "poses are about"),
     ],
 )
-def test_ticks_that_need_python_continue_the_loop_in_c(config, trajectory, plant, arguments, mark, tmp_path) -> None:
+def test_ticks_that_need_python_continue_the_loop_in_c(config, trajectory, plant, arguments, text, tmp_path) -> None:
     (tmp_path / "RARE").write_text(RARE_POSES)
     arguments |= {"sensors": tmp_path / "RARE"} if arguments.get("sensors") == "RARE" else {}
     run, lean, python_ticks = drives(config, trajectory, plant, **arguments)
-    assert differing(run, lean) == []
+    assert different_fields(run, lean) == []
     assert 1 <= python_ticks < len(run.time) - 2
-    assert any(mark in message for message in run.messages), set(run.messages)
+    assert any(text in message for message in run.messages), set(run.messages)
 
 
 def test_backend_solves_each_tick_in_python() -> None:
     run, lean, python_ticks = drives(("ssm", {"solver.method": "osqp", "horizon": 10}), "cane", "model:ssm")
-    assert differing(run, lean) == []
+    assert different_fields(run, lean) == []
     assert python_ticks == len(run.time) and set(run.solver_methods) == {"osqp"}
 
 
@@ -99,7 +99,7 @@ def test_backend_solves_each_tick_in_python() -> None:
 def test_plants_without_a_loop_in_c_are_driven_in_python(plant) -> None:
     arguments = {"scenario": "sensor_dropouts"} if plant == "model:ssm" else {}
     run, lean, python_ticks = drives("ssm", "cane", plant, **arguments)
-    assert differing(run, lean) == [] and python_ticks == len(run.time)
+    assert different_fields(run, lean) == [] and python_ticks == len(run.time)
     assert isinstance(make_plant("model:ssm", scenario="sensor_dropouts"), DisturbedPlant)
 
 

@@ -79,20 +79,20 @@ def test_start_offset_is_relative_to_the_start_of_the_reference(name: str) -> No
 @pytest.mark.parametrize(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
-def test_drop_out_empties_only_its_fields(name: str, sensor: str, fields: set[str]) -> None:
+def test_drop_out_removes_only_the_readings_of_its_sensor(name: str, sensor: str, fields: set[str]) -> None:
     plant = _disturbed_plant(name, drop_outs=[{"sensor": sensor, "start": 0.2, "duration": 0.3}])
     for _ in range(40):
         time, measurement = plant.time, plant.measure()
         for field in ("pose", "wheel_twist", "wheel_speeds", "yaw_rate"):
-            lost = field in fields and 0.2 <= time < 0.5
-            assert (getattr(measurement, field) is None) == lost, (field, time)
+            is_missing = field in fields and 0.2 <= time < 0.5
+            assert (getattr(measurement, field) is None) == is_missing, (field, time)
         plant.advance([0.3, 0.2])
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_false_command_moves_the_robot_and_is_not_reported(name: str) -> None:
-    false = {"v": 0.0, "omega": 1.0, "start": 10 * DT - 1e-6, "duration": 0.5}
-    plant, undisturbed = _disturbed_plant(name, false_commands=[false]), make_plant(name, sensors="perfect")
+    command = {"v": 0.0, "omega": 1.0, "start": 10 * DT - 1e-6, "duration": 0.5}
+    plant, undisturbed = _disturbed_plant(name, false_commands=[command]), make_plant(name, sensors="perfect")
     for k in range(60):
         is_active = 10 <= k < 10 + int(np.ceil(0.5 / DT))
         plant.advance([0.4, 0.0])
@@ -116,13 +116,13 @@ def test_velocity_models_refuse_scenarios_that_need_mass_or_wheels(name: str) ->
 G = 9.81
 ROBOT, TWIN = load_robot(), load_twin_parameters()
 STEP = ROBOT.sample_time / TWIN.substeps
-FLOOR = load_surface("default").friction or 0.0
+DEFAULT_FRICTION = load_surface("default").friction or 0.0
 SLIPPERY = load_surface("slippery").friction or 0.0
 ICE = 1e-5
 LEFT, RIGHT = ("front_left", "rear_left"), ("front_right", "rear_right")
 
 
-def _plant(friction: float = FLOOR, **parts: Any) -> MujocoPlant:
+def _plant(friction: float = DEFAULT_FRICTION, **parts: Any) -> MujocoPlant:
     return MujocoPlant(friction, load_sensor_set("perfect"), scenario=_scenario(**parts))
 
 
@@ -140,9 +140,9 @@ def test_push_on_ice_gives_force_times_time(direction: float) -> None:
     _drive(plant, 0.0, 0.0, 0.5)
     v, lateral, omega = plant.true_twist
     course = 0.5 + direction
-    moved = plant.true_pose[:2] - [1.0, 2.0]
+    displacement = plant.true_pose[:2] - [1.0, 2.0]
     assert ROBOT.mass * np.hypot(v, lateral) == pytest.approx(20.0 * 0.2507, rel=0.02)
-    assert np.arctan2(moved[1], moved[0]) == pytest.approx(course, abs=0.02)
+    assert np.arctan2(displacement[1], displacement[0]) == pytest.approx(course, abs=0.02)
     assert abs(omega) < 0.02
 
 
@@ -155,7 +155,7 @@ def test_yaw_push_on_ice_gives_torque_times_time() -> None:
 
 
 def test_friction_holds_a_robot_against_a_weaker_push() -> None:
-    limit = FLOOR * ROBOT.mass * G
+    limit = DEFAULT_FRICTION * ROBOT.mass * G
     distances = []
     for share in (0.8, 1.3):
         push = {"force": share * limit, "direction": 1.5708, "height": 0.05, "start": 0.1, "duration": 0.3}
@@ -163,19 +163,19 @@ def test_friction_holds_a_robot_against_a_weaker_push() -> None:
         _drive(plant, 0.0, 0.0, 1.0)
         distances.append(abs(plant.true_pose[1]))
     # Coulomb friction: (share - 1) mu g of acceleration during the push, mu g of deceleration after it.
-    speed = 0.3 * FLOOR * G * 0.3
-    assert distances[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * FLOOR * G), rel=0.25)
+    speed = 0.3 * DEFAULT_FRICTION * G * 0.3
+    assert distances[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * DEFAULT_FRICTION * G), rel=0.25)
     assert distances[0] < 0.2 * distances[1]
 
 
-def test_payload_adds_its_weight_at_its_place() -> None:
+def test_payload_adds_its_weight_at_its_position() -> None:
     x, y, mass = 0.03, -0.05, 2.5
     load = Payload(mass=mass, x=x, y=y, z=0.1, radius=0.05)
-    with_load, without = (Chassis(ROBOT, TWIN, FLOOR, STEP, payload) for payload in (load, None))
-    for chassis in (with_load, without):
+    with_load, without_load = (Chassis(ROBOT, TWIN, DEFAULT_FRICTION, STEP, payload) for payload in (load, None))
+    for chassis in (with_load, without_load):
         for _ in range(round(1.0 / STEP)):
             chassis.step(np.zeros(4))
-    assert without.wheel_loads.sum() == pytest.approx(ROBOT.mass * G, rel=1e-3)
+    assert without_load.wheel_loads.sum() == pytest.approx(ROBOT.mass * G, rel=1e-3)
     assert with_load.wheel_loads.sum() == pytest.approx((ROBOT.mass + mass) * G, rel=1e-3)
     front, left = (
         sum(with_load.wheel_loads[i] for i, name in enumerate(WHEELS) if part in name) for part in ("front", "left")
@@ -200,22 +200,22 @@ def test_robot_on_a_gentle_slope_rests_across_it_and_creeps_along_it() -> None:
 
 
 def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
-    def dead(wheels: tuple[str, ...]) -> MujocoPlant:
+    def drive_with_dead_motors(wheels: tuple[str, ...]) -> MujocoPlant:
         plant = _plant(weak_motors=[{"wheel": wheel, "factor": 0.0, "start": 0.0} for wheel in wheels])
         _drive(plant, 0.4, 0.0, 1.0)
         return plant
 
-    assert abs(dead(WHEELS).true_pose[0]) < 1e-3
+    assert abs(drive_with_dead_motors(WHEELS).true_pose[0]) < 1e-3
     # The robot turns towards the side that is dragged.
-    assert dead(LEFT).true_pose[2] > 0.03
-    assert dead(RIGHT).true_pose[2] < -0.03
+    assert drive_with_dead_motors(LEFT).true_pose[2] > 0.03
+    assert drive_with_dead_motors(RIGHT).true_pose[2] < -0.03
 
 
 def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
-    chassis = Chassis(ROBOT, TWIN, FLOOR, STEP)
+    chassis = Chassis(ROBOT, TWIN, DEFAULT_FRICTION, STEP)
     loops = VelocityLoops(TWIN.driver, TWIN.motor, 2 * np.pi / ROBOT.encoder_pulses, STEP)
     base, torque = TWIN.chassis.wheel_base, TWIN.motor.stall_torque
-    return DisturbedPhysics(_scenario(**parts), chassis, loops, FLOOR, base, torque), loops
+    return DisturbedPhysics(_scenario(**parts), chassis, loops, DEFAULT_FRICTION, base, torque), loops
 
 
 def test_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
@@ -245,17 +245,17 @@ def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage()
     assert loops.supply == pytest.approx(0.5 - 0.1)
 
 
-def test_robot_on_a_patch_slips_as_on_a_surface_of_that_kind() -> None:
+def test_robot_on_a_patch_slips_as_on_a_surface_with_this_friction() -> None:
     lateral = {}
-    endless = {"start": 0.2, "friction": SLIPPERY}
-    for name, plant in {"patch": _plant(patches=[endless]), "slippery": _plant(SLIPPERY), "default": _plant()}.items():
+    patch = {"start": 0.2, "friction": SLIPPERY}
+    for name, plant in {"patch": _plant(patches=[patch]), "slippery": _plant(SLIPPERY), "default": _plant()}.items():
         lateral[name] = drive_open_loop(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
     assert lateral["patch"] == pytest.approx(lateral["slippery"], rel=0.02)
     assert lateral["patch"] < 2 * lateral["default"] < 0
 
 
-def test_patch_begins_and_ends_at_its_place() -> None:
-    """The front wheels reach the patch half a wheel base before the centre; the rear wheels leave it as much later."""
+def test_patch_starts_and_ends_at_its_position() -> None:
+    """Front wheels reach a patch half a wheel base before the centre; rear wheels leave it half a wheel base later."""
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))
@@ -264,16 +264,16 @@ def test_patch_begins_and_ends_at_its_place() -> None:
     assert np.interp([enter, leave], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
 
 
-def test_ice_on_one_side_lets_only_that_side_slip() -> None:
+def test_only_the_side_on_ice_slips() -> None:
     """A robot that accelerates hard with one side on ice turns towards the ice."""
     turns = {}
     for side in ("left", "right", "both"):
         plant = _plant(patches=[{"start": 0.0, "friction": 0.02, "side": side}])
         _drive(plant, 0.3, 0.0, 0.8)
-        before = plant.true_pose
-        assert before[0] > TWIN.chassis.wheel_base  # all wheels are on it
+        start = plant.true_pose
+        assert start[0] > TWIN.chassis.wheel_base  # all wheels are on the ice
         _drive(plant, 1.2, 0.0, 0.5)
-        turns[side] = plant.true_pose[2] - before[2]
+        turns[side] = plant.true_pose[2] - start[2]
     assert turns["left"] > 0.05
     assert turns["right"] < -0.05
     assert abs(turns["both"]) < 0.01
@@ -283,20 +283,18 @@ def test_blockade_holds_the_robot_and_releases_it() -> None:
     hold = {"height": 0.02, "stiffness": 5e3, "damping": 260.0, "yaw_stiffness": 500.0, "yaw_damping": 11.0}
     plant = _plant(blockades=[{"start": 1.0, "duration": 1.0, **hold}])
     log = drive_open_loop(plant, np.tile([0.5, 0.3], (200, 1)))
-    held = (log.time > 1.0) & (log.time < 2.0)
-    start = log.true_pose[np.flatnonzero(held)[0]]
+    is_held = (log.time > 1.0) & (log.time < 2.0)
+    start = log.true_pose[np.flatnonzero(is_held)[0]]
     # All wheels skid and push with at most the friction against the spring.
-    max_displacement = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
-    assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < max_displacement
-    assert log.wheel_twist[held, 0][10:].mean() > 0.3
-    assert np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
+    max_displacement = DEFAULT_FRICTION * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
+    assert np.hypot(*(log.true_pose[is_held] - start)[:, :2].T).max() < max_displacement
+    assert log.wheel_twist[is_held, 0][10:].mean() > 0.3
+    assert np.abs(log.true_twist[is_held, 0][10:]).mean() < 0.05
     free = log.true_twist[log.time > 2.5]
     assert free[:, 0].mean() == pytest.approx(0.5, rel=0.03)
 
 
-def test_robot_with_diverging_motion_is_lost_and_not_back_at_its_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_diverging_motion_raises_robot_lost_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     plant = _plant(pushes=[{"force": 1e200, "height": 0.09, "start": 0.1, "duration": 0.2}])
     plant.reset([1.0, 2.0, 0.5])
@@ -306,12 +304,12 @@ def test_robot_with_diverging_motion_is_lost_and_not_back_at_its_start(
 
 
 @given(seed=st.integers(0, 10_000), low=st.floats(0.1, 5.0), width=st.floats(0.0, 5.0))
-def test_random_values_lie_in_their_ranges_and_choices(
+def test_random_values_are_in_their_ranges_and_choices(
     tmp_path_factory: pytest.TempPathFactory, seed: int, low: float, width: float
 ) -> None:
     path = tmp_path_factory.mktemp("scenario") / "mine.yaml"
-    drawn = f"force: [{low}, {low + width}], yaw_torque: {{one_of: [[-2.0, -1.0], [1.0, 2.0]]}}"
-    path.write_text(f"description: mine\npushes: [{{{drawn}, height: 0, start: 1, duration: 1}}]\n")
+    random_values = f"force: [{low}, {low + width}], yaw_torque: {{one_of: [[-2.0, -1.0], [1.0, 2.0]]}}"
+    path.write_text(f"description: mine\npushes: [{{{random_values}, height: 0, start: 1, duration: 1}}]\n")
     file = load_scenario(path)
     (push,) = file.draw(seed).pushes
     assert low <= push.force <= low + width

@@ -1,4 +1,4 @@
-"""Link, firmware, speed observer, velocity loops and motors, each tested alone."""
+"""Unit tests of link, firmware, speed observer, velocity loops and motors."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ PULSE = 2 * np.pi / ROBOT.encoder_pulses
     values=st.lists(st.floats(-1, 1), min_size=1, max_size=20),
     substeps=st.integers(1, 12),
 )
-def test_delay_line_passes_the_exact_integral(dead_time: float, values: list[float], substeps: int) -> None:
+def test_delay_line_preserves_the_integral(dead_time: float, values: list[float], substeps: int) -> None:
     """The integral of the output up to t is the integral of the input up to t - dead time."""
     line = DelayLine(dead_time)
     step, integral = 0.02 / substeps, 0.0
@@ -36,11 +36,11 @@ def test_delay_line_passes_the_exact_integral(dead_time: float, values: list[flo
             assert mean[0] == -mean[1]
             integral += mean[0] * step
     elapsed = 0.02 * len(values) - dead_time
-    sent = sum(value * min(max(elapsed - 0.02 * k, 0.0), 0.02) for k, value in enumerate(values))
-    assert integral == pytest.approx(sent, abs=1e-9)
+    expected = sum(value * min(max(elapsed - 0.02 * k, 0.0), 0.02) for k, value in enumerate(values))
+    assert integral == pytest.approx(expected, abs=1e-9)
 
 
-def test_firmware_step_response_is_a_first_order_lag_to_whole_pulses() -> None:
+def test_firmware_step_response_is_a_first_order_lag_rounded_to_pulses() -> None:
     firmware = load_firmware()
     shaper = CommandShaper(firmware, ROBOT, STEP)
     steps = round(firmware.lag_v / STEP)
@@ -52,7 +52,7 @@ def test_firmware_step_response_is_a_first_order_lag_to_whole_pulses() -> None:
     np.testing.assert_allclose(pulses, np.round(pulses), atol=1e-9)
 
 
-def test_firmware_uses_its_own_track() -> None:
+def test_firmware_uses_the_track_of_the_firmware_file() -> None:
     firmware = load_firmware()
     shaper = CommandShaper(firmware, ROBOT, STEP)
     for _ in range(2000):
@@ -81,7 +81,7 @@ def _loops() -> VelocityLoops:
 
 
 @given(speed=st.floats(-32, 32), set_point=st.floats(-32, 32))
-def test_torque_stays_on_the_motors_line(speed: float, set_point: float) -> None:
+def test_torque_stays_within_the_torque_speed_line_of_the_motor(speed: float, set_point: float) -> None:
     motor = TWIN.motor
     speeds = np.full(4, speed)
     torque = _loops().torque(np.full(4, set_point), speeds, speeds)
@@ -105,7 +105,7 @@ def test_driver_brakes_without_oscillation_at_a_zero_set_point() -> None:
     np.testing.assert_allclose(torque, -motor.stall_torque * np.array(motor.spread) * 0.1 / motor.no_load_speed)
 
 
-def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
+def test_delay_line_preserves_the_order_beyond_its_initial_capacity() -> None:
     line = DelayLine(1.0)
     for k in range(100):
         line.send(0.01 * k, np.array([float(k), -float(k)]))
@@ -116,7 +116,7 @@ def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
         np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
 
 
-def built_plant(build: SimulatedRobot, friction: float) -> MujocoPlant:
+def make_built_plant(build: SimulatedRobot, friction: float) -> MujocoPlant:
     sensors = load_sensor_set("perfect")
     return MujocoPlant(friction, sensors, robot=build.robot, twin=build.twin, firmware=build.firmware)
 
@@ -142,11 +142,11 @@ def test_motor_work_in_a_steady_turn_becomes_heat() -> None:
     robot.reset(np.zeros(3))
     for _ in range(100):
         robot.advance([0.3, 0.6])
-    before, work = robot.chassis.energy, 0.0
+    start_energy, work = robot.chassis.energy, 0.0
     for _ in range(100):
         robot.advance([0.3, 0.6])
         work += float(motor_work(robot).power.sum()) * robot.sample_time
-    assert abs(robot.chassis.energy - before) < 0.01 * work
+    assert abs(robot.chassis.energy - start_energy) < 0.01 * work
     # The motors cannot deliver more power than friction dissipates while the wheels slide.
     max_work = 0.8 * 9.81 * 6.85 * 2.02 * np.hypot(0.6 * 0.5, 0.6 * 0.3)
     assert 0.1 * max_work < work < max_work
@@ -159,9 +159,9 @@ def test_outer_motors_drive_and_inner_motors_brake() -> None:
     assert (drive.motor_square >= drive.motor_torque**2 - 1e-12).all()
 
 
-def test_straight_drive_needs_the_torque_of_the_drag() -> None:
+def test_torque_of_a_straight_drive_equals_the_drag() -> None:
     build = load_simulated_robot("fsu_bot")
-    drive = drive_open_loop(built_plant(build, 0.8), np.tile([0.4, 0.0], (300, 1)))
+    drive = drive_open_loop(make_built_plant(build, 0.8), np.tile([0.4, 0.0], (300, 1)))
     assert drive.motor_torque[200:].mean(axis=0) == pytest.approx(build.twin.chassis.wheel_drag, rel=0.05)
 
 
@@ -170,10 +170,10 @@ def test_drivers_limit_the_torque_which_widens_the_turn() -> None:
     limit = limited.twin.driver.torque_limit
     free = with_driver(limited, torque_limit=None)
     tight = np.tile([0.4, 0.8], (200, 1))
-    weak, strong = (drive_open_loop(built_plant(robot, 1.2), tight) for robot in (limited, free))
-    assert np.abs(weak.motor_torque).max() <= limit + 1e-12  # rounding of a mean of ten
-    assert np.abs(strong.motor_torque[100:]).max() > 1.1 * limit
-    assert weak.true_twist[150:, 2].mean() < 0.8 * strong.true_twist[150:, 2].mean()
+    limited_drive, free_drive = (drive_open_loop(make_built_plant(robot, 1.2), tight) for robot in (limited, free))
+    assert np.abs(limited_drive.motor_torque).max() <= limit + 1e-12  # rounding of a mean of ten
+    assert np.abs(free_drive.motor_torque[100:]).max() > 1.1 * limit
+    assert limited_drive.true_twist[150:, 2].mean() < 0.8 * free_drive.true_twist[150:, 2].mean()
 
 
 def test_disturbed_sample_reports_the_weakened_torque() -> None:

@@ -1,4 +1,4 @@
-"""Logs of runs as MCAP and CSV: every value is read back."""
+"""Logs of runs as MCAP and CSV: read values equal the written values."""
 
 import json
 import os
@@ -48,28 +48,28 @@ def messages(path):
 
 def messages_on(path, topic):
     """Return (log time [ns], message) of one topic."""
-    kind = KINDS[topic]
-    return [(m.log_time, STORE.deserialize_cdr(m.data, kind)) for name, *_, m in messages(path) if name == topic]
+    schema = KINDS[topic]
+    return [(m.log_time, STORE.deserialize_cdr(m.data, schema)) for name, *_, m in messages(path) if name == topic]
 
 
-def is_same(first, second):
+def is_equal(first, second):
     return np.array_equal(first, second) if first.dtype == object else np.array_equal(first, second, equal_nan=True)
 
 
-def test_mcap_library_reads_every_column_back_bit_for_bit(run, file):
+def test_mcap_library_reads_every_column_bit_for_bit(run, file):
     rows = [json.loads(message.data) for topic, *_, message in messages(file) if topic == STATE]
     for name, column in run.columns.items():
         missing = "" if column.dtype == object else np.nan
-        assert is_same(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
+        assert is_equal(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
 
 
 def test_log_reader_returns_columns_measurements_and_plans(run, file):
     log = read_drive_log(file, plans=True)
     columns = log.columns
-    assert all(is_same(columns[name], column) for name, column in run.columns.items())
-    for read, expected in zip(log.measurements, run.measurements, strict=True):
+    assert all(is_equal(columns[name], column) for name, column in run.columns.items())
+    for actual, expected in zip(log.measurements, run.measurements, strict=True):
         for name in ("pose", "wheel_twist", "yaw_rate"):
-            first, second = getattr(read, name), getattr(expected, name)
+            first, second = getattr(actual, name), getattr(expected, name)
             assert (first is None) == (second is None)
             if first is not None:
                 assert first.time == second.time and np.array_equal(first.value, second.value)
@@ -83,10 +83,10 @@ def test_log_reader_returns_columns_measurements_and_plans(run, file):
 
 def test_every_row_matches_its_schema_which_contains_every_column(run, file):
     schemas = {topic: schema for topic, schema, *_ in messages(file)}
-    stated = json.loads(schemas[STATE].data)
-    assert schemas[STATE].encoding == "jsonschema" and stated == tick_schema()
-    assert set(run.columns) <= set(stated["properties"])
-    check = Draft202012Validator(stated | {"additionalProperties": False})
+    row_schema = json.loads(schemas[STATE].data)
+    assert schemas[STATE].encoding == "jsonschema" and row_schema == tick_schema()
+    assert set(run.columns) <= set(row_schema["properties"])
+    check = Draft202012Validator(row_schema | {"additionalProperties": False})
     for topic, *_, message in messages(file):
         if topic == STATE:
             check.validate(json.loads(message.data))
@@ -101,13 +101,13 @@ def test_ros_topics_contain_the_same_values_and_their_definitions(run, file):
     assert np.array_equal(commands, run.command)
     seconds = np.array([now for now, _ in messages_on(file, "/cmd_vel")]) * 1e-9
     assert np.allclose(seconds - 1.0, run.time, atol=1e-9)
-    known = np.isfinite(run.measured_pose).all(axis=1)
+    has_pose = np.isfinite(run.measured_pose).all(axis=1)
     poses = [m for _, m in messages_on(file, "/pose")]
     assert np.array_equal(
-        [(m.pose.pose.position.x, m.pose.pose.position.y) for m in poses], run.measured_pose[known, :2]
+        [(m.pose.pose.position.x, m.pose.pose.position.y) for m in poses], run.measured_pose[has_pose, :2]
     )
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in poses])
-    assert np.allclose(stamps - 1.0, run.measured_pose_time[known], atol=1e-9)
+    assert np.allclose(stamps - 1.0, run.measured_pose_time[has_pose], atol=1e-9)
     truth = [m.pose.position.x for _, m in messages_on(file, "/ground_truth/pose")]
     assert np.array_equal(truth, run.true_pose[:, 0])
     assert next(m.data for _, m in messages_on(file, "/diffdrive_mpc/mode")) == run.modes[0]
@@ -115,24 +115,24 @@ def test_ros_topics_contain_the_same_values_and_their_definitions(run, file):
     assert np.allclose(path.poses[-1].pose.position.x, run.reference.sample([run.reference.duration]).pose[0, 0])
 
 
-def test_identification_reads_the_same_from_mcap_and_csv(run, file, tmp_path):
+def test_mcap_and_csv_logs_give_equal_records(run, file, tmp_path):
     log_csv.write_log(run, tmp_path / "s.csv")
-    ours, csv = read_log(file), read_log(tmp_path / "s.csv")
-    assert [finding.kind for finding in ours.findings] == [finding.kind for finding in csv.findings]
-    for first, second in zip(ours.records, csv.records, strict=True):
+    mcap, csv = read_log(file), read_log(tmp_path / "s.csv")
+    assert [finding.kind for finding in mcap.findings] == [finding.kind for finding in csv.findings]
+    for first, second in zip(mcap.records, csv.records, strict=True):
         for field in fields(first):
             a, b = getattr(first, field.name), getattr(second, field.name)
             assert np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b or field.name == "name"
 
 
 def test_truncated_file_is_read_up_to_its_end(run, file, tmp_path):
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
-    log = read_drive_log(cut)
+    truncated = tmp_path / "cut.mcap"
+    truncated.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
+    log = read_drive_log(truncated)
     count = len(log.rows)
     assert log.cut and 0.5 * len(run.time) < count < len(run.time)
     assert np.array_equal(log.columns["t_s"], run.time[:count])
-    partial = read_log(cut)
+    partial = read_log(truncated)
     assert [(finding.kind, finding.severity) for finding in partial.findings] == [("cut file", "note")]
     assert "mcap recover" in str(partial.findings[0])
 
@@ -159,36 +159,36 @@ class SparsePlant(KinematicPlant):
 
 
 @pytest.fixture
-def sparse() -> Run:
+def sparse_run() -> Run:
     return simulate(FeedForward(), SparsePlant(0.01, seed=1), ConstantTwist(0.3, 0.7, 1.0))
 
 
-def test_csv_log_is_read_back_bit_for_bit(sparse: Run, tmp_path: Path) -> None:
-    log_csv.write_log(sparse, tmp_path / "run.csv")
+def test_columns_of_a_csv_log_are_equal_bit_for_bit(sparse_run: Run, tmp_path: Path) -> None:
+    log_csv.write_log(sparse_run, tmp_path / "run.csv")
     log = read_columns(tmp_path / "run.csv")
-    assert tuple(log) == tuple(sparse.columns)
-    assert all(is_same(np.array(log[name], dtype=column.dtype), column) for name, column in sparse.columns.items())
-    assert np.isfinite(sparse.measured_pose[:, 0]).sum() == 11
+    assert tuple(log) == tuple(sparse_run.columns)
+    assert all(is_equal(np.array(log[name], dtype=column.dtype), column) for name, column in sparse_run.columns.items())
+    assert np.isfinite(sparse_run.measured_pose[:, 0]).sum() == 11
     assert log["pose_t_s"][5] == pytest.approx(0.08)
 
 
-def test_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: Path) -> None:
+def test_log_replaces_a_file_and_preserves_its_permissions(sparse_run: Run, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("old")
     path.chmod(0o640)
-    log_csv.write_log(sparse, path)
-    assert read_columns(path)["t_s"].size == sparse.time.size
+    log_csv.write_log(sparse_run, path)
+    assert read_columns(path)["t_s"].size == sparse_run.time.size
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")])
-def test_only_a_regular_file_is_replaced(sparse: Run, tmp_path: Path, make: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize("create", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")])
+def test_only_a_regular_file_is_replaced(sparse_run: Run, tmp_path: Path, create: Callable[[Path], None]) -> None:
     path = tmp_path / "run.csv"
-    make(path)
-    before = path.lstat()
+    create(path)
+    original = path.lstat()
     with pytest.raises(ConfigError, match=r"run\.csv: not a regular file"):
-        log_csv.write_log(sparse, path)
-    assert path.lstat() == before
+        log_csv.write_log(sparse_run, path)
+    assert path.lstat() == original
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
 
 

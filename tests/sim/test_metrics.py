@@ -1,4 +1,4 @@
-"""Metrics against known results, the ticks that they count, and the projection of a robot onto its path."""
+"""Metrics compared with known results, their ticks, and the projection of a robot onto its path."""
 
 from dataclasses import asdict, replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
+from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, SlowController, run_along
 
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
@@ -23,7 +23,7 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
 def shift_left(pose: FloatArray, offset: float | FloatArray) -> FloatArray:
-    """Shift poses sideways in their own frame."""
+    """Shift poses to the left in their frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
 
@@ -41,8 +41,8 @@ def test_constant_offset_across_a_circle_is_the_lateral_error(offset: float) -> 
 
 @given(delay=st.floats(0.01, 0.5))
 def test_delayed_motion_has_position_and_heading_errors_but_no_lateral_error(delay: float) -> None:
-    late = ConstantTwist(0.5, 0.5, 20.0, start=tuple(integrate_pose([0, 0, 0], 0.5, 0.5, -delay)))
-    run = run_along(CIRCLE, late.sample(COARSE).pose, [0.5, 0.0, 0.5], COARSE)
+    delayed = ConstantTwist(0.5, 0.5, 20.0, start=tuple(integrate_pose([0, 0, 0], 0.5, 0.5, -delay)))
+    run = run_along(CIRCLE, delayed.sample(COARSE).pose, [0.5, 0.0, 0.5], COARSE)
     chord = 2.0 * np.sin(0.5 * delay / 2)
     assert run.metrics.position_rmse_m == pytest.approx(chord, rel=1e-9)
     assert run.metrics.position_max_m == pytest.approx(chord, rel=1e-9)
@@ -82,7 +82,7 @@ def test_backward_driving_along_the_reference_has_no_course_error() -> None:
 
 
 def test_course_error_is_relative_to_the_tangent_at_the_reference() -> None:
-    """A robot half a second behind on a circle differs in course by the turn of half a second."""
+    """On a circle, a delay of half a second changes the course by the turn in half a second."""
     circle = ConstantTwist(v=0.5, omega=0.5, duration=4.0)
     times = np.arange(25, 200) * 0.02
     run = run_along(circle, circle.sample(times - 0.5).pose, [0.5, 0.0, 0.5], times)
@@ -100,8 +100,8 @@ def test_course_error_is_undefined_while_the_robot_or_the_reference_is_at_rest()
 
 def test_lateral_error_of_a_turn_on_the_spot_is_the_distance_across() -> None:
     spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
-    off = run_along(spot, spot.sample(TIMES).pose + np.array([0.0, 0.04, 0.0]), [0.0, 0.0, 1.0], TIMES)
-    assert off.metrics.lateral_max_m == pytest.approx(0.04, abs=1e-12)
+    run = run_along(spot, spot.sample(TIMES).pose + np.array([0.0, 0.04, 0.0]), [0.0, 0.0, 1.0], TIMES)
+    assert run.metrics.lateral_max_m == pytest.approx(0.04, abs=1e-12)
 
 
 def test_overshoot_of_a_corner_is_a_lateral_error_and_a_point_on_either_leg_has_none() -> None:
@@ -118,13 +118,13 @@ def test_self_crossing_path_is_not_projected_onto_its_other_branch() -> None:
     circle = ConstantTwist(v=0.5, omega=0.5, duration=4 * np.pi)
     times = np.arange(0.0, 4 * np.pi, 0.02)
     pose = circle.sample(times).pose
-    half = np.abs(times - 2 * np.pi) < 0.5
-    pose[half] = [0.0, 0.0, 0.0]
+    is_displaced = np.abs(times - 2 * np.pi) < 0.5
+    pose[is_displaced] = [0.0, 0.0, 0.0]
     run = run_along(circle, pose, [0.5, 0.0, 0.5], times)
-    assert np.abs(run.errors.lateral[half]).min() > 1.0
+    assert np.abs(run.errors.lateral[is_displaced]).min() > 1.0
 
 
-def test_lead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end() -> None:
+def test_lead_on_a_straight_line_is_not_a_lateral_error_even_beyond_its_end() -> None:
     line = ConstantTwist(v=0.5, omega=0.0, duration=10.0, start=(1.0, 2.0, 0.3))
     ahead = line.sample(TIMES).pose + 0.1 * np.array([np.cos(0.3), np.sin(0.3), 0.0])
     metrics = run_along(line, ahead, [0.5, 0.0, 0.0], TIMES).metrics
@@ -144,15 +144,15 @@ def test_band_share_counts_the_ticks_inside_the_band() -> None:
 
 
 @given(x=st.floats(-5, 5), y=st.floats(-5, 5), theta=st.floats(-10, 10), seed=st.integers(0, 100))
-def test_motion_of_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
+def test_rigid_motion_of_the_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
     offset = 0.03 * np.random.default_rng(seed).standard_normal((len(COARSE), 3))
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
     rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     moved_offset = np.column_stack([offset[:, :2] @ rotation.T, offset[:, 2]])
     original = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
-    moved = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
+    actual = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
     for name in ("position_rmse_m", "position_std_m", "heading_max_rad", "course_rmse_rad", "lateral_rmse_m"):
-        assert getattr(moved, name) == pytest.approx(getattr(original, name), rel=1e-6), name
+        assert getattr(actual, name) == pytest.approx(getattr(original, name), rel=1e-6), name
 
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
@@ -160,13 +160,13 @@ SECOND = np.arange(0, 51) * 0.02
 
 
 def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
-    run, plain = (simulate(FeedForward({100: "BRAKING"}), KinematicPlant(), LINE, extra_time=extra) for extra in (1, 0))
+    run, short = (simulate(FeedForward({100: "BRAKING"}), KinematicPlant(), LINE, extra_time=extra) for extra in (1, 0))
     end = np.where(np.arange(101) < 51, 0.0, 9.0)
     worse = replace(run, true_pose=run.true_pose + end[:, None], solver_iterations=end).with_step_time(end, end)
-    plain = replace(plain, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
-    assert (len(run.time), plain.metrics.steps, plain.metrics.completed) == (101, 51, True)
+    short = replace(short, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
+    assert (len(run.time), short.metrics.steps, short.metrics.completed) == (101, 51, True)
     # Stops count up to the end of the run.
-    assert asdict(worse.metrics) == pytest.approx(asdict(plain.metrics) | {"stopped": True})
+    assert asdict(worse.metrics) == pytest.approx(asdict(short.metrics) | {"stopped": True})
 
 
 def test_statistics_of_unequal_errors_match_their_definitions() -> None:
@@ -187,7 +187,7 @@ def test_fallback_ticks_are_counted_by_mode() -> None:
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
     assert run.metrics.fallbacks == 3
     assert run.metrics.completed and run.metrics.stopped
-    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "a late start is no stop"
+    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "the start is late"
 
 
 def test_every_mode_of_the_controller_is_classified() -> None:
@@ -196,7 +196,7 @@ def test_every_mode_of_the_controller_is_classified() -> None:
     assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
-def test_only_a_run_that_ends_tracking_at_the_end_of_its_reference_is_completed() -> None:
+def test_run_is_completed_if_it_ends_in_tracking_at_the_end_of_the_reference() -> None:
     for mode in ("BRAKING", "STOPPED"):
         assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
     pose = LINE.sample(SECOND).pose
@@ -208,7 +208,7 @@ def test_only_a_run_that_ends_tracking_at_the_end_of_its_reference_is_completed(
     assert not far.metrics.completed and not short.metrics.completed
 
 
-def test_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
+def test_non_finite_pose_makes_the_error_nan() -> None:
     pose = LINE.sample(SECOND).pose
     pose[20] = np.nan
     metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND).metrics
@@ -219,13 +219,13 @@ def test_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
 
 def test_step_longer_than_the_sample_is_a_missed_deadline() -> None:
     assert simulate(FeedForward(), KinematicPlant(), LINE).metrics.deadline_misses == 0
-    slow = simulate(Slow(), KinematicPlant(), LINE).metrics
+    slow = simulate(SlowController(), KinematicPlant(), LINE).metrics
     assert slow.deadline_misses == slow.steps == 51
     assert slow.step_time_p99_s == pytest.approx(0.03)
 
 
 def test_step_times_can_be_replaced_by_those_of_a_timing_pass() -> None:
-    run = simulate(Slow(), KinematicPlant(), LINE)
+    run = simulate(SlowController(), KinematicPlant(), LINE)
     times = np.linspace(0.0, 0.01, 51)
     retimed = run.with_step_time(times)
     assert retimed.metrics.step_time_max_s == 0.01
@@ -250,10 +250,10 @@ def sequential_distances(path, points, arc_length):
     for i, point in enumerate(points):
         near = (path.arc_end >= arc_length[i] - WINDOW) & (path.arc_start <= arc_length[i] + WINDOW)
         if piece is not None:
-            # Also search around the last nearest place, widened by twice the distance since then.
+            # Also search around the previous nearest piece, widened by twice the distance between the points.
             reach = min(WINDOW, 2.0 * np.hypot(*(point - points[i - 1])))
-            before = (path.arc_end >= path.arc_start[piece] - reach) & (path.arc_start <= path.arc_end[piece] + reach)
-            searched = np.flatnonzero(near | before)
+            nearby = (path.arc_end >= path.arc_start[piece] - reach) & (path.arc_start <= path.arc_end[piece] + reach)
+            searched = np.flatnonzero(near | nearby)
             near[searched[0] : searched[-1] + 1] = True
         offset = point - path.start
         along = np.clip((offset * path.direction).sum(axis=1), 0.0, path.length)
@@ -263,30 +263,30 @@ def sequential_distances(path, points, arc_length):
     return distances
 
 
-def test_points_are_projected_as_if_one_after_the_other():
-    """Points on, next to and far behind a random path, where each search depends on the previous one."""
-    draw = np.random.default_rng(0)
+def test_projection_of_all_points_equals_sequential_projection():
+    """Use points on, next to and far behind a random path; each search depends on the previous result."""
+    rng = np.random.default_rng(0)
     for _ in range(60):
-        corners = np.cumsum(draw.normal(0.0, 0.3, (40, 2)) + [0.1, 0.0], axis=0)
+        corners = np.cumsum(rng.normal(0.0, 0.3, (40, 2)) + [0.1, 0.0], axis=0)
         steps = np.diff(corners, axis=0)
         length = np.hypot(*steps.T)
         arc = np.concatenate([[0.0], np.cumsum(length)])
         path = Polyline(corners[:-1], steps / length[:, None], length, arc[:-1], arc[1:])
-        # The robot falls behind its expected place by a random share, and is sometimes displaced.
-        expected = np.linspace(0.0, 0.9 * arc[-1], draw.integers(2, 80))
-        places = expected * draw.uniform(0.3, 1.0)
-        points = np.column_stack([np.interp(places, arc, corners[:, i]) for i in (0, 1)])
-        points = points + draw.choice([0.0, 0.02, 0.5]) * draw.normal(size=points.shape)
-        wanted = sequential_distances(path, points, expected)
-        assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), wanted, rtol=0.0, atol=1e-9)
+        # The robot falls behind its expected position by a random fraction, and is sometimes displaced.
+        expected = np.linspace(0.0, 0.9 * arc[-1], rng.integers(2, 80))
+        positions = expected * rng.uniform(0.3, 1.0)
+        points = np.column_stack([np.interp(positions, arc, corners[:, i]) for i in (0, 1)])
+        points = points + rng.choice([0.0, 0.02, 0.5]) * rng.normal(size=points.shape)
+        distances = sequential_distances(path, points, expected)
+        assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), distances, rtol=0.0, atol=1e-9)
 
 
 TICK = 0.0202
-SETTLED = metric_settings().settled_arc
+SETTLED_ARC = metric_settings().settled_arc
 S, BACKWARD = load_trajectory("s"), ConstantTwist(-0.5, 0.5, 6.0)
 
 
-def run_beside(reference, lateral):
+def run_with_offset(reference, lateral):
     """Build a run that drives `lateral` (n,) to the left of the reference."""
     times = np.arange(0.0, reference.duration, TICK)
     pose = shift_left(reference.sample(times).pose, np.broadcast_to(lateral, times.shape)[:, None])
@@ -295,11 +295,11 @@ def run_beside(reference, lateral):
 
 def test_each_arc_has_its_own_bias_without_its_settling_time():
     """The error is 0.1 m outside the settled parts of the three arcs."""
-    lateral = np.full(len(run_beside(S, 0.0).time), 0.1)
-    arcs = steady_arcs(run_beside(S, 0.0))
+    lateral = np.full(len(run_with_offset(S, 0.0).time), 0.1)
+    arcs = steady_arcs(run_with_offset(S, 0.0))
     for ticks, error in zip(arcs, (-0.010, 0.006, 0.03), strict=True):
         lateral[ticks] = error
-    assert steady_arc_lateral(run_beside(S, lateral)) == pytest.approx([-0.010, 0.006, 0.03], abs=1e-5)
+    assert steady_arc_lateral(run_with_offset(S, lateral)) == pytest.approx([-0.010, 0.006, 0.03], abs=1e-5)
 
 
 @pytest.mark.parametrize("side", [0.03, -0.02])
@@ -308,13 +308,13 @@ def test_each_arc_has_its_own_bias_without_its_settling_time():
     [
         *((load_trajectory(name), arcs) for name, arcs in {"circle": 1, "square": 0, "s": 3, "cane": 1}.items()),
         *((ConstantTwist(*twist, 6.0), 0) for twist in ((0.5, 0.0), (0.0, 1.0))),
-        *((ConstantTwist(0.5, 0.5, SETTLED + more), arcs) for more, arcs in ((-TICK, 0), (2 * TICK, 1))),
+        *((ConstantTwist(0.5, 0.5, SETTLED_ARC + more), arcs) for more, arcs in ((-TICK, 0), (2 * TICK, 1))),
         (BACKWARD, 1),
     ],
 )
 def test_constant_distance_is_the_bias_of_each_settled_arc(reference, arcs, side):
-    """Left of a backward robot is right of the path."""
-    run = run_beside(reference, side)
+    """The left side of a robot that drives backwards is the right side of the path."""
+    run = run_with_offset(reference, side)
     bias = -side if reference is BACKWARD else side
     assert steady_arc_lateral(run) == pytest.approx([bias] * arcs, abs=1e-5)
     for ticks in steady_arcs(run):

@@ -1,4 +1,4 @@
-"""The physics plant against the laws of mechanics."""
+"""The physics plant compared with the laws of mechanics."""
 
 import math
 
@@ -31,11 +31,11 @@ def _steady_drive(plant: MujocoPlant, v: float, omega: float, samples: int = 200
 
 @pytest.fixture(scope="module")
 def steady() -> dict[str, OpenLoopDrive]:
-    """Steady part of the same gentle curve on every surface."""
+    """Steady part of a gentle curve, by surface."""
     return {surface: _steady_drive(_twin(surface), 0.5, 0.5) for surface in FRICTION}
 
 
-def test_resting_robot_stays_where_it_is() -> None:
+def test_resting_robot_does_not_move() -> None:
     plant = _twin()
     log = drive_open_loop(plant, np.zeros((250, 2)), pose=[1.0, -2.0, 0.7])
     np.testing.assert_allclose(log.true_pose, np.tile([1.0, -2.0, 0.7], (250, 1)), atol=1e-4)
@@ -47,7 +47,7 @@ def test_resting_robot_stays_where_it_is() -> None:
 def test_straight_speed_is_the_command(v: float) -> None:
     log = _steady_drive(_twin(), v, 0.0)
     encoders = log.wheel_twist[:, 0].mean()
-    # The set-point is a whole number of pulses per second: at most half a pulse off.
+    # The set-point is a whole number of pulses per second; its rounding error is at most half a pulse.
     half_pulse = np.pi * load_robot().wheel_radius / load_robot().encoder_pulses
     assert encoders == pytest.approx(load_firmware().gain_v * v, abs=half_pulse + 1e-3)
     # Loaded tyres roll on a slightly smaller radius than the encoders' twist assumes.
@@ -72,8 +72,8 @@ def test_left_and_right_mirror_each_other_except_for_the_motors() -> None:
 
 def test_weak_motors_limit_the_speed_and_follow_lower_commands_again() -> None:
     twin = load_twin_parameters()
-    weak = twin.model_copy(update={"motor": twin.motor.model_copy(update={"no_load_speed": 15.0})})
-    plant = MujocoPlant(FRICTION["default"], load_sensor_set("perfect"), twin=weak)
+    weak_twin = twin.model_copy(update={"motor": twin.motor.model_copy(update={"no_load_speed": 15.0})})
+    plant = MujocoPlant(FRICTION["default"], load_sensor_set("perfect"), twin=weak_twin)
     reachable = 15.0 * load_robot().wheel_radius
     log = drive_open_loop(plant, np.vstack([np.tile([1.5, 0.0], (150, 1)), np.tile([0.5, 0.0], (100, 1))]))
     v = log.wheel_twist[:, 0]
@@ -83,7 +83,7 @@ def test_weak_motors_limit_the_speed_and_follow_lower_commands_again() -> None:
 
 
 def test_robot_without_motor_torque_only_loses_energy() -> None:
-    """Friction dissipates energy; only energy stored in the soft tyres may return briefly."""
+    """Friction dissipates energy; only energy stored in the soft tyres is returned briefly."""
     robot, twin = load_robot(), load_twin_parameters()
     chassis = Chassis(robot, twin, FRICTION["default"], robot.sample_time / twin.substeps)
     for _ in range(250):
@@ -94,9 +94,9 @@ def test_robot_without_motor_torque_only_loses_energy() -> None:
         chassis.step(np.zeros(4))
         energies.append(chassis.energy)
     deflection = 2e-3
-    rocking = robot.mass * 9.81 * deflection
-    assert start > 10 * rocking
-    assert np.max(np.array(energies) - np.minimum.accumulate(energies)) < rocking
+    rocking_energy = robot.mass * 9.81 * deflection
+    assert start > 10 * rocking_energy
+    assert np.max(np.array(energies) - np.minimum.accumulate(energies)) < rocking_energy
     assert abs(chassis.twist[2]) < 1e-2
 
 
@@ -117,7 +117,7 @@ def test_robot_without_motor_torque_rolls_straight_on() -> None:
 
 
 def test_push_accelerates_the_mass_and_the_rotating_parts() -> None:
-    """Newton: four wheel torques over the radius move mass + (wheel and rotor inertia) / radius^2."""
+    """By Newton's law, the force 4 torque / radius accelerates mass + (wheel and rotor inertia) / radius^2."""
     robot, twin = load_robot(), load_twin_parameters()
     step = robot.sample_time / twin.substeps
     chassis = Chassis(robot, twin, FRICTION["grippy"], step)
@@ -135,10 +135,10 @@ def test_zero_command_stops_the_robot_and_keeps_it_at_rest() -> None:
     drive_open_loop(plant, np.tile([1.0, 1.0], (100, 1)))
     for _ in range(75):
         plant.advance([0.0, 0.0])
-    stopped = plant.true_pose
+    stop_pose = plant.true_pose
     for _ in range(250):
         plant.advance([0.0, 0.0])
-    np.testing.assert_allclose(plant.true_pose, stopped, atol=1e-4)
+    np.testing.assert_allclose(plant.true_pose, stop_pose, atol=1e-4)
     assert plant.chassis.energy < 1e-9
 
 
@@ -146,8 +146,8 @@ def test_acceleration_stays_within_friction() -> None:
     """Pitching shifts load briefly, but averaged over 0.1 s the surface carries exactly the weight."""
     log = drive_open_loop(_twin("slippery"), np.tile([1.2, 0.0], (60, 1)))
     samples = 5
-    gained = log.true_twist[samples:, 0] - log.true_twist[:-samples, 0]
-    acceleration = gained / (samples * load_robot().sample_time)
+    speed_change = log.true_twist[samples:, 0] - log.true_twist[:-samples, 0]
+    acceleration = speed_change / (samples * load_robot().sample_time)
     limit = FRICTION["slippery"] * 9.81
     assert 0.9 * limit < acceleration.max() < 1.03 * limit
 
@@ -206,25 +206,25 @@ def _drag(surface: str, direction: float, heading: float = 0.5) -> float:
 
     `direction` is the angle [rad] of the drag from forward to the left.
     """
-    floor = load_surface(surface)
-    chassis = Chassis(ROBOT, TWIN, floor.friction or 0.0, STEP, sideways=floor.sideways)
+    properties = load_surface(surface)
+    chassis = Chassis(ROBOT, TWIN, properties.friction or 0.0, STEP, sideways=properties.sideways)
     chassis.reset([0.0, 0.0, heading])
     # The force is little above friction, because a robot that is pulled suddenly tips over.
-    expected = (floor.friction or 0.0) * math.hypot(math.cos(direction), floor.sideways * math.sin(direction))
+    expected = (properties.friction or 0.0) * math.hypot(math.cos(direction), properties.sideways * math.sin(direction))
     force = 1.15 * expected * ROBOT.mass * GRAVITY
     chassis.push(force * math.cos(direction), force * math.sin(direction), 0.0, 0.0)
     _step_braked(chassis, 0.3)
-    before = np.hypot(*chassis.twist[:2])
+    start_speed = np.hypot(*chassis.twist[:2])
     _step_braked(chassis, 0.2)
-    return float(force / ROBOT.mass - (np.hypot(*chassis.twist[:2]) - before) / 0.2) / GRAVITY
+    return float(force / ROBOT.mass - (np.hypot(*chassis.twist[:2]) - start_speed) / 0.2) / GRAVITY
 
 
 @pytest.mark.parametrize("surface", ["default", "carpet", "deep_carpet", "ice"])
 def test_dragging_force_is_the_friction_in_each_direction(surface: str) -> None:
-    floor = load_surface(surface)
+    properties = load_surface(surface)
     along, across = _drag(surface, 0.0), _drag(surface, math.pi / 2)
-    assert along == pytest.approx(floor.friction, rel=0.05)
-    assert across == pytest.approx(floor.sideways_friction or floor.friction, rel=0.05)
+    assert along == pytest.approx(properties.friction, rel=0.05)
+    assert across == pytest.approx(properties.sideways_friction or properties.friction, rel=0.05)
     # The result is independent of the heading of the robot.
     assert _drag(surface, math.pi / 2, heading=2.0) == pytest.approx(across, rel=0.01)
 
@@ -244,9 +244,9 @@ def test_robot_across_a_slope_of_ten_degrees_stays_or_slides_by_friction(frictio
     angle = math.radians(10.0)
     chassis = Chassis(ROBOT, TWIN, friction, STEP, slope=Slope(angle=angle, downhill=math.pi / 2))
     _step_braked(chassis, 0.5)
-    early = chassis.twist[1]
+    start_speed = chassis.twist[1]
     _step_braked(chassis, 0.5)
-    acceleration = (chassis.twist[1] - early) / 0.5
+    acceleration = (chassis.twist[1] - start_speed) / 0.5
     if is_held:
         # Soft contacts creep; they do not speed up.
         assert abs(acceleration) < 0.01
@@ -256,7 +256,7 @@ def test_robot_across_a_slope_of_ten_degrees_stays_or_slides_by_friction(frictio
         assert acceleration == pytest.approx(expected, rel=0.05)
 
 
-def test_patch_on_a_carpet_keeps_the_ratio_of_its_directions() -> None:
+def test_patch_on_a_carpet_preserves_the_ratio_of_the_directions() -> None:
     plant = make_plant("mujoco", "carpet")
     plant.chassis.set_friction(np.full(4, 0.2))
     assert _coefficients(plant) == pytest.approx((0.3, 0.2))

@@ -81,9 +81,9 @@ def _drive_named(name: str, commands: np.ndarray, **options: float) -> OpenLoopD
 @pytest.mark.parametrize("model", ["sm", "mbm", "ssm"])
 def test_dead_time_in_the_name_delays_the_outputs(model: str) -> None:
     commands = random_commands(8, duration=3.0)
-    plain, late = _drive_named(f"model:{model}", commands), _drive_named(f"model:{model}+{2 * DT}", commands)
-    np.testing.assert_allclose(late.output[2:], plain.output[:-2], atol=1e-12)
-    np.testing.assert_allclose(late.output[:2], 0.0, atol=1e-12)
+    plain, delayed = _drive_named(f"model:{model}", commands), _drive_named(f"model:{model}+{2 * DT}", commands)
+    np.testing.assert_allclose(delayed.output[2:], plain.output[:-2], atol=1e-12)
+    np.testing.assert_allclose(delayed.output[:2], 0.0, atol=1e-12)
     assert np.abs(plain.output).max() > 0.3
     np.testing.assert_array_equal(
         _drive_named(f"model:{model}+0.013", commands).output,
@@ -91,15 +91,15 @@ def test_dead_time_in_the_name_delays_the_outputs(model: str) -> None:
     )
 
 
-def _slipping(**changes: float) -> OpenLoopDrive:
+def _drive_with_slip(**changes: float) -> OpenLoopDrive:
     slip = BodySlip(**{"yaw_gain": 1.0, "wheel_yaw_gain": 1.0, "longitudinal_gain": 1.0, "side_slip": 0.0} | changes)
     return drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), random_commands(6, duration=4.0))
 
 
 def test_model_plant_applies_its_slip_to_the_twist_and_the_wheels() -> None:
-    plain = _slipping()
+    plain = _drive_with_slip()
     v, omega = plain.output.T
-    slipped = _slipping(yaw_gain=0.9, wheel_yaw_gain=0.6, longitudinal_gain=0.95, side_slip=0.05)
+    slipped = _drive_with_slip(yaw_gain=0.9, wheel_yaw_gain=0.6, longitudinal_gain=0.95, side_slip=0.05)
     np.testing.assert_allclose(slipped.true_twist[:, 0], 0.95 * v)
     np.testing.assert_allclose(slipped.true_twist[:, 2], 0.9 * omega)
     np.testing.assert_allclose(slipped.true_twist[:, 1], -0.05 * 0.95 * v * 0.9 * omega)
@@ -118,8 +118,8 @@ def test_side_slip_moves_the_body_sideways() -> None:
     np.testing.assert_allclose(np.remainder(course + np.pi, 2 * np.pi) - np.pi, -np.arctan(0.1 * omega), atol=1e-4)
 
 
-def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
-    """Poses at 10 Hz fall between ticks; on a steady circle they must still lie on that circle."""
+def test_delivered_pose_between_ticks_is_on_the_path() -> None:
+    """Poses at 10 Hz fall between ticks; on a steady circle they must also be on that circle."""
     exact_slam = PERFECT.model_copy(update={"pose": PERFECT.pose.model_copy(update={"period": 0.1, "latency": 0.06})})
     plant = ModelPlant(load_model("ssm"), load_surface("ideal").slip, exact_slam)
     truth, delivered = [], []
@@ -130,11 +130,11 @@ def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
             delivered.append([measurement.pose.time, *np.asarray(measurement.pose.value)[:2]])
         plant.advance([0.4, 0.6])
     times, xy = np.array(truth)[:, 0], np.array(truth)[:, 1:3]
-    late = np.array([row for row in delivered if row[0] > 0])
-    assert len(late) > 50
+    poses = np.array([row for row in delivered if row[0] > 0])
+    assert len(poses) > 50
     for column in (0, 1):
         # The difference of chord and arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
-        np.testing.assert_allclose(late[:, 1 + column], np.interp(late[:, 0], times, xy[:, column]), atol=2e-5)
+        np.testing.assert_allclose(poses[:, 1 + column], np.interp(poses[:, 0], times, xy[:, column]), atol=2e-5)
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -144,11 +144,11 @@ def test_sample_time_of_constant_commands_has_no_effect(name: str, dt: float) ->
     for plant in plants:
         while plant.time < 2.0 - 1e-9:
             plant.advance([0.4, 0.5])
-    usual, resampled = plants
+    base, resampled = plants
     # Steps of the physics differ by a few per cent, and the ends of the drives by less than a tick.
-    off = integrate_pose(usual.true_pose, usual.true_twist[0], usual.true_twist[2], resampled.time - usual.time)
+    expected = integrate_pose(base.true_pose, base.true_twist[0], base.true_twist[2], resampled.time - base.time)
     assert resampled.sample_time == dt
-    np.testing.assert_allclose(resampled.true_pose, off, atol=2e-3)
+    np.testing.assert_allclose(resampled.true_pose, expected, atol=2e-3)
 
 
 def test_model_plant_uses_the_limits_of_its_robot() -> None:
@@ -159,21 +159,21 @@ def test_model_plant_uses_the_limits_of_its_robot() -> None:
     assert plant.true_twist[0] == pytest.approx(2.5 * load_model("sm").dc_gain[0, 0], rel=0.01)
 
 
-def test_body_of_the_model_plant_follows_the_slip_laws_and_the_motion_beyond_the_model() -> None:
+def test_body_of_the_model_plant_follows_the_slip_laws_and_the_unexplained_motion() -> None:
     rng = np.random.default_rng(5)
     terms = dict(zip(Polynomial.model_fields, rng.uniform(-0.1, 0.1, 9).tolist(), strict=True))
     laws = {"polynomial": Polynomial(**terms), "virtual_track": VirtualTrack(p0=0.4, p1=0.1)}
     slip = load_surface("default").slip.model_copy(update=laws)
     motion = UnexplainedMotion(rng.normal(size=(7, 3)), rng.uniform(0.0, 1e-4, (3, 6)), np.full(6, 0.3))
     ideal = ModelPlant(load_model("ssm"), load_surface("ideal").slip, PERFECT)
-    plants = [ModelPlant(load_model("ssm"), slip, PERFECT, disturbance=beyond) for beyond in (None, motion)]
-    before = np.zeros(2)
+    plants = [ModelPlant(load_model("ssm"), slip, PERFECT, disturbance=unexplained) for unexplained in (None, motion)]
+    last_output = np.zeros(2)
     for tick, command in enumerate(random_commands(2, duration=1.0), start=1):
         for plant in (ideal, *plants):
             plant.advance(command)
         output = ideal.true_twist[[0, 2]]
-        features = np.minimum(intensity_features(output, (output - before) / DT), motion.largest)
-        beyond = motion.rows[tick % 7] * np.sqrt(motion.variance @ features)
+        features = np.minimum(intensity_features(output, (output - last_output) / DT), motion.largest)
+        unexplained = motion.rows[tick % 7] * np.sqrt(motion.variance @ features)
         np.testing.assert_allclose(plants[0].true_twist, slip.body(output), atol=1e-12)
-        np.testing.assert_allclose(plants[1].true_twist, slip.body(output) + beyond, atol=1e-9)
-        before = output
+        np.testing.assert_allclose(plants[1].true_twist, slip.body(output) + unexplained, atol=1e-9)
+        last_output = output

@@ -1,4 +1,4 @@
-"""The simulated robot over DDS: its topics and its process."""
+"""Simulated robot over DDS: topics and process."""
 
 import numpy as np
 import pytest
@@ -35,10 +35,10 @@ def commands(ticks=TICKS, seed=0):
     return np.repeat(rng.uniform([-0.5, -1.0], [0.8, 1.0], (ticks // 10, 2)), 10, axis=0)
 
 
-def record(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **how):
+def record(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **opts):
     """Drive in lock step and record; return the driver."""
     base = base or settings()
-    with Driver(rows, DT, stamped=base.stamped, **how) as driver:
+    with Driver(rows, DT, stamped=base.stamped, **opts) as driver:
         run_robot(
             make_plant(plant, seed=seed),
             start,
@@ -79,14 +79,14 @@ def test_recording_equals_the_log_of_the_drive(tmp_path, stamped, storage):
     assert np.allclose(drive.yaw_rate, log.yaw_rate, rtol=0, atol=1e-9)
     plant = make_plant("mujoco", seed=2)
     plant.reset((1.0, 2.0, 0.5))
-    sensed = []
+    readings = []
     for row in rows:
-        sensed.append(plant.measure().pose)
+        readings.append(plant.measure().pose)
         plant.advance(row)
     stamps, poses = read_messages(tmp_path / "bag", "/pose")
-    assert np.array_equal(stamps - stamps[0], [round(1e9 * (p.time - sensed[0].time)) for p in sensed])
-    assert [p.pose.pose.position.x for p in poses] == [p.value[0] for p in sensed]
-    assert poses[0].pose.covariance[0] == sensed[0].covariance[0][0]
+    assert np.array_equal(stamps - stamps[0], [round(1e9 * (p.time - readings[0].time)) for p in readings])
+    assert [p.pose.pose.position.x for p in poses] == [p.value[0] for p in readings]
+    assert poses[0].pose.covariance[0] == readings[0].covariance[0][0]
 
 
 def test_robot_stops_without_commands(tmp_path):
@@ -103,11 +103,11 @@ def test_robot_stops_without_commands(tmp_path):
 
 def test_invalid_commands_do_not_move_the_robot(tmp_path):
     """The commands contain NaN, or stamps of another clock."""
-    bad, good = np.full((20, 2), np.nan), np.tile([0.5, 0.0], (20, 1))
+    nan_commands, valid_commands = np.full((20, 2), np.nan), np.tile([0.5, 0.0], (20, 1))
     base = settings(answer_timeout=0.05)
-    record(tmp_path / "nan", bad, plant="model:ssm", base=base)
-    record(tmp_path / "ahead", good, plant="model:ssm", base=base, stamp=lambda now: now + 10**10)
-    record(tmp_path / "old", good, plant="model:ssm", base=base, stamp=lambda now: now - 10**9)
+    record(tmp_path / "nan", nan_commands, plant="model:ssm", base=base)
+    record(tmp_path / "ahead", valid_commands, plant="model:ssm", base=base, stamp=lambda now: now + 10**10)
+    record(tmp_path / "old", valid_commands, plant="model:ssm", base=base, stamp=lambda now: now - 10**9)
     for name in ("nan", "ahead", "old"):
         assert read_messages(tmp_path / name, "/cmd_vel")[0].size
         truth = read_true_poses(tmp_path / name)
@@ -122,10 +122,10 @@ def test_topics_have_their_frames_and_rates(tmp_path):
     assert len(odom) == TICKS and len(imu) == TICKS / 3
     assert np.all(np.diff(read_messages(tmp_path / "bag", "/imu")[0]) == 3 * 20_200_000)
     assert imu[0].orientation_covariance[0] == -1.0
-    # Sent and recorded messages are equal; the reader may miss the first ones before it is connected.
-    sent = {message.header.stamp.nanosec: message.twist.twist.linear.x for message in odom}
+    # Received and recorded messages are equal; the driver may miss messages before it is connected.
+    recorded = {message.header.stamp.nanosec: message.twist.twist.linear.x for message in odom}
     assert len(driver.odometry) > TICKS / 2
-    assert all(sent[m.header.stamp.nanosec] == m.twist.twist.linear.x for m in driver.odometry)
+    assert all(recorded[m.header.stamp.nanosec] == m.twist.twist.linear.x for m in driver.odometry)
 
 
 @pytest.mark.parametrize(("source", "bound"), [("dead_reckoning", 0.03), ("pose_sensor", 0.03)])
@@ -162,6 +162,6 @@ def test_existing_bag_is_not_overwritten(tmp_path):
 
 def test_robot_ticks_at_the_sample_time_of_the_configuration(tmp_path):
     (tmp_path / "slow.yaml").write_text("model: ssm\nsample_time: 0.05\n")
-    words = ["--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"), "--record", str(tmp_path / "bag")]
-    invoke(app, "sim-robot", *words, "--duration", "0.4")
+    arguments = ["--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"), "--record", str(tmp_path / "bag")]
+    invoke(app, "sim-robot", *arguments, "--duration", "0.4")
     assert np.array_equal(np.diff(read_messages(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))

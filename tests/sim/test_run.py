@@ -1,4 +1,4 @@
-"""A simulated run: its recorded data, and its energy."""
+"""Simulated run: recorded data and energy."""
 
 from dataclasses import dataclass, replace
 
@@ -42,7 +42,7 @@ class DetailedStep:
 
 
 class DetailedController(FeedForward):
-    """Reports an estimate from the second tick on, and a solver result at every second tick."""
+    """Controller that reports an estimate from the second tick on, and a solver result at every second tick."""
 
     def step(self, t: float, measurement: Measurement) -> DetailedStep:  # type: ignore[override]
         command = super().step(t, measurement).command
@@ -73,13 +73,13 @@ def test_run_contains_the_estimates_and_solver_results_of_a_controller(run: Run)
 
 
 def test_run_of_a_controller_without_details_has_empty_rows() -> None:
-    for quiet in (simulate(FeedForward(), KinematicPlant(), CIRCLE), run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])):
-        n = len(quiet.time)
-        assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5)
-        assert np.isnan(quiet.estimates).all()
-        assert quiet.solver_methods == ("none",) * n
-        assert quiet.solver_statuses == ("",) * n
-        assert {len(column) for column in quiet.columns.values()} == {n}
+    for item in (simulate(FeedForward(), KinematicPlant(), CIRCLE), run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])):
+        n = len(item.time)
+        assert item.estimates.shape == item.estimate_deviations.shape == (n, 5)
+        assert np.isnan(item.estimates).all()
+        assert item.solver_methods == ("none",) * n
+        assert item.solver_statuses == ("",) * n
+        assert {len(column) for column in item.columns.values()} == {n}
 
 
 def test_errors_use_the_true_motion_during_the_reference() -> None:
@@ -87,10 +87,10 @@ def test_errors_use_the_true_motion_during_the_reference() -> None:
     times = np.arange(7) / 2
     ahead, left = np.array([[0.08, 0.06]] * 2 + [[0.04, -0.03]] * 3 + [[3.0, 4.0]] * 2).T
     truth = np.column_stack([np.minimum(times, 2.0) + ahead, left, np.full(7, 0.2)])
-    far_off = Measurement(pose=Stamped(np.ones(3), 0.0), wheel_twist=Stamped(np.ones(2), 0.0))
+    far_measurement = Measurement(pose=Stamped(np.ones(3), 0.0), wheel_twist=Stamped(np.ones(2), 0.0))
     run = replace(
         run_along(ConstantTwist(1.0, 0.0, 2.0), truth, [1.0, 0.1, 0.0], times),
-        measurements=(far_off,) * 7, estimates=np.ones((7, 5)), command=np.ones((7, 2)), disturbance=(0.0, 0.0),
+        measurements=(far_measurement,) * 7, estimates=np.ones((7, 5)), command=np.ones((7, 2)), disturbance=(0.0, 0.0),
     )  # fmt: skip
     assert run.errors.position == pytest.approx([0.10] * 2 + [0.05] * 3 + [5.0] * 2)
     assert run.errors.lateral[:5] == pytest.approx([0.06] * 2 + [-0.03] * 3)

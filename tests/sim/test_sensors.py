@@ -26,8 +26,8 @@ def _run(parameters: SensorSet, ticks: int, seed: int = 0, yaw_rate: float = 0.0
     sensors = Sensors(parameters, KINEMATICS, DT, seed=seed, noisy_encoders=True)
     measurements = [sensors.collect(0.0, None)]
     for k in range(1, ticks + 1):
-        for look in sensors.poses_due(k * DT):
-            sensors.add_pose(look, [look, 0.0, 0.0])
+        for pose_time in sensors.poses_due(k * DT):
+            sensors.add_pose(pose_time, [pose_time, 0.0, 0.0])
         sensors.add_motion(k * DT, [5.0, 5.0, 5.0, 5.0], yaw_rate)
         measurements.append(sensors.collect(k * DT, None))
     return measurements
@@ -35,8 +35,8 @@ def _run(parameters: SensorSet, ticks: int, seed: int = 0, yaw_rate: float = 0.0
 
 @given(period=st.one_of(st.none(), st.floats(0.005, 0.3)), latency=st.floats(0.0, 0.3))
 def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None, latency: float) -> None:
-    quiet = load_sensor_set("perfect")
-    parameters = quiet.model_copy(
+    perfect = load_sensor_set("perfect")
+    parameters = perfect.model_copy(
         update={"pose": PoseSensor(period=period, latency=latency, position_sd=0, heading_sd=0)}
     )
     measurements = _run(parameters, 60)
@@ -61,11 +61,11 @@ def test_sensor_set_defines_the_wiring_of_sensors() -> None:
     wired["gyro"] |= {"scale": -2.0, "largest": 1.0}
     wired["encoders"] |= {"left": -1.0, "right": 0.5, "swapped": True}
     sensors = Sensors(check(SensorSet, wired, "set"), KINEMATICS, DT, seed=0, noisy_encoders=True)
-    for rate, read in ((0.3, -0.6), (0.7, -1.0), (-0.7, 1.0)):
+    for rate, expected in ((0.3, -0.6), (0.7, -1.0), (-0.7, 1.0)):
         sensors.add_motion(DT, [1.0, 2.0, 3.0, 4.0], rate)
         reading = sensors.collect(DT, None).yaw_rate
         assert reading is not None
-        assert reading.value == pytest.approx(read)
+        assert reading.value == pytest.approx(expected)
     (time,) = sensors.poses_due(DT)
     sensors.add_pose(time, [1.0, 2.0, 0.1])
     sensors.add_motion(DT, [1.0, 2.0, 3.0, 4.0], 0.0)
@@ -99,8 +99,8 @@ def test_noise_has_the_stated_covariance() -> None:
 
 
 def test_gyro_bias_is_constant_in_a_run_and_differs_between_seeds() -> None:
-    quiet = load_sensor_set("perfect")
-    parameters = quiet.model_copy(update={"gyro": Gyro(noise_sd=0.0, bias_sd=0.01)})
+    perfect = load_sensor_set("perfect")
+    parameters = perfect.model_copy(update={"gyro": Gyro(noise_sd=0.0, bias_sd=0.01)})
     biases = []
     for seed in range(200):
         rates = {float(np.asarray(m.yaw_rate.value)) for m in _run(parameters, 3, seed) if m.yaw_rate is not None}
@@ -111,9 +111,9 @@ def test_gyro_bias_is_constant_in_a_run_and_differs_between_seeds() -> None:
 
 def test_change_of_one_sensor_does_not_change_the_noise_of_others() -> None:
     default, slam = (_run(load_sensor_set(name), 30, seed=3) for name in ("default", "slam"))
-    for usual, changed in zip(default, slam, strict=True):
-        assert usual.yaw_rate.value == changed.yaw_rate.value
-        np.testing.assert_array_equal(usual.wheel_speeds.value, changed.wheel_speeds.value)
+    for expected, actual in zip(default, slam, strict=True):
+        assert expected.yaw_rate.value == actual.yaw_rate.value
+        np.testing.assert_array_equal(expected.wheel_speeds.value, actual.wheel_speeds.value)
 
 
 @given(theta=st.floats(-50.0, 50.0))
@@ -160,19 +160,19 @@ def test_unstated_noise_is_not_in_the_covariance(name: str, noise: float) -> Non
     errors = np.array([value[:2] - truth[:2] for value, _, truth in samples])
     assert errors.std() == pytest.approx(noise, rel=0.1)
     stated = np.sqrt(np.diag(np.asarray(samples[0][1].covariance)))
-    usual = load_sensor_set("default").pose
-    np.testing.assert_allclose(stated, [usual.position_sd, usual.position_sd, usual.heading_sd])
+    pose_sensor = load_sensor_set("default").pose
+    np.testing.assert_allclose(stated, [pose_sensor.position_sd, pose_sensor.position_sd, pose_sensor.heading_sd])
 
 
-def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
+def _drive_pair(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
     """Return time, intact and faulty measurement of each tick; the states of both robots are bitwise equal."""
-    for fault in (fault for kind in faults.values() for fault in kind):
+    for fault in (fault for entries in faults.values() for fault in entries):
         fault |= {"start": START, "duration": END - START}
     scenario = check(Scenario, {"description": "test", **faults}, "test")
-    sound = _drive(make_plant(name, seed=1))
+    healthy = _drive(make_plant(name, seed=1))
     faulty = _drive(DisturbedPlant(make_plant(name, seed=1), scenario, load_robot()))
-    assert [true for _, _, true in sound] == [true for _, _, true in faulty]
-    return [(time, intact, affected) for (time, intact, _), (_, affected, _) in zip(sound, faulty, strict=True)]
+    assert [true for _, _, true in healthy] == [true for _, _, true in faulty]
+    return [(time, intact, affected) for (time, intact, _), (_, affected, _) in zip(healthy, faulty, strict=True)]
 
 
 def _check_only(
@@ -181,9 +181,9 @@ def _check_only(
     """Check that only these fields differ, only during the fault, with equal stamps; return the ticks of the fault."""
     during = [tick for tick in ticks if START <= tick[0] < END]
     assert 20 < len(during) < len(ticks)
-    for time, sound, faulty in ticks:
+    for time, intact, faulty in ticks:
         for field in FIELDS:
-            expected, actual = getattr(sound, field), getattr(faulty, field)
+            expected, actual = getattr(intact, field), getattr(faulty, field)
             assert (expected is None) == (actual is None)
             if expected is not None:
                 assert expected.time == actual.time
@@ -193,7 +193,7 @@ def _check_only(
                 if not (START <= time < END and field in fields):
                     assert _value(expected) == _value(actual), (field, time)
     for field in fields:
-        assert all(_value(getattr(sound, field)) != _value(getattr(faulty, field)) for _, sound, faulty in during[1:])
+        assert all(_value(getattr(intact, field)) != _value(getattr(faulty, field)) for _, intact, faulty in during[1:])
     return during
 
 
@@ -202,9 +202,9 @@ def _check_only(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
 def test_stuck_sensor_repeats_its_last_value_with_new_stamps(plant: str, sensor: str, fields: set[str]) -> None:
-    ticks = _both(plant, stuck_sensors=[{"sensor": sensor}])
+    ticks = _drive_pair(plant, stuck_sensors=[{"sensor": sensor}])
     during = _check_only(ticks, fields)
-    last = [sound for time, sound, _ in ticks if time < START][-1]
+    last = [intact for time, intact, _ in ticks if time < START][-1]
     for field in fields:
         assert {tuple(_value(getattr(faulty, field)) or ()) for _, _, faulty in during} == {
             tuple(_value(getattr(last, field)) or ())
@@ -214,33 +214,35 @@ def test_stuck_sensor_repeats_its_last_value_with_new_stamps(plant: str, sensor:
 
 
 def test_dead_encoder_corrupts_the_twist_of_its_side() -> None:
-    during = _check_only(_both("mujoco", dead_encoders=[{"wheels": ["rear_left"]}]), {"wheel_twist", "wheel_speeds"})
+    during = _check_only(
+        _drive_pair("mujoco", dead_encoders=[{"wheels": ["rear_left"]}]), {"wheel_twist", "wheel_speeds"}
+    )
     robot = load_robot()
-    for _, sound, faulty in during:
-        speeds = np.asarray(sound.wheel_speeds.value) * [1, 1, 0, 1]  # type: ignore[union-attr]
+    for _, intact, faulty in during:
+        speeds = np.asarray(intact.wheel_speeds.value) * [1, 1, 0, 1]  # type: ignore[union-attr]
         assert _value(faulty.wheel_speeds) == speeds.tolist()
         left, right = robot.wheel_radius * speeds.reshape(2, 2).mean(axis=0)
         np.testing.assert_allclose(_value(faulty.wheel_twist), [(left + right) / 2, (right - left) / robot.track])
 
 
 def test_biased_gyro_has_a_constant_error() -> None:
-    for _, sound, faulty in _check_only(_both("mujoco", gyro_biases=[{"bias": 0.05}]), {"yaw_rate"}):
-        assert _value(faulty.yaw_rate)[0] - _value(sound.yaw_rate)[0] == pytest.approx(0.05)  # type: ignore[index]
+    for _, intact, faulty in _check_only(_drive_pair("mujoco", gyro_biases=[{"bias": 0.05}]), {"yaw_rate"}):
+        assert _value(faulty.yaw_rate)[0] - _value(intact.yaw_rate)[0] == pytest.approx(0.05)  # type: ignore[index]
 
 
 def test_pose_error_jumps_and_drifts_from_its_start_and_the_heading_stays_wrapped() -> None:
     error = {"x": 0.3, "y": -0.2, "heading": 6.0, "x_rate": 0.1, "heading_rate": -0.5}
-    for time, sound, faulty in _check_only(_both("mujoco", pose_errors=[error]), {"pose"}):
-        off = np.subtract(_value(faulty.pose), _value(sound.pose))  # type: ignore[arg-type]
-        since = time - START
-        np.testing.assert_allclose(off[:2], [0.3 + 0.1 * since, -0.2], atol=1e-12)
-        assert np.cos(off[2] - 6.0 + 0.5 * since) == pytest.approx(1.0)
+    for time, intact, faulty in _check_only(_drive_pair("mujoco", pose_errors=[error]), {"pose"}):
+        difference = np.subtract(_value(faulty.pose), _value(intact.pose))  # type: ignore[arg-type]
+        elapsed = time - START
+        np.testing.assert_allclose(difference[:2], [0.3 + 0.1 * elapsed, -0.2], atol=1e-12)
+        assert np.cos(difference[2] - 6.0 + 0.5 * elapsed) == pytest.approx(1.0)
         assert -np.pi < _value(faulty.pose)[2] <= np.pi  # type: ignore[index]
 
 
-def test_sensor_lost_and_then_stuck_repeats_its_last_reading() -> None:
-    lost, stuck = {"sensor": "gyro", "start": 0.0, "duration": 0.5}, {"sensor": "gyro", "start": 0.3}
-    faults = {"description": "test", "drop_outs": [lost], "stuck_sensors": [stuck]}
+def test_sensor_that_is_stuck_after_a_drop_out_repeats_its_last_reading() -> None:
+    drop_out, stuck = {"sensor": "gyro", "start": 0.0, "duration": 0.5}, {"sensor": "gyro", "start": 0.3}
+    faults = {"description": "test", "drop_outs": [drop_out], "stuck_sensors": [stuck]}
     scenario = check(Scenario, faults, "test")
     samples = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
     rates = [_value(m.yaw_rate) for time, m, _ in samples if time >= 0.5]

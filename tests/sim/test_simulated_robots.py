@@ -20,7 +20,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
-SHIPPED = ROBOTS.names
+ROBOT_NAMES = ROBOTS.names
 GRAVITY = 9.81
 
 
@@ -28,7 +28,7 @@ def _plant(name: str, surface: str = "default") -> MujocoPlant:
     return make_plant(f"mujoco:{name}", surface, "perfect")
 
 
-def _hold(name: str, v: float, omega: float, samples: int = 150) -> OpenLoopDrive:
+def _drive_constant(name: str, v: float, omega: float, samples: int = 150) -> OpenLoopDrive:
     return drive_open_loop(_plant(name), np.tile([v, omega], (samples, 1)))
 
 
@@ -39,7 +39,7 @@ def _resting_loads(name: str) -> FloatArray:
     return plant.chassis.wheel_loads
 
 
-@pytest.mark.parametrize("name", [name for name in SHIPPED if not load_simulated_robot(name).twin.chassis.castors])
+@pytest.mark.parametrize("name", [name for name in ROBOT_NAMES if not load_simulated_robot(name).twin.chassis.castors])
 def test_wheel_loads_balance_the_weight_at_the_centre_of_mass(name: str) -> None:
     """Balance of forces and moments: front left, front right, rear left, rear right."""
     build = load_simulated_robot(name)
@@ -62,29 +62,29 @@ def test_file_without_changes_gives_the_default_robot_bit_for_bit(tmp_path: Path
         np.testing.assert_array_equal(getattr(shipped, name), getattr(configured, name))
 
 
-@pytest.mark.parametrize("name", ["default", *(name for name in SHIPPED if name.startswith("dead_time"))])
+@pytest.mark.parametrize("name", ["default", *(name for name in ROBOT_NAMES if name.startswith("dead_time"))])
 def test_robot_rests_until_the_dead_time_has_passed(name: str) -> None:
     dead_time = load_simulated_robot(name).twin.link.dead_time
     assert name in ("default", f"dead_time_{1e3 * dead_time:.0f}")
-    log = _hold(name, 0.6, 0.0, 15)
+    log = _drive_constant(name, 0.6, 0.0, 15)
     moving = np.abs(log.true_twist[:, 0]) > 1e-3
     assert not moving[log.time <= dead_time].any()
     assert moving[log.time > dead_time + load_robot().sample_time].all()
 
 
 @pytest.mark.parametrize("name", ["long", "long_naive", "wide", "wide_naive"])
-def test_robot_of_another_build_turns_as_coulomb_friction_and_its_firmware_predict(name: str) -> None:
-    """Wheels turn at firmware track / track of the command, the body at track^2 / (track^2 + wheel base^2) of that."""
+def test_robot_with_other_geometry_turns_as_coulomb_friction_and_its_firmware_predict(name: str) -> None:
+    """The yaw gain is firmware track / track for the wheels, times track^2 / (track^2 + wheel base^2) for the body."""
     build = load_simulated_robot(name)
     track, base = build.robot.track, build.twin.chassis.wheel_base
     expected = build.firmware.track / track * track**2 / (track**2 + base**2)
-    ratio = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
+    ratio = _drive_constant(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
     assert ratio == pytest.approx(expected, abs=0.03)
     assert (abs(ratio - 1.0) < 0.03) == (not name.endswith("naive"))
 
 
 CASTORS = (4, 10, 15, 20, 27, 28, 29, 39, 50, 52, 54, 57, 69, 110, 143, 152, 173, 182, 233, 249, 276)
-"""Robots with castors that grip, slope and motors let drive the benchmark paths."""
+"""Seeds of robots with castors that can drive the benchmark paths with their grip, slope and motors."""
 
 
 def test_equal_seeds_draw_equal_robots():
@@ -92,7 +92,7 @@ def test_equal_seeds_draw_equal_robots():
 
 
 def test_slew_in_the_configuration_is_feasible_for_the_grip():
-    """A robot turns its yaw rate on perfect sensors' word as quickly as its user states, whatever its floor."""
+    """A robot with perfect sensors changes its yaw rate as fast as its stated limit, on any surface."""
     robot = min((draw_robot(seed) for seed in CASTORS), key=lambda r: r.stated["limits.omega_slew"])
     slew = robot.stated["limits.omega_slew"]
     assert 1.4 < slew < 6.0
@@ -122,17 +122,17 @@ DT = 0.02
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.integers(1, 5 * SECOND), st.integers(0, 3 * SECOND))
-def test_command_holds_until_the_timeout(v, omega, start, later):
+def test_command_holds_until_the_timeout(v, omega, start, delay):
     inbox = CommandInbox(SECOND // 2, SECOND // 100)
     assert inbox.put(v, omega, 0, start) == ""
-    assert inbox.command(start + later) == ((v, omega) if later <= SECOND // 2 else STOP)
+    assert inbox.command(start + delay) == ((v, omega) if delay <= SECOND // 2 else STOP)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_the_timeout(bad):
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_non_finite_command_is_refused_and_the_last_command_holds_until_the_timeout(value):
     inbox = CommandInbox(SECOND // 2, 0)
     inbox.put(0.5, 0.1, 0, SECOND)
-    assert "not finite" in inbox.put(bad, 0.0, 0, SECOND) and "not finite" in inbox.put(0.0, bad, 0, SECOND)
+    assert "not finite" in inbox.put(value, 0.0, 0, SECOND) and "not finite" in inbox.put(0.0, value, 0, SECOND)
     assert inbox.command(SECOND) == (0.5, 0.1)
     assert inbox.command(2 * SECOND) == STOP
 
@@ -168,7 +168,7 @@ def test_odometry_uses_speed_from_the_wheels_and_turning_from_the_gyro():
         assert np.allclose(odometry.update(k * DT, measurement_at(k)), truth, rtol=0, atol=1e-12)
 
 
-def test_odometry_keeps_the_last_value_of_a_silent_sensor():
+def test_odometry_holds_the_last_value_of_a_sensor_without_readings():
     odometry = Odometry(np.zeros(3), 1, use_pose_sensor=False)
     straight = Measurement(wheel_twist=Stamped((0.5, 0.0), 0.0), yaw_rate=Stamped(0.0, 0.0))
     odometry.update(0.0, straight)
@@ -177,7 +177,7 @@ def test_odometry_keeps_the_last_value_of_a_silent_sensor():
 
 @pytest.mark.parametrize("latency", [0, 1, 4])
 def test_late_pose_is_propagated_by_the_motion_since(latency):
-    """Odometry is off by a metre and a radian; one exact pose corrects it, however late it arrives."""
+    """Odometry is off by a metre and a radian; one exact pose corrects it, independent of its latency."""
     truth = [np.array([0.0, 0.0, 0.0])]
     odometry = Odometry([1.0, 0.0, 1.0], latency, use_pose_sensor=True)
     for k in range(60):
@@ -202,7 +202,7 @@ def test_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
 
 
 @given(st.integers(0, 2**31 * SECOND - 1))
-def test_times_keep_every_nanosecond(now):
+def test_times_are_exact_to_the_nanosecond(now):
     assert messages.nanoseconds(messages.time_message(now)) == now
 
 

@@ -14,8 +14,8 @@ pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    """Straight on, a stop, a curve: half as long as the cane."""
+def short_path(tmp_path_factory):
+    """Path with a straight line, a stop and a curve, half as long as the cane."""
     path = tmp_path_factory.mktemp("trajectory") / "short.yaml"
     path.write_text(
         "segments:\n- {v: 0.5, omega: 0.0, duration: 1.5}\n- {v: 0.5, omega: 0.7, duration: 3.0}\n", encoding="utf-8"
@@ -30,26 +30,26 @@ def drive(plant, surface, trajectory, sensors="perfect", horizon=30, weights=Non
     return simulate(controller, make_plant(plant, surface, sensors), load_trajectory(trajectory))
 
 
-CHEAP = {"weights.v": 0.0, "weights.omega": 0.0, "weights.v_increment": 1e-3, "weights.omega_increment": 1e-3}
+LOW_WEIGHTS = {"weights.v": 0.0, "weights.omega": 0.0, "weights.v_increment": 1e-3, "weights.omega_increment": 1e-3}
 
 
 @pytest.mark.parametrize("plant", ["model:ssm", "model:sm"])
-def test_bound_tracks_its_own_model_without_error_if_commands_are_free(plant, short):
-    """Slip is known. With a dead time a sudden start cannot be followed: errors count after the first second."""
-    run = drive(plant, "default", short, weights=CHEAP)
+def test_bound_tracks_its_own_model_without_error_if_commands_are_free(plant, short_path):
+    """The slip is known. A dead time prevents an immediate start, so errors are evaluated after the first second."""
+    run = drive(plant, "default", short_path, weights=LOW_WEIGHTS)
     assert run.metrics.completed
-    later = run.counted & (run.time > 1.0)
-    assert run.errors.position[later].max() < 1e-3
+    is_settled = run.counted & (run.time > 1.0)
+    assert run.errors.position[is_settled].max() < 1e-3
     assert np.abs(run.errors.lateral).max() < 1e-3
 
 
 @pytest.mark.long
 def test_bound_is_better_than_the_mpc_on_mujoco():
     bound = drive("mujoco", "slippery", "cane")
-    ours = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
+    mpc = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
     assert bound.metrics.completed
-    assert bound.metrics.position_rmse_m <= ours.metrics.position_rmse_m
-    assert bound.metrics.lateral_rmse_m <= ours.metrics.lateral_rmse_m
+    assert bound.metrics.position_rmse_m <= mpc.metrics.position_rmse_m
+    assert bound.metrics.lateral_rmse_m <= mpc.metrics.lateral_rmse_m
 
 
 def test_prediction_of_a_model_plant_is_exact():

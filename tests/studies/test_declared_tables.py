@@ -19,12 +19,12 @@ def test_page_shows_the_declared_tables(name):
 
 def test_every_parameter_has_a_row_with_unit_default_and_advice():
     lines = [line for line in declared_tables.parameter_tables().splitlines() if line.startswith("| `")]
-    every = [row for row in (*schema_rows(), *feature_rows()) if not row.key.startswith("terms")]
+    parameters = [row for row in (*schema_rows(), *feature_rows()) if not row.key.startswith("terms")]
     # Lists, which come only from files, are in the last table.
-    controller = sorted(every, key=lambda row: row.default.startswith("["))
+    controller = sorted(parameters, key=lambda row: row.default.startswith("["))
     rows = [*declared_tables.node_rows(), *chain(*declared_tables.part_rows().values()), *controller]
     assert [line.split("`")[1] for line in lines] == [row.key for row in rows]
     for line in lines:
-        _, _, unit, default, _, meaning, when, _ = line.replace("\\|", "¦").split("|")
-        assert default.strip() and meaning.strip() and when.strip(), line
+        _, _, unit, default, _, meaning, advice, _ = line.replace("\\|", "¦").split("|")
+        assert default.strip() and meaning.strip() and advice.strip(), line
         assert unit.strip() or "provenance" in line, line

@@ -1,4 +1,4 @@
-"""The monitor behind real controllers on the simulated robot: some faults, some fault-free drives, and the report."""
+"""Monitor with faulty controllers on the simulated robot: detection of faults by the motion of the robot."""
 
 import pytest
 from studies.monitor.faults import FAULTS
@@ -23,7 +23,7 @@ def test_fault_within_all_limits_is_detected_by_the_motion_of_the_robot(fault):
     assert trial.farthest <= HARM and trial.at_rest
 
 
-def test_disobedient_robot_is_reported():
+def test_robot_that_ignores_commands_is_reported():
     """Commands cannot stop the robot: a person has to be notified."""
     trial = faulty_trial("runaway", SEED, RULES)
     assert trial.rule == "answer_v" and trial.after <= FAULTS["runaway"].stated and not trial.at_rest

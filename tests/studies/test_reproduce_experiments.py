@@ -15,14 +15,14 @@ def test_line_is_fitted_for_any_sign_of_the_yaw_rate():
 
 
 def test_statistics_of_the_papers_are_consistent():
-    """In every printed set RMSE, mean and standard deviation agree, and averages are those of the rows."""
+    """RMSE, mean and standard deviation of each published set agree, and averages equal those of the rows."""
     published = load_published()
-    printed = [errors for rows in published.odometry.values() for errors in rows.values()]
-    printed += [drive.odometry for drive in published.free_drives]
-    for errors in printed:
-        for rmse, mean, std, largest in (errors.position, errors.heading):
+    error_sets = [errors for rows in published.odometry.values() for errors in rows.values()]
+    error_sets += [drive.odometry for drive in published.free_drives]
+    for errors in error_sets:
+        for rmse, mean, std, maximum in (errors.position, errors.heading):
             assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008)
-            assert rmse < largest
+            assert rmse < maximum
     averages = {"mbm": (0.309, 0.170), "sm": (0.414, 0.239)}
     for model, (position, heading) in averages.items():
         rows = published.odometry[model].values()

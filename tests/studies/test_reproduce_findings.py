@@ -1,4 +1,4 @@
-"""The reproduction of the papers: a short run of its command, and the tables of its page."""
+"""Reproduction of the papers: a short run of the command, and the tables of its page."""
 
 import re
 from pathlib import Path
@@ -14,8 +14,8 @@ from studies.documents.documents import REPRODUCE, sections
 def test_tables_of_the_page_are_in_the_report() -> None:
     docs = Path(__file__).parents[2] / "docs"
     parts = sections(REPRODUCE, (docs / "reproduce" / "reproduce.md").read_text(encoding="utf-8"))
-    shown = re.findall(r"<!-- (reproduce-[a-z-]+):begin -->", (docs / "reproduce.md").read_text(encoding="utf-8"))
-    assert {"reproduce-runs", "reproduce-findings"} <= set(shown) <= set(parts)
+    tables = re.findall(r"<!-- (reproduce-[a-z-]+):begin -->", (docs / "reproduce.md").read_text(encoding="utf-8"))
+    assert {"reproduce-runs", "reproduce-findings"} <= set(tables) <= set(parts)
 
 
 @pytest.mark.system

@@ -35,8 +35,8 @@ def test_repository_links_become_site_links(document, link, on_site):
 
 
 def test_formulas_become_mathml_and_code_is_unchanged():
-    marked = "with $a < b_{k+1}$, `$HOME` and `a$b`\n\n$$\n\\sqrt{2}\n$$\n\n```sh\necho $A $B\n```\n"
-    page = with_mathml(marked)
+    markdown = "with $a < b_{k+1}$, `$HOME` and `a$b`\n\n$$\n\\sqrt{2}\n$$\n\n```sh\necho $A $B\n```\n"
+    page = with_mathml(markdown)
     assert "`$HOME` and `a$b`" in page
     assert page.endswith("```sh\necho $A $B\n```\n")
     formulas = [ElementTree.fromstring(formula) for formula in re.findall(r"<math.*?</math>", page, re.DOTALL)]
@@ -80,15 +80,12 @@ def test_dead_link_dead_anchor_and_unlisted_page_fail_the_build(tmp_path):
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
     for name in ("examples", "src", "bench", "app", "studies"):
         (tmp_path / name).symlink_to(ROOT / name)
-    lost = tmp_path / "docs" / "lost.md"
-    lost.write_text("# Where?\n\n[a](nowhere.md) [b](why.md#nowhere) [c](../examples/nothing.py)\n", encoding="utf-8")
+    page = tmp_path / "docs" / "lost.md"
+    page.write_text("# Where?\n\n[a](nowhere.md) [b](why.md#nowhere) [c](../examples/nothing.py)\n", encoding="utf-8")
     stage(tmp_path, tmp_path / "out" / "site-pages")
-    built = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert built.returncode == 1
-    errors = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
-    assert len(errors) == 4, built.stderr
-
-
-# The robot in pictures of MuJoCo.
+    assert result.returncode == 1
+    errors = [line for line in result.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
+    assert len(errors) == 4, result.stderr

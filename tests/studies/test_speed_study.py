@@ -1,4 +1,4 @@
-"""The speed study: its measured times, the cost of its closed loops, its report, and runs of it."""
+"""Speed study: cost of closed loops."""
 
 from types import SimpleNamespace
 
@@ -44,12 +44,12 @@ def test_cost_of_an_error_is_half_its_weighted_square():
     assert cost(turn=0.1 + 2 * np.pi) == pytest.approx(w.heading * 0.1**2 / 2)
 
 
-def test_exceeded_soft_limit_costs_its_exact_and_quadratic_penalty():
-    w, lim = CONFIG.weights, CONFIG.limits
-    over = 0.1
-    expected = w.soft * over + w.soft_quadratic * over**2 / 2
-    assert cost(omega=lim.predicted_omega + over, v=0.0) == pytest.approx(expected)
+def test_exceeded_soft_limit_costs_the_exact_and_quadratic_penalty():
+    w, limits = CONFIG.weights, CONFIG.limits
+    excess = 0.1
+    expected = w.soft * excess + w.soft_quadratic * excess**2 / 2
+    assert cost(omega=limits.predicted_omega + excess, v=0.0) == pytest.approx(expected)
     # The wheels of one side turn too fast while v and omega are within their limits.
-    narrow = CONFIG.model_copy(update={"limits": CONFIG.limits.model_copy(update={"wheel_speed": 0.55})})
-    v = 0.55 - 0.5 * CONFIG.wheels.track * 1.0 + over
-    assert cost(v=v, omega=1.0, config=narrow) == pytest.approx(expected)
+    low_limit = CONFIG.model_copy(update={"limits": CONFIG.limits.model_copy(update={"wheel_speed": 0.55})})
+    v = 0.55 - 0.5 * CONFIG.wheels.track * 1.0 + excess
+    assert cost(v=v, omega=1.0, config=low_limit) == pytest.approx(expected)

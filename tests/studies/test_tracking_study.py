@@ -1,4 +1,4 @@
-"""The tracking study: parts of the error, and a small run of the command."""
+"""Tracking study: parts of the error, and a small run of the command."""
 
 import json
 from pathlib import Path
@@ -47,13 +47,13 @@ def test_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_ne
 
 @given(st.integers(1, 6), st.integers(0, 1000))
 def test_parts_add_up_to_the_mean_square_for_any_errors(seeds, key):
-    random = np.random.default_rng(key)
-    rows = [row(random.normal(size=100), random.normal(size=100)) for _ in range(seeds)]
+    rng = np.random.default_rng(key)
+    rows = [row(rng.normal(size=100), rng.normal(size=100)) for _ in range(seeds)]
     total = np.mean([parts["across"] ** 2 + parts["along"] ** 2 for parts in rows])
     assert decompose(DataFrame(rows)).total == pytest.approx(total)
 
 
-TINY = """
+SMALL_STUDY = """
 title: Tracking
 vary: {model: [ssm], trajectory: [cane], seed: [20]}
 variants: {as shipped: {}, no side-slip: {compensation.side_slip: false}}
@@ -69,7 +69,7 @@ parts:
 
 @pytest.mark.system
 def test_command_runs_a_small_study_and_writes_its_report(tmp_path: Path):
-    (tmp_path / "tiny.yaml").write_text(TINY, encoding="utf-8")
+    (tmp_path / "tiny.yaml").write_text(SMALL_STUDY, encoding="utf-8")
     out = tmp_path / "out"
     arguments = ["--study", tmp_path / "tiny.yaml", "--only", "ablation,cross,bound", "--jobs", "1"]
     output = invoke(app, "tracking", "--out", out, *arguments).stdout

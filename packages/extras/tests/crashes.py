@@ -1,4 +1,4 @@
-"""Processes that are killed, or find the disk full, at a given change of the files of a folder."""
+"""Processes that are killed, or run out of disk space, at a given change of the files of a folder."""
 
 import errno
 import os
@@ -12,33 +12,33 @@ CHANGES = ("os.mkdir", "os.rename", "os.rmdir", "os.remove", "os.truncate")
 KILLED, REFUSED = -signal.SIGKILL, 3
 
 
-def crash(act: Callable[[], object], folder: Path, moment: int, *, full: bool) -> int:
-    """Run `act` in a process that is killed before the change `moment` of `folder`, or has a full disk from then on.
+def crash(function: Callable[[], object], folder: Path, change_index: int, *, full: bool) -> int:
+    """Run `function` in a process that is killed, or has a full disk, from change `change_index` of `folder` on.
 
-    Return 0 if `act` finished, KILLED if it was killed, REFUSED if it reported that no space is left. On a full disk,
-    files can be removed and renamed.
+    Return 0 if `function` finished, KILLED if it was killed, REFUSED if it reported that no space is left. On a full
+    disk, files can be removed and renamed.
     """
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            sys.addaudithook(_hook(str(folder), moment, full))
-            code = _outcome(act)
+            sys.addaudithook(_hook(str(folder), change_index, full))
+            code = _exit_code(function)
         finally:
             os._exit(code)
     _, status = os.waitpid(child, 0)
     return os.waitstatus_to_exitcode(status)
 
 
-def _outcome(act: Callable[[], object]) -> int:
+def _exit_code(function: Callable[[], object]) -> int:
     try:
-        act()
+        function()
     except (OSError, ValueError) as error:
         return REFUSED if "No space left" in str(error) else 1
     return 0
 
 
-def _hook(folder: str, moment: int, full: bool) -> Callable[[str, Any], None]:
+def _hook(folder: str, change_index: int, full: bool) -> Callable[[str, Any], None]:
     changes = 0
 
     def audit(event: str, arguments: Any) -> None:
@@ -49,7 +49,7 @@ def _hook(folder: str, moment: int, full: bool) -> Callable[[str, Any], None]:
         if not (writes or event in CHANGES) or folder not in str(arguments[0]):
             return
         changes += 1
-        if changes < moment:
+        if changes < change_index:
             return
         if not full:
             os.kill(os.getpid(), signal.SIGKILL)

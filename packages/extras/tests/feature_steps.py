@@ -1,4 +1,4 @@
-"""Drives a controller with a feature of `CASES` as `steps_without_imports.py` does: python feature_steps.py NAME."""
+"""Drive a controller with a feature of `CASES` like `steps_without_imports.py`: python feature_steps.py NAME."""
 
 import json
 import sys

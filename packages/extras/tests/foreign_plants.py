@@ -1,4 +1,4 @@
-"""Robots with physics that no shipped plant has: relaxing tyres, belts with backlash, and swivelling castors.
+"""Robots with physics independent of the shipped plants: relaxing tyres, belts with backlash, and swivelling castors.
 
 Motors are torque-limited PI loops on wheel speeds. The integration is explicit with a step of one millisecond. The seed
 of the robot draws its parameters.
@@ -138,9 +138,9 @@ class RelaxingTyres(ForeignRobot):
             slip = self.radius * self.wheel_speeds[side] - rolling, -lateral - omega * x
             decay = abs(rolling) / self.relaxation
             elastic = along + (slip[0] - decay * along) * _STEP, across + (slip[1] - decay * across) * _STEP
-            share = min(1.0, self.friction * load / max(1e-9, spring * math.hypot(*elastic)))
-            self._deflections[end, side] = share * elastic[0], share * elastic[1]
-            forward, left = (spring * share * d + self.viscous * s for d, s in zip(elastic, slip, strict=True))
+            scale = min(1.0, self.friction * load / max(1e-9, spring * math.hypot(*elastic)))
+            self._deflections[end, side] = scale * elastic[0], scale * elastic[1]
+            forward, left = (spring * scale * d + self.viscous * s for d, s in zip(elastic, slip, strict=True))
             total[0] += forward
             total[1] += left
             total[2] += x * left - y * forward

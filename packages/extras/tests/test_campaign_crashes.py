@@ -1,4 +1,4 @@
-"""Campaigns that are killed or find a full disk at any time, concurrent campaigns, and alternating factors."""
+"""Campaigns that are killed or run out of disk space at any time, concurrent campaigns, and alternating factors."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def campaign_table(file: Path, out: Path) -> object:
     return read_table(out / "results.parquet", times=False)
 
 
-def check_whole(out: Path) -> None:
+def check_complete(out: Path) -> None:
     """Check that no row and no table is half-written."""
     store = Store(out)
     assert None not in map(store.load, store.keys())
@@ -68,7 +68,7 @@ def test_interrupted_campaign_continues_to_the_same_table(files: tuple[Path, Pat
     for call_count in CALL_COUNTS:
         out = tmp_path / f"out-{call_count}"
         codes.append(crash(lambda out=out: campaign_table(files[0], out), out, call_count, full=full))
-        check_whole(out)
+        check_complete(out)
         assert not full or not list(out.rglob(".unfinished*"))
         # Run the second campaign in between, and then repeat the first.
         assert [campaign_table(file, out) for file in reversed(files)] == expected[::-1]
@@ -91,12 +91,12 @@ def test_concurrent_campaigns_share_one_store_without_loss(files: tuple[Path, Pa
             finally:
                 os._exit(code)
     assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0, 0]
-    check_whole(out)
+    check_complete(out)
     assert not list(out.rglob(".unfinished*"))
     assert [campaign_table(file, out) for file in files] == expected
 
 
-def forge(path: Path, change: Callable[[dict[str, object]], None]) -> None:
+def modify_row(path: Path, change: Callable[[dict[str, object]], None]) -> None:
     record = json.loads(path.read_text(encoding="utf-8"))
     change(record["row"])
     path.write_text(json.dumps(record), encoding="utf-8")
@@ -118,10 +118,10 @@ def test_error_of_a_forged_value_names_file_run_and_column(
     out = tmp_path / "out"
     expected = campaign_table(files[0], out)
     path = sorted(out.glob("runs/*/*.json"))[1]
-    forge(path, change)
+    modify_row(path, change)
     with pytest.raises(ConfigError) as error:
         campaign_table(files[0], out)
-    assert all(words in str(error.value) for words in (str(path), path.stem[:12], f"'{column}'"))
+    assert all(text in str(error.value) for text in (str(path), path.stem[:12], f"'{column}'"))
     path.unlink()
     assert campaign_table(files[0], out) == expected
 
@@ -141,18 +141,18 @@ def test_error_of_a_full_disk_names_the_file(
     """Writing fails after the file is opened; errors of `os.open` already name the file."""
     out = tmp_path / "out"
 
-    def full(*_: object, **__: object) -> None:
+    def write_to_full_disk(*_: object, **__: object) -> None:
         with Path("/dev/full").open("w") as file:
             file.write("x")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", full)
+        patch.setattr(Path, "write_text", write_to_full_disk)
         with pytest.raises(OSError, match=r"No space left on device.*runs/.*\.json"):
             campaign_table(files[0], out)
     campaign_table(files[0], out)
     (out / "results.parquet").unlink()
     _, parquet = import_arrow()
-    monkeypatch.setattr(parquet, "write_table", full)
+    monkeypatch.setattr(parquet, "write_table", write_to_full_disk)
     with pytest.raises(OSError, match=r"No space left on device.*results\.parquet"):
         campaign_table(files[0], out)
     assert not (out / "results.parquet").exists()

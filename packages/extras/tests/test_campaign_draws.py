@@ -65,7 +65,7 @@ def test_files_in_the_folder_of_the_campaign_are_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lines", "line"),
+    ("lines", "message"),
     [
         ("surface.friction: {uniform: [1, 0]}", "factors.surface.friction: give the lower value first (found 1, 0)"),
         ("trajektory: circle", "unknown factor 'trajektory'; did you mean 'trajectory'?"),
@@ -77,8 +77,8 @@ def test_files_in_the_folder_of_the_campaign_are_found(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_invalid_factor_raises_a_one_line_error(lines: str, line: str, tmp_path: Path) -> None:
-    with one_line_error(ConfigError, line):
+def test_invalid_factor_raises_a_one_line_error(lines: str, message: str, tmp_path: Path) -> None:
+    with one_line_error(ConfigError, message):
         load_campaign(write_campaign(tmp_path, lines)).definitions()
 
 
@@ -107,6 +107,6 @@ def test_half_of_the_seeds_are_reserved():
         assert seeds == [seed for seed in candidates if can_drive(draw_robot(seed), spot_turns=True)]
 
 
-def test_robots_of_the_bench_are_the_first_reserved_ones_that_can_drive():
+def test_robots_of_the_bench_are_the_first_reserved_robots_that_can_drive():
     robots = other_robots().population.robots
     assert list(robots) == driving_seeds(len(robots), spot_turns=False)

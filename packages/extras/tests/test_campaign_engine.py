@@ -44,14 +44,14 @@ factors:
 
 
 @pytest.fixture
-def short(tmp_path: Path) -> Path:
+def short_trajectory(tmp_path: Path) -> Path:
     path = tmp_path / "short.yaml"
     path.write_text(SHORT, encoding="utf-8")
     return path
 
 
 @pytest.fixture
-def campaign(tmp_path: Path, short: Path) -> Path:
+def campaign(tmp_path: Path, short_trajectory: Path) -> Path:
     path = tmp_path / "campaign.yaml"
     path.write_text(FILE, encoding="utf-8")
     return path
@@ -60,7 +60,7 @@ def campaign(tmp_path: Path, short: Path) -> Path:
 def test_repeated_campaign_simulates_no_run(campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     assert "6 runs, 6 completed" in call("campaign", campaign, "--out", out, "--jobs", "1")
-    before = read_table(out / "results.parquet")
+    first_table = read_table(out / "results.parquet")
 
     def fail(_: object) -> None:
         raise AssertionError("run was repeated")
@@ -68,18 +68,18 @@ def test_repeated_campaign_simulates_no_run(campaign: Path, tmp_path: Path, monk
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", fail)
     call("campaign", campaign, "--out", out, "--jobs", "1")
     # The comparison includes the columns of time.
-    assert read_table(out / "results.parquet").equals(before)
+    assert read_table(out / "results.parquet").equals(first_table)
 
 
 def test_table_does_not_depend_on_processes_parts_and_copied_folders(campaign: Path, tmp_path: Path) -> None:
-    whole, first, second = (tmp_path / name for name in ("whole", "first", "second"))
-    call("campaign", campaign, "--out", whole, "--jobs", "2", "--runs", "16")
+    complete, first, second = (tmp_path / name for name in ("whole", "first", "second"))
+    call("campaign", campaign, "--out", complete, "--jobs", "2", "--runs", "16")
     call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16", "--part", "1/2")
     call("campaign", campaign, "--out", second, "--jobs", "1", "--runs", "16", "--part", "2/2")
     assert read_table(first / "results.parquet").num_rows == 8
     shutil.copytree(second / "runs", first / "runs", dirs_exist_ok=True)
     call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16")
-    expected = read_table(whole / "results.parquet", times=False)
+    expected = read_table(complete / "results.parquet", times=False)
     assert read_table(first / "results.parquet", times=False).equals(expected)
     assert expected.num_rows == 16
 
@@ -106,9 +106,9 @@ def test_row_equals_the_result_of_simulate() -> None:
 
 
 def test_hash_covers_factors_files_and_environment(
-    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short_trajectory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
+    first = Definition.from_factors({"trajectory": str(short_trajectory), "plant": "model:sm"})
     keys = {key_of(first)}
     for second in (
         first.with_seed(1),
@@ -118,11 +118,11 @@ def test_hash_covers_factors_files_and_environment(
     ):
         keys.add(key_of(second))
     assert len(keys) == 5
-    moved = tmp_path / "elsewhere.yaml"
-    moved.write_bytes(short.read_bytes())
-    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) == key_of(first)
-    moved.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
-    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) != key_of(first)
+    copied_file = tmp_path / "elsewhere.yaml"
+    copied_file.write_bytes(short_trajectory.read_bytes())
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(copied_file)))) == key_of(first)
+    copied_file.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(copied_file)))) != key_of(first)
     other_numpy = definition.environment() | {"numpy": "0.1"}
     monkeypatch.setattr(definition, "environment", lambda: other_numpy)
     assert key_of(first) not in keys
@@ -135,15 +135,15 @@ def test_hash_covers_referenced_files(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
     run = Definition.from_factors({"config": str(config)})
-    before = key_of(run)
+    first_key = key_of(run)
     model.write_text(f"# another text\n{model.read_text(encoding='utf-8')}", encoding="utf-8")
-    assert key_of(run) != before
+    assert key_of(run) != first_key
 
 
-def test_worker_with_different_files_raises_an_error(short: Path) -> None:
-    task = CampaignTask.for_run(Definition.from_factors({"trajectory": str(short), "plant": "model:sm"}))
+def test_worker_with_different_files_raises_an_error(short_trajectory: Path) -> None:
+    task = CampaignTask.for_run(Definition.from_factors({"trajectory": str(short_trajectory), "plant": "model:sm"}))
     assert run_task(task)["completed"] is True
-    short.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
+    short_trajectory.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
     with pytest.raises(OtherVersionError, match="has a different version of this product"):
         run_task(task)
 
@@ -162,8 +162,8 @@ def test_error_of_a_run_is_in_its_row(tmp_path: Path, monkeypatch: pytest.Monkey
     assert describe_errors(runs).endswith("ZeroDivisionError: of a test")
 
 
-def test_factor_replaces_only_its_value_of_the_robot_file(tmp_path: Path) -> None:
-    """Use a robot file with sensors and friction, as `twin` writes it; pose latency must not change its gyro."""
+def test_factor_replaces_only_its_own_value_in_the_robot_file(tmp_path: Path) -> None:
+    """Use a robot file with sensors and friction like a file of `twin`; pose latency must not change the gyro."""
     surface = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(surface), encoding="utf-8")
@@ -179,23 +179,23 @@ def test_factor_replaces_only_its_value_of_the_robot_file(tmp_path: Path) -> Non
             yaw_rate = plant.measure().yaw_rate
             return float(yaw_rate.value), max(speeds)
 
-    plain = reading_and_gain()
-    assert abs(plain[0]) > 0.02
-    assert reading_and_gain(**{"sensors.pose.latency": 0.1, "surface.slip.side_slip": 0.1}) == plain
+    expected = reading_and_gain()
+    assert abs(expected[0]) > 0.02
+    assert reading_and_gain(**{"sensors.pose.latency": 0.1, "surface.slip.side_slip": 0.1}) == expected
 
 
 @pytest.mark.parametrize(
-    ("factors", "line"),
+    ("factors", "text"),
     [
         ({"robot.robot.mas": 8.0}, "unknown key 'robot.mas'; did you mean 'robot.mass'?"),
         ({"robot.robot.mass": 8.0, "plant": "model:sm"}, "the plant 'model:sm' has no robot file"),
     ],
 )
-def test_invalid_factor_is_reported_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
-    with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
+def test_invalid_factor_is_reported_before_the_first_run(factors: dict[str, object], text: str, tmp_path: Path) -> None:
+    with ProgressBar("") as bar, pytest.raises(ConfigError) as error:
         drive_all([Definition.from_factors({}), Definition.from_factors(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
-    assert line in str(caught.value)
-    assert "a run with " in str(caught.value)
+    assert text in str(error.value)
+    assert "a run with " in str(error.value)
     assert not Store(tmp_path).keys()
 
 
@@ -204,7 +204,7 @@ def test_invalid_part_is_reported_in_one_line(campaign: Path, tmp_path: Path) ->
     assert line in call("campaign", campaign, "--out", tmp_path / "out", "--part", "3/2", code=2)
 
 
-NONE = Unsafe(0, 0, 0, 0)
+NO_VIOLATIONS = Unsafe(0, 0, 0, 0)
 BLACKOUT = """
 description: poses are lost permanently while the robot drives
 drop_outs: [{sensor: pose, start: 2.0, duration: 60.0}]
@@ -212,13 +212,13 @@ drop_outs: [{sensor: pose, start: 2.0, duration: 60.0}]
 
 
 @pytest.mark.parametrize("scenario", ["sensor_dropouts", "push", "frozen_pose", "pose_jump"])
-def test_controller_keeps_its_stated_limits(scenario: str) -> None:
+def test_controller_satisfies_its_stated_limits(scenario: str) -> None:
     row = drive(Definition.from_factors({"scenario": scenario, "model": "sm"}))
     assert row["error"] == ""
     assert [row[f"unsafe_{name}"] for name in ("not_finite", "limit", "slew", "motion")] == [0] * 4
 
 
-def test_stop_after_a_loss_of_poses_is_in_time_and_delay_is_counted(tmp_path: Path) -> None:
+def test_stop_after_a_loss_of_poses_is_in_time_and_delayed_commands_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "blackout.yaml"
     path.write_text(BLACKOUT, encoding="utf-8")
     definition = Definition.from_factors(
@@ -228,7 +228,7 @@ def test_stop_after_a_loss_of_poses_is_in_time_and_delay_is_counted(tmp_path: Pa
     recorded = RecordedController(controller)
     run = simulate(recorded, plant, reference)
     assert run.modes[-1] == "STOPPED"
-    assert recorded.unsafe(definition) == NONE
+    assert recorded.unsafe(definition) == NO_VIOLATIONS
     # Commands with a delay of half a second violate the motion limit.
     delay = int(0.5 / run.sample_time)
     recorded.commands = [*[recorded.commands[0]] * delay, *recorded.commands[:-delay]]
@@ -239,14 +239,14 @@ def test_stop_after_a_loss_of_poses_is_in_time_and_delay_is_counted(tmp_path: Pa
 def test_command_rejected_by_the_loop_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     step = RecordedController.step
 
-    def poisoned(self: RecordedController, t: float, measurement: Measurement) -> ControlStep:
+    def step_with_nan(self: RecordedController, t: float, measurement: Measurement) -> ControlStep:
         result = step(self, t, measurement)
         if len(self.times) == 30:
             self.commands[-1] = (np.nan, 0.0)
             raise ValueError("the controller's command must be two finite numbers")
         return result
 
-    monkeypatch.setattr(drive_module.RecordedController, "step", poisoned)
+    monkeypatch.setattr(drive_module.RecordedController, "step", step_with_nan)
     row = drive(Definition.from_factors({"plant": "model:ssm"}))
     assert row["unsafe_not_finite"] == 1
     assert row["completed"] is False

@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc_extras.campaign import command_check
 from diffdrive_mpc_extras.campaign.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 
-NONE = Unsafe(0, 0, 0, 0)
+NO_VIOLATIONS = Unsafe(0, 0, 0, 0)
 DT = 0.02
 LIMITS = StatedLimits(maximum=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_pose_age=0.5, sample_time=DT)
 
@@ -28,13 +28,13 @@ def example_run(ticks: int = 200) -> tuple[np.ndarray, np.ndarray, list[str], np
 
 
 def test_run_within_all_limits_passes() -> None:
-    assert check_commands(*example_run(), LIMITS) == NONE
+    assert check_commands(*example_run(), LIMITS) == NO_VIOLATIONS
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_nonfinite_command_is_counted(bad: float) -> None:
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_nonfinite_command_is_counted(value: float) -> None:
     time, command, modes, has_pose = example_run()
-    command[20, 1] = bad
+    command[20, 1] = value
     counts = check_commands(time, command, modes, has_pose, LIMITS)
     assert counts.not_finite == 1
     # The next command counts as a step from zero.
@@ -45,15 +45,15 @@ def test_command_below_the_minimum_radius_is_counted() -> None:
     time, command, modes, has_pose = example_run()
     limits = replace(LIMITS, min_radius=2.0)
     command[:, 1] = np.where(np.arange(200) < 100, 0.5, 0.49) * command[:, 0]
-    assert check_commands(time, command, modes, has_pose, limits) == NONE
+    assert check_commands(time, command, modes, has_pose, limits) == NO_VIOLATIONS
     command[50, 1] += 1e-6
-    assert check_commands(time, command, modes, has_pose, limits) == replace(NONE, turn=1)
+    assert check_commands(time, command, modes, has_pose, limits) == replace(NO_VIOLATIONS, turn=1)
     # A ramp at the braking limits of 1 m/s^2 and 3 rad/s^2 cannot keep a radius of 0.2 m, so braking is not counted.
     command[:, 1] = np.where(np.arange(200) < 90, 5.0, 5.1) * command[:, 0]
-    small = replace(LIMITS, min_radius=0.2, maximum=(9.0, 9.0), slew=(9.0, 99.0), braking=(1.0, 9.0))
-    assert check_commands(time, command, modes, has_pose, replace(small, min_radius=0.1)) == NONE
-    assert check_commands(time, command, modes, has_pose, small).turn == 110 - modes.count("STOPPED")
-    assert check_commands(time, command, modes, has_pose, replace(small, braking=(2.0, 9.0))).turn == 10
+    small_radius = replace(LIMITS, min_radius=0.2, maximum=(9.0, 9.0), slew=(9.0, 99.0), braking=(1.0, 9.0))
+    assert check_commands(time, command, modes, has_pose, replace(small_radius, min_radius=0.1)) == NO_VIOLATIONS
+    assert check_commands(time, command, modes, has_pose, small_radius).turn == 110 - modes.count("STOPPED")
+    assert check_commands(time, command, modes, has_pose, replace(small_radius, braking=(2.0, 9.0))).turn == 10
 
 
 @pytest.mark.parametrize(("column", "value"), [(0, 1.001), (0, -1.001), (1, 2.001), (1, 2.1e9)])
@@ -68,7 +68,7 @@ def test_command_at_the_limit_passes() -> None:
     command = np.column_stack(
         [np.minimum(2.0 * DT * np.arange(1, 201), 1.0), np.minimum(6.0 * DT * np.arange(1, 201), 2.0)]
     )
-    assert check_commands(time, command, ["TRACKING"] * 200, has_pose, LIMITS) == NONE
+    assert check_commands(time, command, ["TRACKING"] * 200, has_pose, LIMITS) == NO_VIOLATIONS
 
 
 @pytest.mark.parametrize("mode", ["TRACKING", "REUSED_PLAN"])
@@ -76,7 +76,7 @@ def test_step_above_the_slew_limit_is_counted(mode: str) -> None:
     time, command, modes, has_pose = example_run()
     command[40:60, 1] = 6.0 * DT * 1.01
     modes[40:61] = [mode] * 21
-    # One violation up, one down.
+    # One violation at the rise and one at the fall.
     assert check_commands(time, command, modes, has_pose, LIMITS) == Unsafe(0, 0, 2, 0)
 
 
@@ -97,7 +97,7 @@ def test_braking_has_a_separate_limit_and_must_not_accelerate() -> None:
 def test_stopped_controller_may_step_to_zero_but_not_move() -> None:
     time, command, modes, has_pose = example_run()
     command[100:], modes[100:] = 0.0, ["STOPPED"] * 100
-    assert check_commands(time, command, modes, has_pose, LIMITS) == NONE
+    assert check_commands(time, command, modes, has_pose, LIMITS) == NO_VIOLATIONS
     command[150, 0] = 0.001
     assert check_commands(time, command, modes, has_pose, LIMITS).slew == 1
 
@@ -121,7 +121,7 @@ def test_motion_after_a_loss_of_poses_is_counted() -> None:
     start = 99 + tolerance + 1
     command[start:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - start + 1), 0.0)
     modes[start:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[start:, 0]]
-    assert check_commands(time, command, modes, has_pose, LIMITS) == NONE
+    assert check_commands(time, command, modes, has_pose, LIMITS) == NO_VIOLATIONS
     command[-1, 0] = 0.001
     assert check_commands(time, command, modes, has_pose, LIMITS).motion == 1
 
@@ -157,7 +157,7 @@ def test_both_sides_of_limits_are_checked() -> None:
         return counts.limit, counts.slew
 
     assert unsafe(0.02, 0.04, 0.0, -0.02) == (0, 0)
-    assert unsafe(0.02, 0.0399, -0.0101, -0.02) == (0, 1)  # half of the tick falls, half of it grows by 0.01
+    assert unsafe(0.02, 0.0399, -0.0101, -0.02) == (0, 1)  # brakes in one half of the tick and accelerates in the other
     assert unsafe(0.02, 0.04, -0.0099, -0.029) == (0, 0)
     assert unsafe(0.03, 0.02, 0.0, 0.0) == (0, 1)
     assert unsafe(-0.21, -0.21, -0.21, -0.21) == (4, 1)

@@ -36,12 +36,12 @@ def results(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_torque_identifies_constants_and_curves_of_the_robot(results: Path) -> None:
-    true = load_drive_constants("fsu_bot")
+    true_constants = load_drive_constants("fsu_bot")
     drive, costs = load_drive_constants(results / "drive.yaml"), load_turn_costs(results / "turn-costs.yaml")
     deviations = json.loads((results / "torque.json").read_text())["deviations"]
     for name in ("torque_constant", "resistance", "idle_power"):
-        assert abs(getattr(drive, name) - getattr(true, name)) < 4 * deviations[name]
-    assert drive.torque_constant == pytest.approx(true.torque_constant, rel=0.03)
+        assert abs(getattr(drive, name) - getattr(true_constants, name)) < 4 * deviations[name]
+    assert drive.torque_constant == pytest.approx(true_constants.torque_constant, rel=0.03)
     assert costs.drive == drive and costs.vehicle == SLIPPERY.vehicle
     radii = np.geomspace(0.6, 200.0, 40)
     commands = np.stack([np.full_like(radii, 0.4), 0.4 / radii], axis=-1)

@@ -58,12 +58,12 @@ def test_identification_errors_agree_with_the_expected_deviations():
     expected = DriveInformation(SM, NOISE).parameters(commands, DT)
     sampled = SM.discretise(DT)
     state, outputs = np.zeros(SM.order), np.zeros(commands.shape)
-    line = np.vstack([np.zeros((int(sampled.delay.max()) + 1, 2)), commands])
-    first = len(line) - len(commands)
+    history = np.vstack([np.zeros((int(sampled.delay.max()) + 1, 2)), commands])
+    first = len(history) - len(commands)
     for k in range(len(commands)):
         outputs[k] = sampled.C @ state
-        recent = np.array([line[first + k - d, j] for j, d in enumerate(sampled.delay)])
-        previous = np.array([line[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
+        recent = np.array([history[first + k - d, j] for j, d in enumerate(sampled.delay)])
+        previous = np.array([history[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
         state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ previous
     errors = []
     for seed in range(10):

@@ -19,7 +19,7 @@ from diffdrive_mpc_extras.drives.finding import identify_drive
 from diffdrive_mpc_extras.drives.fitting import fit_drive
 
 DRIVES = ("p2_experimental", "p2_physical")
-DT, STILL = 0.02, 0.005
+DT, REST_SPEED = 0.02, 0.005
 PARAMETERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.05, "by_slope": 0.06}
 
 
@@ -45,19 +45,19 @@ def simulate_by_hand(u: np.ndarray) -> np.ndarray:
         change = min(max(change, -max_change), max_change)
         reference += change
         slope += (1 - np.exp(-DT / 0.1)) * (abs(change) / DT - slope)
-        reversed_ = direction * reference < 0
-        rises = slope > STILL / 0.1
-        stands = reversed_ and rises and abs(reference) < PARAMETERS["least"] + PARAMETERS["by_slope"] * slope
-        blocked = abs(direction) if stands else 0.0
-        speed += (1 - np.exp(-DT / PARAMETERS["lag"])) * (PARAMETERS["gain"] * reference * (1 - blocked) - speed)
+        has_reversed = direction * reference < 0
+        is_rising = slope > REST_SPEED / 0.1
+        is_stuck = has_reversed and is_rising and abs(reference) < PARAMETERS["least"] + PARAMETERS["by_slope"] * slope
+        loss = abs(direction) if is_stuck else 0.0
+        speed += (1 - np.exp(-DT / PARAMETERS["lag"])) * (PARAMETERS["gain"] * reference * (1 - loss) - speed)
         direction *= np.exp(-DT / 10.0)
-        if abs(speed) > STILL:
+        if abs(speed) > REST_SPEED:
             direction = np.sign(speed)
     return np.array(speeds)
 
 
 def run(*, sharp: bool) -> np.ndarray:
-    step = experimental_step(Channel(DT, STILL), sharp=sharp)
+    step = experimental_step(Channel(DT, REST_SPEED), sharp=sharp)
     x, speeds = np.zeros(4), []
     for command in reversals():
         speeds.append(x[1])
@@ -124,10 +124,10 @@ def test_physical_model_solves_the_equations_of_both_wheels():
         middle = 0.5 * (start + end)
         instants = [k * dt for k in range(count) if start - 1e-9 <= k * dt < end - 1e-9]
         options = {"t_eval": [*instants, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
-        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, delays), (start, end), x, **options)
+        solution = solve_ivp(lambda t, x, m=middle: rates(m, x, delays), (start, end), x, **options)
         times += instants
-        speeds += list(solved.y[:2, : len(instants)].T)
-        x = solved.y[:, -1]
+        speeds += list(solution.y[:2, : len(instants)].T)
+        x = solution.y[:, -1]
     right, left = np.array(speeds).T * c.wheel_radius
     expected = np.column_stack([(right + left) / 2, (right - left) / c.track])
     assert len(times) >= count - 1
@@ -141,9 +141,9 @@ def test_plant_uses_the_sharp_step(name):
     plant = make_plant(f"model:{name}", surface="ideal", seed=1)
     x, past = np.zeros(model.order), np.zeros((model.memory, 2))
     for k in range(80):
-        sent = np.array([0.5, 0.4]) if k < 40 else np.array([-0.3, -0.5])
-        plant.advance(sent)
-        window = np.vstack([past, sent])
+        command = np.array([0.5, 0.4]) if k < 40 else np.array([-0.3, -0.5])
+        plant.advance(command)
+        window = np.vstack([past, command])
         x, past = model.sharp(x, window.ravel()).full().ravel(), window[1:]
     assert plant.true_twist[[0, 2]] == pytest.approx(model.output(x).full().ravel(), abs=1e-9)
 
@@ -155,8 +155,8 @@ def test_invalid_file_raises_a_one_line_error(tmp_path):
         load_model(path)
 
 
-LOG_DT, LOG_STILL = 0.04, (0.005, 0.02)
-DEAD = (3, 2)
+LOG_DT, LOG_REST_SPEED = 0.04, (0.005, 0.02)
+DEAD_SAMPLES = (3, 2)
 NO_LIMIT = 200.0
 LIMITED = [np.array([0.95, 1.0, 1.6, 0.1, 0.0, 0.0]), np.array([0.8, 2.0, 3.0, 0.06, 0.0, 0.0])]
 UNLIMITED = [np.array([0.95, NO_LIMIT, NO_LIMIT, 0.1, 0.0, 0.0]), np.array([0.8, NO_LIMIT, NO_LIMIT, 0.06, 0.0, 0.0])]
@@ -167,7 +167,7 @@ def drive_record(coefficients, seed, seconds=40.0, *, backwards=True):
     rng = np.random.default_rng(seed)
     low = -1.0 if backwards else 0.3
     commands = np.repeat(rng.uniform(low, 1.0, (round(seconds / 0.8), 2)), round(0.8 / LOG_DT), axis=0)
-    robot = drive_model("robot", "drive_experimental", LOG_DT, DEAD, LOG_STILL, coefficients)
+    robot = drive_model("robot", "drive_experimental", LOG_DT, DEAD_SAMPLES, LOG_REST_SPEED, coefficients)
     x, window = np.zeros(robot.order), np.zeros((robot.memory + 1, 2))
     twist = np.empty_like(commands)
     for k, command in enumerate(commands):
@@ -191,11 +191,11 @@ def test_active_slope_limits_are_identified_within_their_uncertainty():
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
             assert finding.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert finding.fit.dead_samples == DEAD
+    assert finding.fit.dead_samples == DEAD_SAMPLES
     assert finding.estimate.deviation("v.gain") < 0.02
 
 
-def test_parameters_undetermined_by_a_log_keep_their_prior():
+def test_parameters_undetermined_by_a_log_have_their_prior_value():
     """Use a log without active slope limits and without changes of direction."""
     finding = identify_example(UNLIMITED, backwards=False)
     undetermined = {"quicker", "slower", "threshold", "threshold_by_slope"}
@@ -228,8 +228,8 @@ def test_identified_drive_is_loaded_by_a_controller(log, structure, tmp_path):
     assert isinstance(model, DriveModel) and model.dt == 0.04
     # The robot has lags of 0.1 s and unit gain. The slow integral of the paper's PI control removes the gain error only
     # after seconds.
-    within = 0.02 if structure == "p2_experimental" else 0.04
-    assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=within)
+    tolerance = 0.02 if structure == "p2_experimental" else 0.04
+    assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=tolerance)
     response = model.simulate(np.full((100, 2), 0.5)) / 0.5
     rise_time = LOG_DT * np.argmax(response > 1 - np.exp(-1), axis=0)
     assert rise_time == pytest.approx([0.1, 0.1], abs=LOG_DT)

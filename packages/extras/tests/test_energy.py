@@ -79,18 +79,18 @@ def record(speed, current, battery):
 
 @pytest.mark.parametrize("regeneration", [True, False])
 def test_identification_returns_the_constants_of_the_simulation(regeneration):
-    true = TRUE_CONSTANTS.model_copy(update={"regeneration": regeneration})
-    estimate = identify_constants([record(*simulate_log(true))], BOT.model_copy(update={"regeneration": regeneration}))
+    robot = TRUE_CONSTANTS.model_copy(update={"regeneration": regeneration})
+    estimate = identify_constants([record(*simulate_log(robot))], BOT.model_copy(update={"regeneration": regeneration}))
     for name in ("torque_constant", "resistance", "idle_power"):
         value, deviation = getattr(estimate.constants, name), estimate.deviation[name]
-        assert abs(value - getattr(true, name)) < 4 * deviation
-        assert deviation < 0.05 * getattr(true, name)
+        assert abs(value - getattr(robot, name)) < 4 * deviation
+        assert deviation < 0.05 * getattr(robot, name)
     # A block averages 15 samples.
     assert estimate.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
 
 
 def test_currents_of_four_motors_determine_the_constants_when_front_and_rear_oppose():
-    # Front and rear motors oppose each other: the currents of the sides are small, the heat is not.
+    # Front and rear motors oppose each other: the currents of the sides are small, but the motors heat up.
     speed, _, _ = simulate_log(noise=0.0)
     rng = np.random.default_rng(5)
     opposed = np.repeat(rng.uniform(-2, 2, (20, 2)), 30, axis=0)
@@ -127,7 +127,7 @@ def drive(reference: ConstantTwist, surface: str = "default", plant: str = "mujo
     return simulate(FeedForward(), make_plant(plant, surface=surface, **options), reference)  # type: ignore[arg-type]
 
 
-def test_turn_needs_more_energy_than_straight_motion_and_grip_more_than_ice() -> None:
+def test_turn_needs_more_energy_than_straight_motion_and_than_a_turn_on_ice() -> None:
     cases = ((STRAIGHT,), (TURN,), (TURN, "ice"))
     straight, turn, ice = (run_energy(drive(*case)).energy_j for case in cases)
     assert 0 < straight < 0.5 * turn
@@ -148,7 +148,7 @@ def test_battery_energy_is_the_sum_of_work_and_heat() -> None:
 @pytest.mark.parametrize("changes", [{}, {"scenario": "start_offset"}, {"plant": "world:opening@mujoco:fsu_bot"}])
 def test_energy_uses_the_motors_of_the_simulated_robot(changes: dict[str, str]) -> None:
     run = drive(STRAIGHT, **({"plant": "mujoco:fsu_bot", "sensors": "power"} | changes))
-    robot, papers = load_drive_constants("fsu_bot"), load_drive_constants()
+    robot, paper_constants = load_drive_constants("fsu_bot"), load_drive_constants()
     counted = run.counted
 
     def expected_energy(constants) -> float:  # type: ignore[no-untyped-def]
@@ -156,18 +156,18 @@ def test_energy_uses_the_motors_of_the_simulated_robot(changes: dict[str, str]) 
 
     robot_energy = expected_energy(robot)
     assert run_energy(run).energy_j == pytest.approx(robot_energy)
-    assert run_energy(run, papers).energy_j == pytest.approx(expected_energy(papers))
-    assert expected_energy(papers) != pytest.approx(robot_energy, rel=0.02)
+    assert run_energy(run, paper_constants).energy_j == pytest.approx(expected_energy(paper_constants))
+    assert expected_energy(paper_constants) != pytest.approx(robot_energy, rel=0.02)
 
 
-def test_robot_file_gives_motors_by_name_by_changed_values_or_by_default(tmp_path: Path) -> None:
+def test_robot_file_sets_motors_by_name_or_changes_the_default_motors(tmp_path: Path) -> None:
     def load_drive(line: str):  # type: ignore[no-untyped-def]
         (tmp_path / "r.yaml").write_text(f"description: a robot\n{line}\n")
         return robot_power(f"mujoco:{tmp_path / 'r.yaml'}").drive
 
-    papers, bot = load_drive_constants(), load_drive_constants("fsu_bot")
-    assert load_drive("") == papers
+    default, bot = load_drive_constants(), load_drive_constants("fsu_bot")
+    assert load_drive("") == default
     assert load_drive("drive: fsu_bot") == load_drive("parts: {power: {drive: fsu_bot}}") == bot
-    assert load_drive("drive: {resistance: 2.0}") == papers.model_copy(update={"resistance": 2.0})
+    assert load_drive("drive: {resistance: 2.0}") == default.model_copy(update={"resistance": 2.0})
     with pytest.raises(ConfigError, match=r"r.yaml: .*drive.*did you mean 'fsu_bot'"):
         load_drive("drive: fsu_bott")

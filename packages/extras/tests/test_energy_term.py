@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.turn_costs import load_turn_costs
 COSTS = {surface: load_turn_costs(f"fsu_bot-{surface}") for surface in ("slippery", "default")}
 RESIDUALS = {surface: energy_function(costs) for surface, costs in COSTS.items()}
 ENERGY_TERM = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
-GENTLE = lay_segments(
+CURVE = lay_segments(
     [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
     TrajectoryLimits.of_robot(),
     name="gentle",
@@ -70,13 +70,13 @@ def test_real_time_iterations_with_the_energy_term_converge_to_the_ipopt_solutio
     overrides |= {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
     config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | overrides)
 
-    def make():
+    def make_controller():
         return Controller(config)
 
-    controller = make()
+    controller = make_controller()
     robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
-    drive = record(controller, robot, GENTLE, 120, lambda *_: None)
-    converged, result = iterate_to_convergence(make, drive, GENTLE, lambda *_: None)
+    drive = record(controller, robot, CURVE, 120, lambda *_: None)
+    converged, result = iterate_to_convergence(make_controller, drive, CURVE, lambda *_: None)
     plan = solve_with_ipopt(converged)
     plan_without_term = solve_with_ipopt(converged, load_config(config, {"energy.weight": 0.0}))
     assert np.abs(plan - plan_without_term).max() > 1e-3, "the term must change the plan"
@@ -102,7 +102,7 @@ def test_weight_is_a_stage_parameter_that_can_change_during_a_drive():
     commands = []
     for controller in controllers:
         robot = IdealRobot(controller._prediction.sampled, np.zeros(3))
-        commands.append(record(controller, robot, GENTLE, 90, lambda *_: None).commands)
+        commands.append(record(controller, robot, CURVE, 90, lambda *_: None).commands)
     assert np.array(commands[0]) == pytest.approx(np.array(commands[1]), abs=0.0)
 
 
@@ -121,9 +121,9 @@ def test_invalid_turn_costs_raise_config_error(tmp_path):
         load_config("ssm", {"energy.weight": 0.1})
     with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
         Controller(load_config("ssm", ENERGY_TERM | {"energy.turn_costs": "nowhere"}))
-    weak = COSTS["default"].model_dump(mode="json")
-    weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of the drive train
-    (tmp_path / "weak.yaml").write_text(yaml.safe_dump(weak))
+    content = COSTS["default"].model_dump(mode="json")
+    content["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of the drive train
+    (tmp_path / "weak.yaml").write_text(yaml.safe_dump(content))
     config = load_config("ssm", {"energy.turn_costs": str(tmp_path / "weak.yaml"), "energy.use_min_radius": True})
     with pytest.raises(ConfigError, match="give a motor torque above the limit for every turn"):
         Controller(config)

@@ -55,7 +55,7 @@ def test_infeasible_slip_excitation_raises_value_error(arguments, message):
         slip_excitation(*arguments)
 
 
-def test_command_writes_the_slip_trajectory_and_prints_the_correlation_of_its_terms(tmp_path):
+def test_command_writes_the_slip_trajectory_and_prints_the_maximum_correlation(tmp_path):
     path = tmp_path / "slip.yaml"
     result = invoke(app, "excite", "--for", "slip", "--side", "5", "--out", path)
     assert "Maximum correlation of the terms v, omega and v omega: 0." in result.output
@@ -94,9 +94,9 @@ def test_all_members_of_a_family_stay_inside_room_and_limits(family, seed, lengt
     assert (np.abs(path_of(twists, TICK)[:, :2]) <= room.reach + 1e-6).all()
 
 
-def test_search_beats_random_drives_and_is_reproducible(monkeypatch):
-    quick = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
-    monkeypatch.setattr(searched, "model_excitation_settings", lambda: quick)
+def test_search_exceeds_random_drives_and_is_reproducible(monkeypatch):
+    short = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
+    monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
     room = Room(4.0, 3.0)
     drive = model_excitation(room, 15.0, LIMITS, objective, seed=3)
     repetition = model_excitation(room, 15.0, LIMITS, objective, seed=3)
@@ -126,7 +126,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
 
 
-def robot(path, gain, dead_time):
+def write_robot(path, gain, dead_time):
     channels = {name: {"gain": gain, "natural_frequency": 14.0, "damping": 1.1} for name in ("v", "omega")}
     content = {
         "name": "other",
@@ -148,7 +148,7 @@ def test_drive_stays_in_the_room_on_robots_with_other_gains(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
     excitation.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
-        run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
+        run = drive_of(excitation, tmp_path, write_robot(tmp_path / "other.yaml", gain, dead_time))
         check_drive(run, excitation.room)
         assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
 
@@ -157,7 +157,7 @@ def test_drive_stays_in_the_room_on_robots_with_other_gains(tmp_path):
 def test_robot_that_leaves_the_room_raises_config_error(tmp_path):
     excitation = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
     excitation.write(tmp_path / "drive.yaml")
-    run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
+    run = drive_of(excitation, tmp_path, write_robot(tmp_path / "other.yaml", 1.0, 0.04))
     with pytest.raises(ConfigError, match=r"the robot left the room after \d+\.\d s"):
         check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), excitation.room)
 

@@ -32,7 +32,7 @@ from diffdrive_mpc_extras.export.library import Precision, export_controller
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
 HOST = Path(__file__).with_name("export_host.c")
-# Some functions take a controller for its sizes, which are macros in an export; the argument is unused then.
+# Some functions use their controller argument for sizes only; in an export, sizes are macros.
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wno-unused-parameter", "-Werror")
 
 
@@ -259,7 +259,7 @@ def events(k, measurement, exported, reference):
         measurement = replace(measurement, pose=None)
     elif k == 80:
         measurement = Measurement(Stamped((np.nan, 0.0, 0.0), measurement.pose.time), measurement.wheel_twist)
-    elif 90 <= k < 120:  # the robot is moved to another place
+    elif 90 <= k < 120:  # the robot is moved by hand
         pose = np.asarray(measurement.pose.value) + [0.4, 0.1, 0.0]
         measurement = replace(measurement, pose=replace(measurement.pose, value=pose))
     elif k == 125:
@@ -280,7 +280,7 @@ def events(k, measurement, exported, reference):
     return shift, measurement, hold
 
 
-def test_exported_controller_takes_all_steps_of_the_failure_ladder(double_program):
+def test_exported_controller_passes_all_stages_of_the_failure_ladder(double_program):
     steps = drive_both(double_program, "square", TIGHT, 230, change=events)
     check_equal(steps, DOUBLE)
     modes = [exported.mode for _, exported in steps]

@@ -16,7 +16,7 @@ from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, build_pieces, min_gaps
 from diffdrive_mpc_extras.free_space.polygons import Footprint
 
-FAR = 5.0
+MAX_GAP = 5.0
 AT_REST = 0.02
 
 
@@ -73,7 +73,7 @@ def drive(controller, reference, surroundings_at, duration, *, plant="model:ssm"
             current, pieces = result, build_pieces(result, settings, reference)
         step = controller.step(t, robot.measure())
         age = 0.0 if current.time is None else t - current.time
-        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([age]), FAR)
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([age]), MAX_GAP)
         speed = abs(robot.true_twist[0]) + abs(robot.true_twist[-1]) * footprint.footprint.reach
         ticks.append({"t": t, "pose": np.array(robot.true_pose), "speed": speed, "gap": gap, "step": step})
         assert np.isfinite(step.command).all()
@@ -92,7 +92,7 @@ def column(ticks, name):
 
 
 def min_gap_while_moving(ticks):
-    return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=FAR)
+    return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=MAX_GAP)
 
 
 @cache
@@ -156,22 +156,22 @@ def test_robot_stops_at_a_blocked_path_and_continues_when_it_is_free():
         return wall if t < 1e-9 else Surroundings() if abs(t - 12.0) < 0.0102 else None
 
     ticks = drive(Controller(config()), Line(4.0), surroundings_at, 26.0)
-    before = [tick for tick in ticks if tick["t"] < 11.9]
-    assert before[-1]["step"].mode is Mode.STOPPED
-    assert before[-1]["step"].message.startswith("no way: blocked by polygon 0")
-    assert 0.02 < min(tick["gap"] for tick in before) < 0.2
-    assert before[-1]["step"].command.tolist() == [0.0, 0.0]
-    assert before[-1]["step"].progress == 0.0
+    blocked_ticks = [tick for tick in ticks if tick["t"] < 11.9]
+    assert blocked_ticks[-1]["step"].mode is Mode.STOPPED
+    assert blocked_ticks[-1]["step"].message.startswith("no way: blocked by polygon 0")
+    assert 0.02 < min(tick["gap"] for tick in blocked_ticks) < 0.2
+    assert blocked_ticks[-1]["step"].command.tolist() == [0.0, 0.0]
+    assert blocked_ticks[-1]["step"].progress == 0.0
     assert ticks[-1]["step"].mode is Mode.FINISHED
     assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
 
 
 def test_robot_brakes_for_a_suddenly_appearing_wall():
     """A wall appears just beyond the stopping distance."""
-    nothing, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
+    empty, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
 
     def surroundings_at(t):
-        return nothing if t < 1e-9 else wall if abs(t - 3.0) < 0.0102 else None
+        return empty if t < 1e-9 else wall if abs(t - 3.0) < 0.0102 else None
 
     ticks = drive(Controller(config()), Line(4.0, 0.6, 0.8), surroundings_at, 6.0)
     assert min(tick["gap"] for tick in ticks if tick["t"] > 3.02) > 0.0
@@ -199,11 +199,11 @@ def test_moving_robot_never_touches_a_crossing_disc(seed):
     rng = np.random.default_rng(seed)
     speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
     arrival, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
-    radius, along = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
+    radius, vx = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
 
     def surroundings_at(t):
         return Surroundings(
-            discs=[MovingDisc(x + along * (t - arrival), side * speed * (t - arrival), radius, along, side * speed)],
+            discs=[MovingDisc(x + vx * (t - arrival), side * speed * (t - arrival), radius, vx, side * speed)],
             time=t,
         )
 
@@ -215,9 +215,9 @@ def test_moving_robot_never_touches_a_crossing_disc(seed):
 def test_robot_stays_inside_a_corridor():
     """A post leaves room on its narrow side only, because the corridor blocks the wide side."""
     corridor = Corridor([0.0, 4.0], [0.8, 0.8], [0.3, 0.3])
-    around = Surroundings([post(2.0, 0.05, 0.05)], corridor=corridor)
+    surroundings = Surroundings([post(2.0, 0.05, 0.05)], corridor=corridor)
     controller = Controller(config())
-    ticks = drive(controller, Line(4.0), at_start(around), 22.0)
+    ticks = drive(controller, Line(4.0), at_start(surroundings), 22.0)
     assert column(ticks, "gap").min() > 0.02
     assert column(ticks, "pose")[:, 1].max() > 0.25
     assert ticks[-1]["step"].mode is Mode.FINISHED
@@ -225,13 +225,13 @@ def test_robot_stays_inside_a_corridor():
 
 def test_reported_clearance_equals_the_true_gap():
     ticks = post_drive(0.0)
-    stated = np.array([tick["step"].clearance for tick in ticks])
-    near = np.isfinite(stated)
-    assert near.sum() > 50
-    assert np.abs(stated - column(ticks, "gap"))[near].max() < 0.02
+    clearance = np.array([tick["step"].clearance for tick in ticks])
+    is_finite = np.isfinite(clearance)
+    assert is_finite.sum() > 50
+    assert np.abs(clearance - column(ticks, "gap"))[is_finite].max() < 0.02
 
 
-def test_old_surroundings_brake():
+def test_robot_brakes_if_the_surroundings_are_old():
     controller, reference = Controller(config()), Line(4.0)
     ticks = drive(controller, reference, at_start(Surroundings(time=0.0)), 4.0)
     modes = [tick["step"].mode for tick in ticks]
@@ -240,14 +240,14 @@ def test_old_surroundings_brake():
     assert "s old; free_space.max_age is 0.5 s" in ticks[-1]["step"].message
 
 
-def test_surroundings_from_the_future_brake():
+def test_robot_brakes_if_the_surroundings_are_from_the_future():
     controller = Controller(config())
     ticks = drive(controller, Line(4.0), at_start(Surroundings(time=10.0)), 1.0)
     assert all(tick["step"].mode in (Mode.BRAKING, Mode.STOPPED) for tick in ticks[2:])
     assert "in the future" in ticks[-1]["step"].message
 
 
-def test_invalid_surroundings_keep_the_previous_ones():
+def test_invalid_surroundings_do_not_replace_the_previous_surroundings():
     controller = Controller(config())
     wall = Surroundings([box(2.0, 0.0, 0.4, 4.0)])
     controller.feature("free_space").set_obstacles(wall)
@@ -258,12 +258,12 @@ def test_invalid_surroundings_keep_the_previous_ones():
 
 
 def test_repeated_drives_are_identical():
-    around = Surroundings([post(1.2, 0.02, 0.1)], discs=[MovingDisc(2.0, 1.0, 0.2, 0.0, -0.2)], time=0.0)
+    surroundings = Surroundings([post(1.2, 0.02, 0.1)], discs=[MovingDisc(2.0, 1.0, 0.2, 0.0, -0.2)], time=0.0)
 
     def run():
         def surroundings_at(t):
             discs = [MovingDisc(2.0, 1.0 - 0.2 * t, 0.2, 0.0, -0.2)]
-            return Surroundings(around.polygons, discs, time=t)
+            return Surroundings(surroundings.polygons, discs, time=t)
 
         return np.array(
             [tick["step"].command for tick in drive(Controller(config()), Line(2.5), surroundings_at, 6.0, seed=4)]
@@ -304,7 +304,7 @@ def test_return_path_does_not_cross_a_wall():
         step = controller.step(robot.time, robot.measure())
         messages.add(step.message.split(";")[0])
         robot.advance(step.command)
-        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), MAX_GAP)
         assert gap > 0.01
     assert messages & {"no way: no free path leads back to the reference"} or any(
         "rejoining" in message for message in messages
@@ -323,10 +323,10 @@ def test_active_half_spaces_converge_to_the_solution_of_ipopt():
     pose = CIRCLE.sample([160 * config.sample_time]).pose[0]
     side = np.array([np.sin(pose[2]), -np.cos(pose[2])])
     along = np.array([side[1], -side[0]])
-    middle = pose[:2] + (0.2 + free_space_of(config).margin + 0.01 + 0.3) * side + 0.1 * along
-    corners = [middle + x * along + y * side for x, y in ((-0.1, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.1, 0.3))]
+    centre = pose[:2] + (0.2 + free_space_of(config).margin + 0.01 + 0.3) * side + 0.1 * along
+    corners = [centre + x * along + y * side for x, y in ((-0.1, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.1, 0.3))]
 
-    def make():
+    def make_controller():
         controller = Controller(config)
         # Disable the check of the stopping path and the path search.
         controller.feature("free_space")._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, min_gap=1.0)
@@ -347,19 +347,19 @@ def test_active_half_spaces_converge_to_the_solution_of_ipopt():
         keeper._set_rows = set_and_store
         return controller
 
-    controller = record_rows(make())
+    controller = record_rows(make_controller())
     drive = record(controller, IdealRobot(controller._prediction.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
 
-    def keep_rows(again, time):
+    def keep_rows(replayed, time):
         """Use the planes of the drive, which are data of the problem."""
-        table = again._tick.parameters
-        again.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
+        table = replayed._tick.parameters
+        replayed.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 
-    again, result = iterate_to_convergence(make, drive, CIRCLE, keep_rows)
-    plan, without = (
-        solve_with_ipopt(again),
-        solve_with_ipopt(again, load_config(again.config, {"free_space.enabled": False})),
+    replayed, result = iterate_to_convergence(make_controller, drive, CIRCLE, keep_rows)
+    plan, plan_without = (
+        solve_with_ipopt(replayed),
+        solve_with_ipopt(replayed, load_config(replayed.config, {"free_space.enabled": False})),
     )
     assert result.solver.soft_limits
-    assert np.abs(plan - without).max() > 1e-3, "the half-spaces must be active"
+    assert np.abs(plan - plan_without).max() > 1e-3, "the half-spaces must be active"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)

@@ -93,16 +93,16 @@ def test_footprint_on_the_free_side_of_a_plane_does_not_touch_the_piece(seed):
     plane = (obstacle @ normal).min()
     placements = pose + rng.uniform(-0.5, 0.5, (200, 3))
     for placement in placements:
-        beyond = (transform(robot.footprint.corners, placement) @ normal).max() - plane
-        if beyond <= 0.0:
-            assert gap_to(robot, pieces, 0, placement)[0] >= min(-beyond, 0.0) - 1e-12
+        protrusion = (transform(robot.footprint.corners, placement) @ normal).max() - plane
+        if protrusion <= 0.0:
+            assert gap_to(robot, pieces, 0, placement)[0] >= min(-protrusion, 0.0) - 1e-12
     assert gap > 0.0 or (transform(robot.footprint.corners, pose) @ normal).max() >= plane
 
 
 def test_moving_disc_is_at_its_predicted_position():
-    around = Surroundings(discs=[MovingDisc(2.0, 1.0, 0.3, -1.0, -0.5)], time=5.0)
+    surroundings = Surroundings(discs=[MovingDisc(2.0, 1.0, 0.3, -1.0, -0.5)], time=5.0)
     robot = PlacedFootprint(Footprint(((0.0, 0.0),), 0.2))
-    gap, normal = gap_to(robot, build_pieces(around, CONFIG), 0, (0.0, 0.0, 0.7), time=1.0)
+    gap, normal = gap_to(robot, build_pieces(surroundings, CONFIG), 0, (0.0, 0.0, 0.7), time=1.0)
     assert gap == pytest.approx(np.hypot(1.0, 0.5) - 0.5)
     assert normal == pytest.approx(np.array([1.0, 0.5]) / np.hypot(1.0, 0.5))
 
@@ -125,10 +125,10 @@ def test_convex_pieces_tile_a_polygon(seed):
 @pytest.mark.parametrize("fraction", [0.05, 0.5, 0.95])
 def test_rectangles_tile_the_occupied_cells(fraction):
     occupied = np.random.default_rng(3).random((40, 30)) < fraction
-    counted = np.zeros(occupied.shape, dtype=int)
+    coverage = np.zeros(occupied.shape, dtype=int)
     for row, column, row_end, column_end in rectangles(occupied).tolist():
-        counted[row:row_end, column:column_end] += 1
-    assert (counted == occupied).all()
+        coverage[row:row_end, column:column_end] += 1
+    assert (coverage == occupied).all()
 
 
 def test_wall_of_cells_becomes_one_rectangle_at_its_position():
@@ -146,10 +146,10 @@ def test_wall_of_cells_becomes_one_rectangle_at_its_position():
 def test_unknown_cells_and_the_area_outside_the_grid_can_be_occupied():
     grid = OccupancyGrid(np.full((10, 10), -1, dtype=np.int8), 0.1)
     assert len(build_pieces(Surroundings(grid=grid), CONFIG)) == 0
-    closed = build_pieces(Surroundings(grid=grid), CONFIG.model_copy(update={"unknown_is_free": False}))
+    pieces = build_pieces(Surroundings(grid=grid), CONFIG.model_copy(update={"unknown_is_free": False}))
     robot = PlacedFootprint(Footprint.rectangle(0.2, 0.2))
-    for place in ((0.5, 0.5), (5.0, 0.5), (-1.0, -1.0), (0.5, 1.5)):
-        assert min(gap_to(robot, closed, i, (*place, 0.0))[0] for i in range(len(closed))) < 0.0
+    for position in ((0.5, 0.5), (5.0, 0.5), (-1.0, -1.0), (0.5, 1.5)):
+        assert min(gap_to(robot, pieces, i, (*position, 0.0))[0] for i in range(len(pieces))) < 0.0
 
 
 def test_corridor_walls_have_the_given_distance_from_the_reference():
@@ -165,7 +165,7 @@ def test_corridor_walls_have_the_given_distance_from_the_reference():
 
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-BAD = {
+INVALID = {
     "value that is not finite": Surroundings([[[0, 0], [1, np.nan], [1, 1]]]),
     "no area": Surroundings([[[0, 0], [1, 1], [2, 2]]]),
     "cross each other": Surroundings([[SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]]),
@@ -186,10 +186,10 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("message", list(BAD))
+@pytest.mark.parametrize("message", list(INVALID))
 def test_invalid_surroundings_raise_a_one_line_error(message):
     with one_line_error(SurroundingsError, message):
-        build_pieces(BAD[message], CONFIG, load_trajectory("circle"))
+        build_pieces(INVALID[message], CONFIG, load_trajectory("circle"))
 
 
 @pytest.mark.parametrize(
@@ -202,12 +202,12 @@ def test_invalid_footprint_is_rejected(footprint):
 
 def test_half_space_gradient_equals_finite_differences():
     rng = np.random.default_rng(1)
-    function, plain = half_space_c_function(), half_space_function()
+    function, symbolic = half_space_c_function(), half_space_function()
     for _ in range(20):
         pose, parameters = rng.normal(size=3), rng.normal(size=5)
         value, gradient = function(pose, np.zeros(2), np.zeros(2), np.zeros(4), parameters)
-        assert float(value) == pytest.approx(float(plain(pose, parameters)))
-        slopes = differences(lambda moved, fixed=parameters: plain(moved, fixed), pose)
+        assert float(value) == pytest.approx(float(symbolic(pose, parameters)))
+        slopes = differences(lambda x, fixed=parameters: symbolic(x, fixed), pose)
         assert gradient.full()[:1, :3] == pytest.approx(slopes, abs=1e-8)
 
 
@@ -231,12 +231,12 @@ def test_planes_contain_a_free_pose_and_separate_it_from_near_obstacles(seed):
     )
     for pose, planes, owners in zip(poses, table.reshape(count, rows, 5), owner, strict=True):
         corners = transform(robot.footprint.corners, pose)
-        used = planes[owners >= 0]
-        for a_x, a_y, d_x, d_y, b in used:
+        active_planes = planes[owners >= 0]
+        for a_x, a_y, d_x, d_y, b in active_planes:
             point = transform(np.array([[d_x, d_y]]), pose)[0]
             assert point @ [a_x, a_y] <= b + 1e-9
             assert (corners @ [a_x, a_y]).max() <= b + 1e-9
         for polygon in polygons:
             if edge_distance(corners, polygon) < 0.39:
-                beyond = [(polygon @ plane[:2]).min() >= plane[4] - 1e-5 for plane in used]
-                assert any(beyond)
+                is_separated = [(polygon @ plane[:2]).min() >= plane[4] - 1e-5 for plane in active_planes]
+                assert any(is_separated)

@@ -26,7 +26,7 @@ def draw_surroundings(random: Random) -> Any:
         result["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
     if random.random() < 0.6:
         result["discs"] = [
-            [_place(random), _place(random), abs(_some(random, 0.2)), _some(random, 0.5), _some(random, 0.5)]
+            [_offset(random), _offset(random), abs(_number(random, 0.2)), _number(random, 0.5), _number(random, 0.5)]
             for _ in range(random.choice((1, 2, 10)))
         ]
     if random.random() < 0.3:
@@ -35,31 +35,29 @@ def draw_surroundings(random: Random) -> Any:
             "shape": [rows, columns],
             "seed": random.randrange(1000),
             "share": random.choice((0.0, 0.02, 0.2, 1.0)),
-            "resolution": random.choice((0.05, 0.05, 0.2, abs(_some(random, 0.1)))),
-            "origin": [_place(random), _place(random), _some(random, 1.0)],
+            "resolution": random.choice((0.05, 0.05, 0.2, abs(_number(random, 0.1)))),
+            "origin": [_offset(random), _offset(random), _number(random, 1.0)],
         }
     if random.random() < 0.3:
         count = random.choice((0, 1, 2, 5, 50))
-        lengths = sorted(abs(_some(random, 3.0)) for _ in range(count))
+        lengths = sorted(abs(_number(random, 3.0)) for _ in range(count))
         result["corridor"] = [
             lengths if random.random() < 0.9 else lengths[::-1],
-            [abs(_some(random, 0.5)) for _ in range(count)],
-            [abs(_some(random, 0.5)) for _ in range(count)],
+            [abs(_number(random, 0.5)) for _ in range(count)],
+            [abs(_number(random, 0.5)) for _ in range(count)],
         ]
     return result
 
 
 def make_surroundings(case: Any, pose: np.ndarray, t: float) -> Surroundings | None:
-    """Build the object that a case describes, with places relative to the robot."""
+    """Build the object that a case describes, with positions relative to the robot."""
     if case is None:
         return None
     grid = corridor = None
     if "grid" in case:
         costmap = case["grid"]
-        drawn = np.random.default_rng(costmap["seed"])
-        cells = np.where(
-            drawn.random(costmap["shape"]) < costmap["share"], 100, drawn.integers(-1, 2, costmap["shape"])
-        )
+        rng = np.random.default_rng(costmap["seed"])
+        cells = np.where(rng.random(costmap["shape"]) < costmap["share"], 100, rng.integers(-1, 2, costmap["shape"]))
         origin = (pose[0] + costmap["origin"][0], pose[1] + costmap["origin"][1], costmap["origin"][2])
         grid = OccupancyGrid(cells.astype(np.int8), costmap["resolution"], origin)
     if "corridor" in case:
@@ -74,18 +72,18 @@ def make_surroundings(case: Any, pose: np.ndarray, t: float) -> Surroundings | N
 
 
 def _polygon(random: Random) -> list[list[float]]:
-    x, y, size = _place(random), _place(random), random.choice((0.05, 0.2, 1.0, 1e-6))
+    x, y, size = _offset(random), _offset(random), random.choice((0.05, 0.2, 1.0, 1e-6))
     if random.random() < 0.7:
         return [[x, y], [x + size, y], [x + size, y + size], [x, y + size]]
-    return [[x + _some(random, size), y + _some(random, size)] for _ in range(random.choice((0, 2, 3, 3, 4, 6)))]
+    return [[x + _number(random, size), y + _number(random, size)] for _ in range(random.choice((0, 2, 3, 3, 4, 6)))]
 
 
-def _place(random: Random) -> float:
-    """Draw a place, mostly near, seldom at the robot."""
-    return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _some(random, 1.0)))
+def _offset(random: Random) -> float:
+    """Draw a position, mostly near the robot and rarely at the robot."""
+    return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _number(random, 1.0)))
 
 
-def _some(random: Random, scale: float) -> float:
+def _number(random: Random, scale: float) -> float:
     return odd.number(random) if random.random() < 0.04 else random.gauss(0.0, scale)
 
 
@@ -106,7 +104,7 @@ class FeatureFuzzer(ControllerFuzzer):
     extras: Sequence[Overrides] = (*EXTRAS, *FEATURES)
 
     def draw_feature_events(self, random: Random, overrides: Overrides) -> list[list[Any]]:
-        """Draw surroundings for a controller that keeps clear of them."""
+        """Draw surroundings for a controller with the feature `free_space`."""
         if "free_space.enabled" not in overrides or random.random() < 0.5:
             return []
         return [["see", draw_surroundings(random)]]
@@ -119,10 +117,10 @@ class FeatureFuzzer(ControllerFuzzer):
 class FeatureSession(Session):
     """Session with obstacles and other surroundings."""
 
-    def see(self, stated: Any) -> None:
-        """Set surroundings near the present pose, or remove them."""
+    def see(self, case: Any) -> None:
+        """Set surroundings near the current pose, or remove them."""
         try:
-            surroundings = make_surroundings(stated, self.pose, self.t)
+            surroundings = make_surroundings(case, self.pose, self.t)
             self.controller.feature("free_space").set_obstacles(surroundings)
         except ValueError as error:
             one_line(error)

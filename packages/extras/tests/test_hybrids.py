@@ -30,11 +30,11 @@ DT = 0.0202
 
 
 def random_correction(seed=0, size=0.02, units=5):
-    """Draw a correction for the four states of an SM, with some hundredths of their scale per sample."""
-    random = np.random.default_rng(seed)
-    root = np.eye(6) + 0.2 * random.normal(size=(6, 6))
+    """Draw a correction for the four states of an SM, with a size of a few per cent of their scale per sample."""
+    rng = np.random.default_rng(seed)
+    root = np.eye(6) + 0.2 * rng.normal(size=(6, 6))
     scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])
-    inward, outward = random.normal(size=(6, units)), size * random.normal(size=(units, 4))
+    inward, outward = rng.normal(size=(6, units)), size * rng.normal(size=(units, 4))
     return Correction(scale, inward, outward, root.T @ root, 9.0, 36.0)
 
 
@@ -50,19 +50,19 @@ FEATURES = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 def simulate_by_definition(commands, past):
     """Evaluate the equations of the model, element by element."""
-    c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
+    c, history, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
     for k in range(len(commands)):
         outputs.append(LINEAR.C @ x)
         rows = [k + len(past) - int(delay) for delay in LINEAR.delay]
-        recent = np.array([line[row, j] for j, row in enumerate(rows)])
-        older = np.array([line[row - 1, j] for j, row in enumerate(rows)])
+        recent = np.array([history[row, j] for j, row in enumerate(rows)])
+        previous = np.array([history[row - 1, j] for j, row in enumerate(rows)])
         z = np.array([*x, *recent]) / c.scale
         distance = sum(z[i] * c.shape[i, j] * z[j] for i in range(6) for j in range(6))
         fraction = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
         gate = 1.0 - 3.0 * fraction**2 + 2.0 * fraction**3
         units = [np.tanh(sum(c.inward[i, unit] * z[i] for i in range(6))) for unit in range(5)]
         change = [sum(c.outward[unit, n] * units[unit] for unit in range(5)) for n in range(4)]
-        x = LINEAR.A @ x + LINEAR.B0 @ recent + LINEAR.B1 @ older + c.scale[:4] * gate * change
+        x = LINEAR.A @ x + LINEAR.B0 @ recent + LINEAR.B1 @ previous + c.scale[:4] * gate * change
     return np.array(outputs)
 
 
@@ -85,8 +85,8 @@ def linear_step(x, recent):
 
 
 def test_simulation_agrees_with_the_equations():
-    random = np.random.default_rng(0)
-    past, commands = random.normal(size=(MODEL.memory, 2)), np.repeat(random.normal(size=(30, 2)), 5, axis=0)
+    rng = np.random.default_rng(0)
+    past, commands = rng.normal(size=(MODEL.memory, 2)), np.repeat(rng.normal(size=(30, 2)), 5, axis=0)
     output = MODEL.simulate(commands, past=past)
     assert output == pytest.approx(simulate_by_definition(commands, past), abs=1e-12)
     assert np.abs(output - LINEAR.simulate(commands, past=past)).max() > 0.02, "the network must matter"
@@ -97,9 +97,9 @@ def test_gradient_agrees_with_central_differences():
     x, window = ca.SX.sym("x", 4), ca.SX.sym("w", 2 * (MODEL.memory + 1))
     arguments = ca.vertcat(x, window)
     jacobian = ca.Function("by", [arguments], [ca.jacobian(MODEL.step(x, window), arguments)])
-    random, regions = np.random.default_rng(1), set()
+    rng, regions = np.random.default_rng(1), set()
     for size in np.geomspace(0.1, 6.0, 20):
-        point = size * random.normal(size=arguments.numel()) * 0.5
+        point = size * rng.normal(size=arguments.numel()) * 0.5
         point[:4] *= MODEL.correction.scale[:4]
         slopes = differences(lambda values: MODEL.step(values[:4], values[4:]).full(), point)
         assert jacobian(point).full() == pytest.approx(slopes, abs=1e-6)
@@ -109,7 +109,7 @@ def test_gradient_agrees_with_central_differences():
 
 
 @given(FEATURES, st.floats(1.0, 50.0))
-def test_step_far_from_the_data_is_that_of_the_linear_model(direction, factor):
+def test_step_far_from_the_data_equals_that_of_the_linear_model(direction, factor):
     size = distance(direction)
     if size < 1e-6:
         return
@@ -128,7 +128,7 @@ def test_change_by_the_network_is_bounded_and_unattenuated_near_the_data(z):
         assert change == pytest.approx(c.outward.T @ np.tanh(c.inward.T @ z), abs=1e-9)
 
 
-def content():
+def model_content():
     data = {"name": "mine", "structure": "hybrid", "sample_time": DT}
     data |= {"provenance": {"origin": "assumed", "source": "random numbers"}}
     data |= {"linear": read_model_file(model_path("sm")).model_dump()}
@@ -137,7 +137,7 @@ def content():
 
 def test_file_restores_the_model_and_is_reproducible(tmp_path):
     for name in ("first", "second"):
-        write_hybrid(tmp_path / f"{name}.yaml", content())
+        write_hybrid(tmp_path / f"{name}.yaml", model_content())
     assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
     loaded = load_model(tmp_path / "first.yaml")
     assert isinstance(loaded, HybridModel)
@@ -161,7 +161,7 @@ def test_file_restores_the_model_and_is_reproducible(tmp_path):
 )
 def test_invalid_file_raises_a_one_line_error(tmp_path, change, message):
     path = tmp_path / "mine.yaml"
-    write_hybrid(path, content())
+    write_hybrid(path, model_content())
     data = yaml.safe_load(path.read_text())
     change(data)
     path.write_text(yaml.safe_dump(data))
@@ -170,7 +170,7 @@ def test_invalid_file_raises_a_one_line_error(tmp_path, change, message):
 
 
 def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
-    write_hybrid(tmp_path / "mine.yaml", content())
+    write_hybrid(tmp_path / "mine.yaml", model_content())
     with pytest.raises(ModelError, match=r"a nonlinear model with sample time 0.0202 s"):
         MODEL.discretise(0.01)
     with pytest.raises(ModelError, match="a linear model is required"):
@@ -181,21 +181,21 @@ def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
 
 def simulate_weak_supply(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
     """Simulate a robot with a weak supply: the command of each channel reduces the gain of the other channel."""
-    random = np.random.default_rng(seed)
-    commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
+    rng = np.random.default_rng(seed)
+    commands = np.repeat(rng.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
     steady_twist, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)
     for k in range(1, len(commands)):
         twist[k] = twist[k - 1] + dt / lag * (steady_twist[k - 1] - twist[k - 1])
-    noisy = twist + random.normal(0, [0.003, 0.005], twist.shape)
+    noisy = twist + rng.normal(0, [0.003, 0.005], twist.shape)
     return Record(f"drive {seed}", 0.0, dt, commands, twist=noisy, yaw_rate=noisy[:, 1])
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def quick_training(monkeypatch):
     monkeypatch.setattr("diffdrive_mpc_extras.hybrids.finding.hybrid_settings", lambda: QUICK)
 
 
-def test_network_fits_better_than_any_linear_model(quick):
+def test_network_fits_better_than_any_linear_model(quick_training):
     data = data_of(simulate_weak_supply(1, 60.0), simulate_weak_supply(2, 60.0))
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = comparison.scores[1:]
@@ -205,7 +205,7 @@ def test_network_fits_better_than_any_linear_model(quick):
     assert comparison.recommended.kind == "hybrid"
 
 
-def test_identification_from_a_log_writes_a_hybrid_that_a_controller_loads(quick, tmp_path):
+def test_identification_from_a_log_writes_a_hybrid_that_a_controller_loads(quick_training, tmp_path):
     record = simulate_weak_supply(5, 60.0)
     columns = {"t": record.dt * np.arange(len(record.command)), "v": record.twist[:, 0], "gyro": record.yaw_rate}
     columns |= {"v_ref": record.command[:, 0], "omega_ref": record.command[:, 1], "omega_wheels": record.yaw_rate}
@@ -224,8 +224,8 @@ def test_identification_from_a_log_writes_a_hybrid_that_a_controller_loads(quick
 
 def test_missing_jax_raises_missing_package_error_with_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
-    with pytest.raises(MissingPackageError) as raised:
+    with pytest.raises(MissingPackageError) as error:
         identify(tmp_path / "never read.csv", None, "hybrid")
-    assert str(raised.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
+    assert str(error.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
     with pytest.raises(ConfigError, match="structure hybrid has no effects; choose sm"):
         identify(tmp_path / "never read.csv", None, "hybrid", effects=True)

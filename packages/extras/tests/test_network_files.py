@@ -1,4 +1,4 @@
-"""Weights of networks in files: pickles are never loaded, and small files of large content take no memory."""
+"""Weights of networks in files: pickles are never loaded, and files that unpack to large content are refused."""
 
 import hashlib
 import io
@@ -38,7 +38,7 @@ class Fatal:
         return sys.exit, ("unpickled",)
 
 
-def network(folder, packed, weights=None, name="network", **architecture):
+def write_network(folder, packed, weights=None, name="network", **architecture):
     """Write the file of a network with `packed` as its weights; return its path."""
     data = yaml.safe_load(NETWORK.read_text(encoding="utf-8"))
     data |= {"weights": weights or f"{name}.npz", "sha256": hashlib.sha256(packed).hexdigest()}
@@ -48,16 +48,16 @@ def network(folder, packed, weights=None, name="network", **architecture):
     return folder / f"{name}.yaml"
 
 
-def archive(**replaced):
+def archive(**arrays):
     """Return the shipped weights as an npz archive, with some arrays replaced."""
-    whole = io.BytesIO()
+    buffer = io.BytesIO()
     with (
-        zipfile.ZipFile(NETWORK.with_suffix(".npz")) as good,
-        zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as packed,
+        zipfile.ZipFile(NETWORK.with_suffix(".npz")) as source,
+        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed,
     ):
-        for name in good.namelist():
-            packed.writestr(name, replaced.get(name.removesuffix(".npy"), good.read(name)))
-    return whole.getvalue()
+        for name in source.namelist():
+            packed.writestr(name, arrays.get(name.removesuffix(".npy"), source.read(name)))
+    return buffer.getvalue()
 
 
 def array(shape, content=b"", kind="<f8"):
@@ -72,27 +72,27 @@ def test_pickles_and_foreign_files_in_place_of_weights_are_refused(tmp_path):
     np.savez(objects, input_0=np.array([Fatal()], dtype=object))
     for content in (objects.getvalue(), pickle.dumps(Fatal()), b"import os\n"):
         with pytest.raises(ConfigError):
-            load_model(network(tmp_path, content))
+            load_model(write_network(tmp_path, content))
     (tmp_path / "folder").mkdir()
-    for place in (tmp_path / "evil.npz", "../evil.npz"):
+    for path in (tmp_path / "evil.npz", "../evil.npz"):
         with pytest.raises(ConfigError):
-            load_model(network(tmp_path / "folder", b"", weights=str(place)))
+            load_model(write_network(tmp_path / "folder", b"", weights=str(path)))
 
 
 def test_small_files_of_large_content_are_refused_without_memory(tmp_path):
-    good = NETWORK.with_suffix(".npz").read_bytes()
+    valid = NETWORK.with_suffix(".npz").read_bytes()
     encrypted = re.sub(rb"(PK\x01\x02.{4})..", lambda match: match[1] + b"\1\0", archive(), flags=re.DOTALL)
     bombs = [
-        *((good, {key: 10**9}, "architecture") for key in ("window", "units")),
+        *((valid, {key: 10**9}, "architecture") for key in ("window", "units")),
         (archive(dense=array((10_000_000,), bytes(80_000_000))), {}, "unpacks to"),
-        (good + bytes(1_000_000), {}, "larger than"),
+        (valid + bytes(1_000_000), {}, "larger than"),
         (archive(dense=array((10**12,))), {}, "shape"),
         (archive(dense=array((30, 32), kind="|O")), {}, "object"),
         (archive(dense=b"\x93NUMPY\1\0\xff\x1f" + b"(" * 0x1FFF), {}, "weights"),
         (encrypted, {}, "encrypted"),
     ]
-    files = [network(tmp_path, packed, name=f"{k}", **sizes) for k, (packed, sizes, _) in enumerate(bombs)]
-    done = subprocess.run(
+    files = [write_network(tmp_path, packed, name=f"{k}", **sizes) for k, (packed, sizes, _) in enumerate(bombs)]
+    result = subprocess.run(
         [sys.executable, "-c", MEASURE],
         input="\n".join(f"models show {name}" for name in ("lstm", *files)),
         capture_output=True,
@@ -100,8 +100,8 @@ def test_small_files_of_large_content_are_refused_without_memory(tmp_path):
         check=True,
         timeout=300,
     )
-    (_, _, _, usual), *results = map(json.loads, done.stdout.splitlines())
-    for (_, _, words), (code, kind, output, peak) in zip(bombs, results, strict=True):
-        assert (code, kind) == (2, "SystemExit"), output
-        assert words in output and output.startswith("error: ") and output.count("\n") == 1, output
-        assert peak < usual + MAX_EXTRA_MEMORY, (output, peak, usual)
+    (_, _, _, baseline), *results = map(json.loads, result.stdout.splitlines())
+    for (_, _, message), (code, error_type, output, peak) in zip(bombs, results, strict=True):
+        assert (code, error_type) == (2, "SystemExit"), output
+        assert message in output and output.startswith("error: ") and output.count("\n") == 1, output
+        assert peak < baseline + MAX_EXTRA_MEMORY, (output, peak, baseline)

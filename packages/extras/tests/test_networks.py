@@ -33,10 +33,9 @@ DT = 0.0202
 
 def random_network(seed=0, scale=0.4, **options):
     """Draw an untrained network whose steady-state gain matrix is the identity."""
-    architecture, random = Architecture(**options), np.random.default_rng(seed)
+    architecture, rng = Architecture(**options), np.random.default_rng(seed)
     weights = {
-        name: random.normal(size=shape) * (scale if len(shape) > 1 else 0.2)
-        for name, shape in architecture.shapes.items()
+        name: rng.normal(size=shape) * (scale if len(shape) > 1 else 0.2) for name, shape in architecture.shapes.items()
     }
     network = Network(architecture, weights)
     # Scale the output layer so that the gain matrix at rest is the identity.
@@ -71,14 +70,14 @@ def evaluate_by_definition(network, window):
     def sigmoid(x):
         return 1 / (1 + np.exp(-x))
 
-    out, cell = np.zeros(n), np.zeros(n)
+    output, cell = np.zeros(n), np.zeros(n)
     for command in window:
-        sums = command @ w["input_0"] + out @ w["recurrent_0"] + w["gate_offset_0"]
+        sums = command @ w["input_0"] + output @ w["recurrent_0"] + w["gate_offset_0"]
         for j in range(n):
             input_gate, forget_gate, candidate, output_gate = sums[j::n]
             cell[j] = sigmoid(forget_gate) * cell[j] + sigmoid(input_gate) * np.tanh(candidate)
-            out[j] = sigmoid(output_gate) * np.tanh(cell[j])
-    return np.tanh(out @ w["dense"] + w["dense_offset"]) @ w["output"] + w["output_offset"]
+            output[j] = sigmoid(output_gate) * np.tanh(cell[j])
+    return np.tanh(output @ w["dense"] + w["dense_offset"]) @ w["output"] + w["output_offset"]
 
 
 def test_network_agrees_with_the_textbook_equations():
@@ -115,7 +114,7 @@ def test_files_restore_the_network_and_are_reproducible(tmp_path):
     assert (tmp_path / "first.npz").read_bytes() == (tmp_path / "second.npz").read_bytes()
     loaded = load_model(tmp_path / "first.yaml")
     windows = np.random.default_rng(4).normal(size=(5, 20, 2))
-    # The file stores weights in single precision, as the training computes them.
+    # The file stores weights in single precision, like the training.
     assert loaded.network(windows) == pytest.approx(network(windows), abs=1e-5)
     assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "first.yaml") == load_base_effects("ssm")
@@ -179,10 +178,10 @@ def test_core_agrees_with_the_symbolic_step_and_its_gradient(step, options):
     model, tolerance = random_model(**options), 1e-12 if step[1] is np.float64 else 2e-4
     symbol = ca.MX.sym("window", 2 * (model.memory + 1))
     gradient = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])
-    random = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     # The largest scale saturates all gates.
     for scale in (0.5, 5.0, 500.0):
-        window = scale * random.normal(size=symbol.numel())
+        window = scale * rng.normal(size=symbol.numel())
         next_x, by_x, by_window = call(step, model, window)
         size = max(1.0, np.abs(gradient(window).full()).max())
         assert next_x == pytest.approx(model.step(0, window).full().ravel(), abs=tolerance)
@@ -222,8 +221,8 @@ SHORT = training_settings().model_copy(update={"max_epochs": 3, "dropout": 0.0, 
 
 def saturating_drive(seed, count=3000, dt=0.05):
     """Simulate a lag whose gain decreases with the command, which a linear model cannot represent."""
-    random = np.random.default_rng(seed)
-    commands = np.repeat(random.uniform(-1, 1, (count // 10, 2)), 10, axis=0)
+    rng = np.random.default_rng(seed)
+    commands = np.repeat(rng.uniform(-1, 1, (count // 10, 2)), 10, axis=0)
     twist = np.zeros((count, 2))
     for k in range(1, count):
         twist[k] = twist[k - 1] + 0.4 * (np.tanh(1.5 * commands[k - 1]) - twist[k - 1])

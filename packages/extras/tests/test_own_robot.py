@@ -1,4 +1,4 @@
-"""Robot of a configuration: its plant, tubes from simulated drives, proof and passport."""
+"""Robot of a configuration: plant, tubes from simulated drives, proof and passport."""
 
 import json
 import shutil
@@ -86,9 +86,9 @@ def test_recorded_drives_scale_the_tubes_and_too_few_are_refused(folder):
         with run_log(log) as write:
             write(run_case(case), case)
     predicted = predict_by_drives(config, path, plant, 20)
-    learned = scale_by_logs(logs, predicted, load_config(config), plant, 20, 1)
-    assert "scaled by 20 recorded drives of 16 m" in learned.drives
-    width = learned.lateral.everywhere
+    scaled = scale_by_logs(logs, predicted, load_config(config), plant, 20, 1)
+    assert "scaled by 20 recorded drives of 16 m" in scaled.drives
+    width = scaled.lateral.everywhere
     errors = np.abs([read_drive_log(log).columns["error_across_m"][: len(width)] for log in logs])
     is_inside = [np.nanmax(errors / (share * width), axis=1) <= 1.0 + 1e-9 for share in (1.0, 0.8)]
     assert is_inside[0].sum() >= 19 and not is_inside[1].all()
@@ -118,22 +118,22 @@ def artificial_errors(count, seed):
     return np.abs(scale * np.cumsum(rng.normal(size=(count, 300)), axis=1) / np.sqrt(np.arange(300) + 1.0))
 
 
-def test_tube_contains_the_stated_share_of_other_drives():
+def test_tube_contains_the_stated_fraction_of_held_out_drives():
     width = tube(artificial_errors(200, 1), 0.02)
-    inside = (artificial_errors(2000, 2) <= width.everywhere).all(axis=1).mean()
-    assert 0.92 < inside < 0.98
+    coverage = (artificial_errors(2000, 2) <= width.everywhere).all(axis=1).mean()
+    assert 0.92 < coverage < 0.98
     assert 0.93 < (artificial_errors(2000, 3) <= width.at_each_place).mean() < 0.97
     assert width.everywhere[20:130].mean() < 0.6 * width.everywhere[170:280].mean()
 
 
 def test_lost_drives_widen_a_tube_and_too_many_are_refused():
     errors = artificial_errors(60, 1)
-    lost = errors.copy()
-    lost[:2, 40:] = np.inf
-    assert tube(lost, 0.02).everywhere.max() >= tube(errors[2:], 0.02).everywhere.max()
-    lost[:10] = np.inf
+    incomplete = errors.copy()
+    incomplete[:2, 40:] = np.inf
+    assert tube(incomplete, 0.02).everywhere.max() >= tube(errors[2:], 0.02).everywhere.max()
+    incomplete[:10] = np.inf
     with one_line_error(ConfigError, match="50 of 60 simulated drives arrive: too few for 95 %"):
-        tube(lost, 0.02)
+        tube(incomplete, 0.02)
 
 
 def test_predict_error_simulates_the_identified_robot(folder):
@@ -174,8 +174,8 @@ def test_passport_varies_track_wheel_base_and_wheel_servo_around_the_values_of_a
         "robot.twin.driver.proportional_gain",
         "robot.twin.driver.integral_gain",
     }
-    wide = proof_of("ssm", None, "mujoco:wide").passport.factors["robot.robot.track"]
-    assert wide["uniform"] == pytest.approx([0.52 / 0.33 * 0.30, 0.52 / 0.33 * 0.36])
+    factor = proof_of("ssm", None, "mujoco:wide").passport.factors["robot.robot.track"]
+    assert factor["uniform"] == pytest.approx([0.52 / 0.33 * 0.30, 0.52 / 0.33 * 0.36])
 
 
 def test_node_predicts_for_the_identified_robot(folder):

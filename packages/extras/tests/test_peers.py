@@ -1,4 +1,4 @@
-"""Peers: regulated pure pursuit against Nav2's documentation, MPPI, and the law of Kanayama et al."""
+"""Peers: regulated pure pursuit compared with Nav2's documentation, MPPI, and the law of Kanayama et al."""
 
 import math
 
@@ -21,7 +21,7 @@ DEFAULTS = load_parameters()
 AT_REST = np.zeros(2)
 
 
-def law(path, **changes):
+def make_law(path, **changes):
     return PurePursuit(np.asarray(path, dtype=float), DEFAULTS.model_copy(update=changes), 0.05)
 
 
@@ -37,20 +37,20 @@ def arc(radius, length=4.0):
 
 def test_pursuit_drives_a_straight_path_at_the_desired_speed():
     np.testing.assert_allclose(
-        law(straight()).decide(np.zeros(3), AT_REST), [DEFAULTS.desired_linear_vel, 0.0], atol=1e-12
+        make_law(straight()).decide(np.zeros(3), AT_REST), [DEFAULTS.desired_linear_vel, 0.0], atol=1e-12
     )
 
 
 @given(lateral=st.floats(-0.4, 0.4))
 def test_pursuit_drives_an_arc_through_the_carrot(lateral):
     """The curvature of pure pursuit is 2 y / L^2 for a carrot at the lateral offset y and the distance L."""
-    v, omega = law(straight()).decide(np.array([0.0, lateral, 0.0]), AT_REST)
+    v, omega = make_law(straight()).decide(np.array([0.0, lateral, 0.0]), AT_REST)
     assert omega / v == pytest.approx(-2.0 * lateral / DEFAULTS.lookahead_dist**2, abs=1e-9)
 
 
 @given(radius=st.floats(0.45, 3.0))
 def test_pursuit_scales_the_speed_with_the_radius_down_to_the_minimum(radius):
-    v, omega = law(arc(radius)).decide(np.zeros(3), AT_REST)
+    v, omega = make_law(arc(radius)).decide(np.zeros(3), AT_REST)
     # The robot is on the arc, so pure pursuit follows the arc.
     assert omega / v == pytest.approx(1.0 / radius, rel=2e-3)
     expected = DEFAULTS.desired_linear_vel * min(1.0, radius / DEFAULTS.regulated_linear_scaling_min_radius)
@@ -59,7 +59,7 @@ def test_pursuit_scales_the_speed_with_the_radius_down_to_the_minimum(radius):
 
 @given(distance=st.floats(0.26, 0.55))
 def test_pursuit_scales_the_speed_with_the_distance_during_the_approach(distance):
-    follower = law(straight())
+    follower = make_law(straight())
     for x in (1.0, 2.0, 3.0, 4.0 - distance):
         v = follower.decide(np.array([x, 0.0, 0.0]), AT_REST)
     assert v[0] == pytest.approx(DEFAULTS.desired_linear_vel * distance / DEFAULTS.approach_velocity_scaling_dist)
@@ -67,7 +67,7 @@ def test_pursuit_scales_the_speed_with_the_distance_during_the_approach(distance
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_pursuit_rotates_in_place_towards_a_carrot_at_a_large_angle(side):
-    follower = law(straight())
+    follower = make_law(straight())
     v, omega = follower.decide(np.array([0.0, 0.0, -side * 1.2]), AT_REST)
     assert v == 0.0
     assert omega == pytest.approx(side * DEFAULTS.max_angular_accel * 0.05)
@@ -79,7 +79,7 @@ def test_pursuit_rotates_in_place_towards_a_carrot_at_a_large_angle(side):
 def test_pursuit_rotates_to_the_heading_of_the_goal_and_ends():
     path = straight(heading=0.0)
     path[-1, 2] = 1.0
-    follower = law(path)
+    follower = make_law(path)
     for x in (1.0, 2.0, 3.0):
         follower.decide(np.array([x, 0.0, 0.0]), AT_REST)
     pose = np.array([3.8, 0.0, 0.0])
@@ -105,7 +105,7 @@ def test_pursuit_reaches_the_goal_in_closed_loop(name):
 
 NAMES = ("mppi", "mppi+slip")
 SOFT_GAINS = MppiGains(lead=0.05, position=400, across=400, heading=5, smoothness=0.02, v_noise=0.1, omega_noise=0.3)
-"""Gains for a start with a large error; the tuned gains are too high for it."""
+"""Gains for a start with a large error, for which the tuned gains are too high."""
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -127,9 +127,9 @@ def test_same_seed_gives_the_same_run(name: str) -> None:
 @given(x=st.floats(-0.2, 0.2), y=st.floats(-0.2, 0.2), theta=st.floats(-0.5, 0.5))
 def test_kanayama_controller_converges_from_a_displaced_start(x: float, y: float, theta: float) -> None:
     run = simulate(KanayamaController(), DisplacedUnicycle([x, y, theta]), Arc())
-    settled = (run.time > 6.0) & run.counted
-    assert run.errors.position[settled].max() < 2e-3 + 0.02 * np.hypot(x, y)
-    assert np.abs(run.errors.heading[settled]).max() < 0.02
+    is_settled = (run.time > 6.0) & run.counted
+    assert run.errors.position[is_settled].max() < 2e-3 + 0.02 * np.hypot(x, y)
+    assert np.abs(run.errors.heading[is_settled]).max() < 0.02
 
 
 def test_kanayama_controller_agrees_with_the_law_of_the_paper() -> None:
@@ -150,7 +150,7 @@ def test_kanayama_controller_agrees_with_the_law_of_the_paper() -> None:
     assert command == pytest.approx([v, omega], abs=1e-9)
 
 
-def test_commands_stay_inside_limits_and_slew() -> None:
+def test_commands_satisfy_limits_and_slew() -> None:
     robot = load_robot()
     run = simulate(KanayamaController(), DisplacedUnicycle([-3.0, 2.0, 2.5]), Arc())
     assert np.abs(run.command[:, 0]).max() <= robot.limits.v
@@ -172,7 +172,7 @@ def test_delayed_pose_is_compared_with_the_reference_at_its_stamp() -> None:
     assert step.command == pytest.approx([0.5, 0.3], abs=1e-9)
 
 
-def test_missing_or_nan_pose_keeps_the_last_error() -> None:
+def test_missing_or_nan_pose_does_not_change_the_error() -> None:
     arc = Arc()
     controller = KanayamaController()
     controller.start(arc, 0.0)

@@ -1,4 +1,4 @@
-"""Registered parts, commands of the command line, and compiled free space of the wheel."""
+"""Registered parts, commands of the command line, and the compiled library of free space in the wheel."""
 
 import json
 import re
@@ -18,15 +18,15 @@ from diffdrive_mpc.models.plug_ins import known_packages, plug_in
 from diffdrive_mpc_extras.free_space.pieces import packaged_libraries
 
 
-def test_wheel_holds_free_space_and_needs_no_compiler(tmp_path):
+def test_wheel_contains_compiled_free_space(tmp_path):
     """An editable installation compiles free space at first use, so it fails without a compiler."""
     origin = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
     is_editable = bool(origin.get("dir_info", {}).get("editable"))
     load = "from diffdrive_mpc_extras.free_space.pieces import load_free_space; load_free_space()"
     environment = {"PATH": str(tmp_path), CACHE_VARIABLE: str(tmp_path)}
-    loading = subprocess.run([sys.executable, "-c", load], env=environment, capture_output=True, text=True, check=False)
+    process = subprocess.run([sys.executable, "-c", load], env=environment, capture_output=True, text=True, check=False)
     assert any(packaged_libraries()) != is_editable
-    assert ("NotCompiledError" in loading.stderr, loading.returncode != 0) == (is_editable, is_editable)
+    assert ("NotCompiledError" in process.stderr, process.returncode != 0) == (is_editable, is_editable)
 
 
 PACKAGE = "diffdrive-mpc-extras"
@@ -45,9 +45,9 @@ print(*(name for name in ("casadi", "scipy", "pandas", "mujoco", "matplotlib") i
 """
 
 
-def loaded_by(*words: str) -> list[str]:
+def modules_loaded_by(*arguments: str) -> list[str]:
     process = subprocess.run(
-        [sys.executable, "-c", LIST_MODULES.format(words=list(words))], capture_output=True, text=True, check=True
+        [sys.executable, "-c", LIST_MODULES.format(words=list(arguments))], capture_output=True, text=True, check=True
     )
     return [line for line in process.stdout.splitlines() if re.fullmatch(r"[a-z_0-9.]+", line)]
 
@@ -55,22 +55,22 @@ def loaded_by(*words: str) -> list[str]:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_registered_and_has_help_with_an_example(name: str) -> None:
     assert isinstance(plug_in("commands", name), PluggedCommand)
-    words = name.split(".")
-    help_text = " ".join(invoke(app, *words, "--help").stdout.split())
-    assert f"Example: diffdrive-mpc {' '.join(words)} " in help_text
+    arguments = name.split(".")
+    help_text = " ".join(invoke(app, *arguments, "--help").stdout.split())
+    assert f"Example: diffdrive-mpc {' '.join(arguments)} " in help_text
 
 
 def test_overview_lists_all_commands_and_loads_command_modules_only() -> None:
     overview = invoke(app, "--help").stdout
     assert all(f"  {name} " in overview for name in COMMANDS if "." not in name)
-    assert all(name.endswith(".command") or name.count(".") == 1 for name in loaded_by("--help"))
+    assert all(name.endswith(".command") or name.count(".") == 1 for name in modules_loaded_by("--help"))
 
 
 def test_help_of_a_command_loads_only_this_command() -> None:
-    assert [name for name in loaded_by("twin", "--help") if name.endswith(".command")] == [
+    assert [name for name in modules_loaded_by("twin", "--help") if name.endswith(".command")] == [
         "diffdrive_mpc_extras.twin.command"
     ]
-    assert not [name for name in loaded_by("config", "schema", "weights") if name.endswith(".command")]
+    assert not [name for name in modules_loaded_by("config", "schema", "weights") if name.endswith(".command")]
 
 
 @pytest.mark.parametrize(
@@ -103,6 +103,6 @@ def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Mo
         (tmp_path / body.split()[2]).write_text(body, encoding="utf-8")
     lines = [line for language, body in blocks if language == "sh" for line in body.splitlines()]
     for line in lines:
-        words = shlex.split(line)
-        if words[0] == "diffdrive-mpc":
-            invoke(app, *words[1:])
+        arguments = shlex.split(line)
+        if arguments[0] == "diffdrive-mpc":
+            invoke(app, *arguments[1:])

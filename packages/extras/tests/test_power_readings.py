@@ -58,11 +58,11 @@ def logged_run() -> Run:
 
 
 def test_power_sensors_add_columns_and_change_nothing_else(logged_run: Run) -> None:
-    plain = run("default")
-    assert not plain.parts and not set(READINGS) & set(plain.columns)
+    default_run = run("default")
+    assert not default_run.parts and not set(READINGS) & set(default_run.columns)
     assert np.isfinite(logged_run.parts["power"].readings).all()
-    assert list(plain.columns) == [name for name in logged_run.columns if name not in READINGS]
-    for name, column in plain.columns.items():
+    assert list(default_run.columns) == [name for name in logged_run.columns if name not in READINGS]
+    for name, column in default_run.columns.items():
         if "step_time" not in name and "solve_time" not in name:
             assert np.array_equal(column, logged_run.columns[name], equal_nan=column.dtype != object), name
 
@@ -192,18 +192,18 @@ def test_errors_of_identified_constants_agree_with_their_deviations() -> None:
         nominal = robot_power(f"mujoco:{robot}").drive
         drive = diagnostic_drive(robot, surface, seed)
         for k in range(4):
-            true = draw_constants(nominal, rng)
+            true_constants = draw_constants(nominal, rng)
             prior = nominal.model_copy(
-                update={name: getattr(true, name) for name in ("regeneration", "driver_efficiency")}
+                update={name: getattr(true_constants, name) for name in ("regeneration", "driver_efficiency")}
             )
             try:
-                estimate = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
+                estimate = identify_constants([record(drive, true_constants, seed=100 * seed + k)], prior)
             except ValueError as error:
                 assert "does not separate" in str(error)
                 continue
             errors.append(
                 [
-                    (getattr(estimate.constants, name) - getattr(true, name)) / estimate.deviation[name]
+                    (getattr(estimate.constants, name) - getattr(true_constants, name)) / estimate.deviation[name]
                     for name in CONSTANTS
                 ]
             )

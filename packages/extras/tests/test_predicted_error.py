@@ -57,10 +57,10 @@ def test_features_and_coefficients_are_not_negative(population):
         assert scale.everywhere > scale.at_each_place
 
 
-def widths_at(predicted, direction, places):
-    """Return half widths [m] at places, which are fractions of the path length."""
-    share = predicted.arc_length / predicted.arc_length[-1]
-    return np.interp(places, share, getattr(predicted, direction).everywhere)
+def widths_at(predicted, direction, fractions):
+    """Return half widths [m] at `fractions` of the path length."""
+    fraction = predicted.arc_length / predicted.arc_length[-1]
+    return np.interp(fractions, fraction, getattr(predicted, direction).everywhere)
 
 
 @pytest.mark.parametrize("population", POPULATIONS)
@@ -108,7 +108,7 @@ def test_delay_above_the_calibrated_range_gives_a_warning(controller):
     assert predict_error(with_delay(controller, 0.2), path).warnings == ()
 
 
-def test_lag_below_the_calibrated_range_gives_the_tube_of_its_minimum(controller):
+def test_lag_below_the_calibrated_range_gives_the_tube_of_the_minimum_lag(controller):
     calibration, path = load_calibration(), make_path(amplitude=1.0)
     without_lag, with_min_lag = (
         predict_tubes(path, controller.config, np.array(lag), "drawn", calibration)

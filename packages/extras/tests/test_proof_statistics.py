@@ -21,8 +21,8 @@ PROBE = Definition(Case())
 BAND = 0.05  # m
 
 
-def driven(definition: Definition = PROBE, **row: object) -> CampaignRun:
-    usual: dict[str, object] = {
+def make_run(definition: Definition = PROBE, **row: object) -> CampaignRun:
+    defaults: dict[str, object] = {
         "completed": True,
         "error": "",
         "ended": "",
@@ -34,11 +34,11 @@ def driven(definition: Definition = PROBE, **row: object) -> CampaignRun:
         "time_processor_s": 1.0,
         **{f"unsafe_{kind}": 0 for kind in ("not_finite", "limit", "slew", "motion", "turn")},
     }
-    return CampaignRun(definition, f"{definition.case.seed:064d}", usual | row)  # type: ignore[arg-type]
+    return CampaignRun(definition, f"{definition.case.seed:064d}", defaults | row)  # type: ignore[arg-type]
 
 
 class Robot:
-    """Holds up to a threshold of each factor, with one seed a little less; counts its drives."""
+    """Robot that passes up to a threshold of each factor, slightly lower for seed 2; counts the rounds of drives."""
 
     def __init__(self, downwards: bool = False, **limits: float) -> None:
         self._limits = {name.replace("__", "."): limit for name, limit in limits.items()}
@@ -49,13 +49,13 @@ class Robot:
         self.rounds += 1
         results = []
         for run in reversed(runs):
-            holds = True
+            passes = True
             for name, limit in self._limits.items():
                 value = run.factors.get(name)
                 if isinstance(value, float):
                     shifted = limit - 0.01 * (run.case.seed == 2)
-                    holds &= value >= limit if self._down else value <= shifted
-            results.append(driven(run, lateral_max_m=0.02 if holds else 0.08))
+                    passes &= value >= limit if self._down else value <= shifted
+            results.append(make_run(run, lateral_max_m=0.02 if passes else 0.08))
         return results
 
 
@@ -72,7 +72,7 @@ def test_bisection_converges_to_the_value_at_which_all_seeds_pass() -> None:
     mass, latency = find_boundaries(searches, PROBE, (1, 2), robot.drive, BAND)
     assert mass.held <= 17.29 < mass.failed
     assert mass.failed - mass.held <= 0.5
-    # The seed that holds less decides.
+    # The seed with the lower threshold decides.
     assert latency.held <= 0.19 < latency.failed
     # 32 kg to 0.5 kg are six halvings after the two ends; both factors were searched in the same rounds.
     assert (len(mass.values), robot.rounds) == (8, 8)
@@ -80,18 +80,18 @@ def test_bisection_converges_to_the_value_at_which_all_seeds_pass() -> None:
 
 def test_search_ends_after_one_value_at_each_end_without_a_boundary() -> None:
     searches = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
-    (never,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
-    assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
-    (always,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
-    assert (always.held, always.failed, list(always.values)) == (2.0, None, [0.8, 2.0])
+    (failing,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
+    assert (failing.held, failing.failed, list(failing.values)) == (None, 0.8, [0.8])
+    (passing,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
+    assert (passing.held, passing.failed, list(passing.values)) == (2.0, None, [0.8, 2.0])
 
 
 def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
-    runs = [driven(PROBE.with_seed(seed)) for seed in range(20)]
-    runs[4] = driven(PROBE.with_seed(4), unsafe_slew=3)
-    runs[9] = driven(PROBE.with_seed(9), completed=False, position_rmse_m=0.5, lateral_max_m=0.4)
-    runs[7] = driven(PROBE.with_seed(7), completed=False, position_rmse_m=2.0, last_mode="STOPPED")
-    runs[2] = driven(PROBE.with_seed(2), completed=False, error="ValueError: x", position_rmse_m=None)
+    runs = [make_run(PROBE.with_seed(seed)) for seed in range(20)]
+    runs[4] = make_run(PROBE.with_seed(4), unsafe_slew=3)
+    runs[9] = make_run(PROBE.with_seed(9), completed=False, position_rmse_m=0.5, lateral_max_m=0.4)
+    runs[7] = make_run(PROBE.with_seed(7), completed=False, position_rmse_m=2.0, last_mode="STOPPED")
+    runs[2] = make_run(PROBE.with_seed(2), completed=False, error="ValueError: x", position_rmse_m=None)
     assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(run) for run in runs].index(True) == 4
@@ -124,45 +124,45 @@ def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
 
 def test_search_for_a_boundary_ends_at_the_resolution_of_floats() -> None:
     search = Boundary("f", BoundarySearch(holds=1.0, beyond=1.00001, within=1e-300))
-    tried = 0
+    count = 0
     while (value := search.next_value) is not None:
         search.take(value, int(value < 1.000004), 1)
-        tried += 1
-        assert tried < 40
+        count += 1
+        assert count < 40
     assert search.held == pytest.approx(1.000004, abs=1e-8)
 
 
 TRIALS = 1500
-UNLIKELY = 1e-4
-"""A right product fails a test with this probability on another seed."""
+ERROR_RATE = 1e-4
+"""Probability that a test of a correct product fails with another seed."""
 
 
 @pytest.mark.parametrize(("count", "level"), [(19, 0.95), (59, 0.95), (40, 0.8)])
-def test_one_score_a_group_covers_with_the_exact_probability(count, level):
+def test_one_score_per_group_covers_with_the_exact_probability(count, level):
     """Split conformal: the k-th of n scores, k = ceil(level (n + 1)), covers with probability k / (n + 1)."""
     stream = np.random.default_rng(1)
     covered = 0
     for scores in stream.lognormal(size=(TRIALS, count + 1)):
         covered += scores[0] <= conformal_quantile(list(scores[1:, None]), level)
     exact = math.ceil(round(level * (count + 1), 9)) / (count + 1)
-    low, high = binom.interval(1.0 - UNLIKELY, TRIALS, exact)
+    low, high = binom.interval(1.0 - ERROR_RATE, TRIALS, exact)
     assert low <= covered <= high
 
 
 def test_groups_of_dependent_scores_cover_at_least_the_level():
-    """Places of a drive are nearly the same, drives differ, and some have many more places."""
+    """The scores of one drive are similar, drives differ, and some drives have many more scores."""
     stream, level, covered = np.random.default_rng(2), 0.9, 0
     for _ in range(TRIALS):
         groups = [stream.lognormal(sigma=1.0) * stream.uniform(0.8, 1.2, stream.integers(1, 30)) for _ in range(40)]
         covered += stream.choice(groups[0]) <= conformal_quantile(groups[1:], level)
-    assert covered >= binom.ppf(UNLIKELY, TRIALS, level)
-    # No more than a group beyond it.
-    assert covered <= binom.ppf(1.0 - UNLIKELY, TRIALS, level + 1 / 40 + 0.01)
+    assert covered >= binom.ppf(ERROR_RATE, TRIALS, level)
+    # The coverage exceeds the level by at most the weight of one group.
+    assert covered <= binom.ppf(1.0 - ERROR_RATE, TRIALS, level + 1 / 40 + 0.01)
 
 
 def test_group_has_the_weight_of_one_score():
-    rare = [np.full(1000, 9.0)] + [np.array([float(k)]) for k in range(1, 9)]
-    assert conformal_quantile(rare, 0.8) == 8.0
+    scores = [np.full(1000, 9.0)] + [np.array([float(k)]) for k in range(1, 9)]
+    assert conformal_quantile(scores, 0.8) == 8.0
 
 
 def test_too_few_groups_and_lost_drives_give_no_bound():
@@ -172,10 +172,10 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
 
 
 @pytest.mark.parametrize(("count", "total"), [(0, 9), (59, 59), (117, 119), (20, 40)])
-def test_lower_bound_of_a_share_agrees_with_the_exact_test(count, total):
+def test_lower_bound_of_a_rate_agrees_with_the_exact_test(count, total):
     bound = Rate.of_runs(count, total).at_least(0.95)
     assert 0.0 <= bound < count / total or count == bound == 0
-    # For the bound as the true share, this count or more has the remaining probability.
+    # If the bound is the true rate, this count or a higher count has the remaining probability.
     assert count == 0 or binom.sf(count - 1, total, bound) == pytest.approx(0.05)
 
 
@@ -201,10 +201,10 @@ def test_tail_is_the_mean_of_the_worst_twentieth() -> None:
 def test_width_of_a_bootstrap_interval_agrees_with_theory() -> None:
     values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
     estimate = BootstrapEstimate.of_runs(values, mean)
-    half = 1.96 * np.std(values) / math.sqrt(400)
+    half_width = 1.96 * np.std(values) / math.sqrt(400)
     assert estimate.value == pytest.approx(np.mean(values))
     assert (estimate.low, estimate.high) == pytest.approx(
-        (estimate.value - half, estimate.value + half), abs=0.2 * half
+        (estimate.value - half_width, estimate.value + half_width), abs=0.2 * half_width
     )
     assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
     assert BootstrapEstimate.of_runs(values, mean) == estimate

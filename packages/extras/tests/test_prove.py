@@ -45,18 +45,18 @@ def write_proof(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
+def proof_result(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
     """Folder of a proof, and the arguments of its command."""
     folder = tmp_path_factory.mktemp("proven")
-    words = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
-    call(*words)
-    return folder / "out", words
+    args = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
+    call(*args)
+    return folder / "out", args
 
 
 def test_proof_writes_report_table_figures_and_worst_runs(
-    proven: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    proof_result: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, words = proven
+    out, args = proof_result
     report = (out / "prove.md").read_text(encoding="utf-8")
     for part in ("Outcomes", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
         assert f"## {part}\n" in report
@@ -80,15 +80,15 @@ def test_proof_writes_report_table_figures_and_worst_runs(
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof uses the stored runs and prints the same output.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
-    call(*words)
+    call(*args)
     body = report.partition("## Outcomes")[2]
     assert (out / "prove.md").read_text(encoding="utf-8").partition("## Outcomes")[2] == body
 
 
 def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    plain = yaml.safe_load(proof.read_text(encoding="utf-8"))
-    proof.write_text(yaml.safe_dump({key: plain[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
+    data = yaml.safe_load(proof.read_text(encoding="utf-8"))
+    proof.write_text(yaml.safe_dump({key: data[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
     call("prove", "ssm", "--campaign", proof, "--out", out, "--jobs", "1", "--runs", "2", "--worst", "1")
     (path,) = (out / "worst").iterdir()
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -102,7 +102,7 @@ def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("change", "line"),
+    ("change", "error"),
     [
         (
             ("trajectory: short", "model: sm\n  trajectory: short"),
@@ -111,12 +111,12 @@ def test_repeat_reports_a_run_with_different_figures(proof: Path, tmp_path: Path
         (("low: 0.0, high", "low: 0.4, high"), "low (0.4) must be below high (0.3)"),
     ],
 )
-def test_invalid_proof_raises_one_line_error(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:
+def test_invalid_proof_raises_one_line_error(change: tuple[str, str], error: str, proof: Path, tmp_path: Path) -> None:
     text = proof.read_text(encoding="utf-8")
     assert change[0] in text
     proof.write_text(text.replace(*change, 1), encoding="utf-8")
     output = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
-    assert line in " ".join(output.split())
+    assert error in " ".join(output.split())
     assert not (tmp_path / "out").exists()
 
 
@@ -132,5 +132,5 @@ def test_shipped_proof_can_be_simulated() -> None:
     ]
     check_definitions(ends)
     # The seeds of the probe are not among the drawn seeds.
-    drawn = {definition.case.seed for definition in proof.definitions()}
-    assert not drawn & set(proof.probe.seeds)
+    drawn_seeds = {definition.case.seed for definition in proof.definitions()}
+    assert not drawn_seeds & set(proof.probe.seeds)

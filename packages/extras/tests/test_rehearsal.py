@@ -35,7 +35,7 @@ BEND = lay_segments(
 )
 
 
-class Drifting(IdealRobot):
+class DriftingRobot(IdealRobot):
     """Robot with a known error: it drifts to the left and back by up to `drift` [m/s] at equal times of each lap."""
 
     drift = 0.02
@@ -52,10 +52,10 @@ def controller(**settings):
     return Controller(replace_values(load_config("ssm"), values))
 
 
-def lap(by, *, seed=0, noise=0.0, slip=None, reference=BEND, robot=Drifting, seconds=None):
+def lap(mpc, *, seed=0, noise=0.0, slip=None, reference=BEND, robot=DriftingRobot, seconds=None):
     """Drive one lap; return the true position error (n, 2) [m] relative to the original reference, and the results."""
     plant = robot(load_model("ssm").discretise(DT), reference.sample([0.0]).pose[0], slip=slip, noise=noise, seed=seed)
-    results, poses, times = drive(by, plant, reference, reference.duration + DT if seconds is None else seconds)
+    results, poses, times = drive(mpc, plant, reference, reference.duration + DT if seconds is None else seconds)
     return (poses - reference.sample(times).pose)[:, :2], results
 
 
@@ -71,16 +71,16 @@ def test_repeating_error_is_removed():
 
 
 def test_repeating_error_is_removed_under_noise():
-    learning, plain = controller(), Controller(load_config("ssm"))
+    learning, reference = controller(), Controller(load_config("ssm"))
     learned_errors = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
-    plain_errors = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
+    plain_errors = np.array([lap(reference, seed=k, noise=1.0)[0] for k in range(6)])
     varying = np.sqrt(np.mean([rms(error - plain_errors.mean(axis=0)) ** 2 for error in plain_errors]) * 6 / 5)
-    # At min_cost half of the repeating error is removed.
+    # At least half of the repeating error is removed.
     total = np.mean([rms(error) for error in plain_errors])
     assert rms(learned_errors[-1]) < 0.5 * (total + varying)
 
 
-def test_correction_keeps_its_bounds_and_starts_at_zero():
+def test_correction_stays_within_its_bounds_and_starts_at_zero():
     learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
     for _ in range(4):
         lap(learning)
@@ -94,23 +94,23 @@ def test_correction_keeps_its_bounds_and_starts_at_zero():
     assert not learned_values.correction[0, :2].any()
 
 
-class Mirrored(Drifting):
+class MirroredDriftRobot(DriftingRobot):
     drift = -0.04
 
 
 @pytest.mark.parametrize(
-    ("laps", "change", "word"),
-    [(2, {"slip": Slip(yaw_gain=0.7)}, "surface changed"), (3, {"robot": Mirrored}, "discarded")],
+    ("laps", "change", "message"),
+    [(2, {"slip": Slip(yaw_gain=0.7)}, "surface changed"), (3, {"robot": MirroredDriftRobot}, "discarded")],
     ids=["changed surface", "larger error"],
 )
-def test_outdated_correction_is_discarded(laps, change, word):
+def test_outdated_correction_is_discarded(laps, change, message):
     learning = controller()
     for _ in range(laps):
         lap(learning)
     assert learning.feature("rehearsal").learned.correction.any()
     lap(learning, **change)
     _, results = lap(learning)
-    assert word in results[0].message
+    assert message in results[0].message
     assert not learning.feature("rehearsal").learned.correction.any()
 
 
@@ -119,10 +119,10 @@ def test_incomplete_lap_is_not_used_for_learning():
     for _ in range(2):
         lap(learning)
     lap(learning, seconds=1.0)
-    before = learning.feature("rehearsal").learned.correction.copy()
+    original = learning.feature("rehearsal").learned.correction.copy()
     _, results = lap(learning)
     assert "it is incomplete" in results[0].message
-    assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
+    assert np.array_equal(learning.feature("rehearsal").learned.correction, original)
 
 
 def test_lap_without_poses_is_not_used_for_learning():
@@ -147,19 +147,19 @@ def test_moved_reference_counts_as_the_same_reference():
 
 
 def test_invalid_poses_are_not_used_for_learning():
-    def spoil(k, measurement):
+    def corrupt(k, measurement):
         error = np.array([3.0, -2.0, 0.0]) if k % 40 == 20 else np.array([np.nan] * 3) if k % 40 == 30 else np.zeros(3)
         return replace(measurement, pose=replace(measurement.pose, value=measurement.pose.value + error))
 
     learning, clean = controller(), controller()
-    for by, change in ((learning, spoil), (clean, None)):
+    for mpc, change in ((learning, corrupt), (clean, None)):
         for _ in range(2):
             drive(
-                by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change
+                mpc, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change
             )
-        by.start(BEND, 0.0)
+        mpc.start(BEND, 0.0)
     assert learning.feature("rehearsal").learned.laps == 2
-    learned_values, undisturbed = (by.feature("rehearsal").learned.correction for by in (learning, clean))
+    learned_values, undisturbed = (mpc.feature("rehearsal").learned.correction for mpc in (learning, clean))
     assert np.abs(learned_values - undisturbed)[:, :2].max() < 0.003
 
 
@@ -185,7 +185,7 @@ SETTINGS = {"rehearsal.enabled": True, "rehearsal.by": "floor"} | {
 }
 CONFIG = load_config("ssm", SETTINGS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0})
 INVERSE_GAIN = np.linalg.inv(load_model("ssm").dc_gain)
-FLOORS = ("p4_asphalt", "p4_concrete", "p4_grass")
+SURFACES = ("p4_asphalt", "p4_concrete", "p4_grass")
 CORNER = lay_segments(
     [Segment(v=0.5, omega=0.0, duration=1.5), Segment(v=0.0, omega=1.0, duration=1.5)]
     + [Segment(v=0.5, omega=0.0, duration=1.0)],
@@ -194,41 +194,41 @@ CORNER = lay_segments(
 )
 
 
-def coefficients(floor):
-    """Return the coefficients of Table 2 without a12, which only the slip law of the controller multiplies."""
-    loaded = np.array(load_surface(floor).slip.polynomial.coefficients)
-    loaded[1] = 0.0
-    return loaded
+def coefficients(surface):
+    """Return the coefficients of Table 2 with a12 = 0, because a12 is used by the slip law of the controller only."""
+    values = np.array(load_surface(surface).slip.polynomial.coefficients)
+    values[1] = 0.0
+    return values
 
 
-def plan_motion(floor, reference=CORNER, config=CONFIG):
-    return nearest_drivable(reference, Slip.of_polynomial(coefficients(floor)), config, INVERSE_GAIN)
+def plan_motion(surface, reference=CORNER, config=CONFIG):
+    return nearest_drivable(reference, Slip.of_polynomial(coefficients(surface)), config, INVERSE_GAIN)
 
 
-def integrate_poses(floor, times, wheels, start):
+def integrate_poses(surface, times, wheels, start):
     """Integrate poses (n, 3) of a body on a surface by the paper's slip law, with its twist on a fine grid."""
     pieces = 20
     fine = np.linspace(0.0, times[-1], pieces * (len(times) - 1) + 1)
     inputs = np.column_stack([np.interp(fine, times, wheels[:, i]) for i in (0, 1)])
-    v, lateral, omega = polynomial_twist(coefficients(floor), inputs).T
+    v, lateral, omega = polynomial_twist(coefficients(surface), inputs).T
     theta = start[2] + cumulative_trapezoid(omega, fine, initial=0.0)
     c, s = np.cos(theta), np.sin(theta)
     x, y = (cumulative_trapezoid(rate, fine, initial=0.0) for rate in (c * v - s * lateral, s * v + c * lateral))
     return np.column_stack([start[0] + x, start[1] + y, theta])[::pieces]
 
 
-@pytest.mark.parametrize("floor", FLOORS)
-def test_planned_motion_equals_the_integrated_motion(floor):
-    motion = plan_motion(floor)
-    integrated = integrate_poses(floor, motion.times, motion.wheels, motion.reference.pose[0])
+@pytest.mark.parametrize("surface", SURFACES)
+def test_planned_motion_equals_the_integrated_motion(surface):
+    motion = plan_motion(surface)
+    integrated = integrate_poses(surface, motion.times, motion.wheels, motion.reference.pose[0])
     # The plan uses the mean twist of each interval.
     assert np.abs(integrated - motion.pose).max() < 5e-4
     assert motion.distance.max() > 0.003
 
 
-@pytest.mark.parametrize("floor", FLOORS)
-def test_planned_motion_keeps_the_limits(floor):
-    motion, limits = plan_motion(floor), CONFIG.limits
+@pytest.mark.parametrize("surface", SURFACES)
+def test_planned_motion_satisfies_the_limits(surface):
+    motion, limits = plan_motion(surface), CONFIG.limits
     commands = motion.wheels @ INVERSE_GAIN.T
     rates = np.diff(commands, axis=0) / motion.times[1]
     assert (np.abs(commands) <= np.array([limits.v, limits.omega]) + 1e-6).all()
@@ -248,18 +248,18 @@ def test_limits_of_unused_directions_have_no_effect():
 
 def test_planned_motion_is_a_local_minimum():
     """Small feasible changes of the wheel twist do not lower the integrated cost."""
-    floor, weights, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
-    motion = plan_motion(floor)
+    surface, weights, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
+    motion = plan_motion(surface)
     step, sample = motion.times[1], motion.reference
     # Wheel twist that gives the reference's twist without lateral slip, by Newton's method on the paper's slip law.
     twist = np.array(sample.twist)
     for _ in range(30):
-        twist += sample.twist - polynomial_twist(coefficients(floor), twist)[:, [0, 2]]
-    aim = sample.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
+        twist += sample.twist - polynomial_twist(coefficients(surface), twist)[:, [0, 2]]
+    target_heading = sample.pose[:, 2] - np.arctan(coefficients(surface)[3] / (1 + coefficients(surface)[0]))
 
     def cost(wheels):
-        pose = integrate_poses(floor, motion.times, wheels, sample.pose[0])
-        position, heading = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
+        pose = integrate_poses(surface, motion.times, wheels, sample.pose[0])
+        position, heading = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - target_heading)[1:] ** 2
         deviation = np.diff(wheels - twist, axis=0) / step
         rates = np.sum((deviation * [weights.v_rate, weights.omega_rate]) ** 2)
         ends = weights.end * position[-1] + weights.end_heading**2 * heading[-1]
@@ -291,7 +291,7 @@ def test_planned_motion_without_lateral_slip_is_the_reference(v, omega, turn, ga
     assert motion.distance.max() < 5e-4
 
 
-def test_planned_motion_keeps_the_minimum_turn_radius():
+def test_planned_motion_satisfies_the_minimum_turn_radius():
     radius = 1.0
     wide = lay_segments(
         [Segment(v=0.5, omega=0.0, duration=1.0), Segment(v=0.5, omega=0.4, duration=2.0)],
@@ -305,36 +305,36 @@ def test_planned_motion_keeps_the_minimum_turn_radius():
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("settings", "message"),
     [
         ({"rehearsal.drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
         ({"rehearsal.drivable.max_shift": 0.002}, "mm maximum distance"),
         ({"rehearsal.drivable.min_shift": 0.09}, "mm maximum distance"),
     ],
 )
-def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, words):
+def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, message):
     controller = Controller(load_config("ssm", SETTINGS | settings))
-    floor_lap(controller, "p4_concrete", CORNER)
+    surface_lap(controller, "p4_concrete", CORNER)
     rehearsal = controller.feature("rehearsal").learned
     assert rehearsal.start(CORNER, 0.0) is CORNER
-    assert words in rehearsal.message
+    assert message in rehearsal.message
     assert "tracked unchanged" in rehearsal.message
     assert not rehearsal.correction.any()
 
 
-def floor_lap(controller, floor, reference, seed=0):
+def surface_lap(controller, surface, reference, seed=0):
     """Drive a lap; return the RMS position error relative to the reference [m], the messages and the true poses."""
-    run = simulate(controller, make_plant("model:ssm", floor, seed=seed), reference)
+    run = simulate(controller, make_plant("model:ssm", surface, seed=seed), reference)
     return run.metrics.position_rmse_m, run.messages, run.true_pose
 
 
 @pytest.mark.long
-def test_square_has_ten_millimetres_of_error_after_three_laps():
+def test_error_on_the_square_is_below_ten_millimetres_after_three_laps():
     """Use the surface with the largest distance between turning point and centre; the second drive is identical."""
     square, laps = load_trajectory("square"), []
     # Repeat the drive up to the first lap that uses the planned motion.
     for controller, count in ((Controller(CONFIG), 4), (Controller(CONFIG), 2)):
-        laps.append([floor_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
+        laps.append([surface_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
     errors = [error for error, _, _ in laps[0]]
     assert errors[0] > 0.020
     assert errors[3] < 0.010
@@ -345,7 +345,7 @@ def test_square_has_ten_millimetres_of_error_after_three_laps():
 def test_first_lap_equals_a_lap_without_rehearsal():
     plain = Controller(load_config("ssm", SETTINGS | {"rehearsal.enabled": False}))
     learning = Controller(load_config("ssm", SETTINGS))
-    assert np.array_equal(floor_lap(plain, "p4_grass", CORNER)[2], floor_lap(learning, "p4_grass", CORNER)[2])
+    assert np.array_equal(surface_lap(plain, "p4_grass", CORNER)[2], surface_lap(learning, "p4_grass", CORNER)[2])
 
 
 def first_slip(controller):
@@ -355,7 +355,7 @@ def first_slip(controller):
 
 def test_estimate_starts_with_the_learned_slip_until_reset():
     controller = Controller(CONFIG)
-    floor_lap(controller, "p4_concrete", CORNER)
+    surface_lap(controller, "p4_concrete", CORNER)
     controller.start(CORNER, 0.0)
     learned = controller.feature("rehearsal").learned.slip
     assert first_slip(controller) == learned
@@ -373,11 +373,11 @@ def test_estimate_starts_with_the_learned_slip_until_reset():
 
 
 def test_harmful_correction_is_discarded():
-    """Learn on a surface with a turning point behind the centre, and drive on one with a turning point ahead of it."""
+    """Learn with the turning point behind the centre, and drive with the turning point ahead of the centre."""
     controller = Controller(CONFIG)
     for _ in range(2):
-        floor_lap(controller, "p4_concrete", CORNER)
-    floor_lap(controller, "p4_concrete_left", CORNER)
+        surface_lap(controller, "p4_concrete", CORNER)
+    surface_lap(controller, "p4_concrete_left", CORNER)
     controller.start(CORNER, 0.0)
     assert "discarded" in controller.feature("rehearsal").learned.message
     assert controller.feature("rehearsal").learned.laps == 0
@@ -393,7 +393,7 @@ def plain():
     return drive_laps(PLAIN, 2).runs
 
 
-def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
+def test_laps_have_different_noise_and_are_reproducible(plain):
     first, second = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
     assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(first, second, strict=True))
     assert np.array_equal(first[0].true_pose, plain[0].true_pose)
@@ -408,6 +408,6 @@ def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     assert "learned from 1 laps" in result.output
     assert "vary from lap to lap (lower bound)" in " ".join(result.output.split())
     assert (tmp_path / "out" / "figures" / "laps.png").exists()
-    written = read_drive_log(log, plans=True)
-    assert written.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")
-    assert any(plan is not None for plan in written.plans)
+    drive_log = read_drive_log(log, plans=True)
+    assert drive_log.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")
+    assert any(plan is not None for plan in drive_log.plans)

@@ -23,9 +23,9 @@ from diffdrive_mpc_extras.replay.own_log import read_recording
 from diffdrive_mpc_extras.replay.replay import replay
 
 DT = 0.0202
-EQUAL = "recorded and replayed commands are equal at every tick"
+EQUAL_MESSAGE = "recorded and replayed commands are equal at every tick"
 
-# All kinds of models, and all causes of other modes or solver paths.
+# Cases for all kinds of models, and for all causes of other modes or solver paths.
 CASES = {
     "circle": Case(),
     "sm": Case(model="sm", trajectory="square"),
@@ -97,7 +97,7 @@ def test_unshipped_trajectory_is_interpolated_with_a_note_and_exact_with_its_fil
     replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.abs(replayed.command - run.command).max() < 1e-9
     assert "--trajectory with its file makes the replay exact" in recording.notes[0]
-    assert EQUAL in log_replay(log, "--trajectory", path)
+    assert EQUAL_MESSAGE in log_replay(log, "--trajectory", path)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def mcap(tmp_path_factory):
 
 def test_mcap_log_replays_with_the_configuration_that_it_contains(mcap):
     output = log_replay(mcap)
-    assert EQUAL in output and "v [m/s] 0 0" in output and "omega [rad/s] 0 0" in output
+    assert EQUAL_MESSAGE in output and "v [m/s] 0 0" in output and "omega [rad/s] 0 0" in output
 
 
 def test_changed_setting_is_compared_with_the_recorded_commands(mcap):

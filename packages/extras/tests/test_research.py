@@ -69,8 +69,8 @@ def solver_columns(metrics):
 def test_same_seed_repeats_an_episode_and_an_episode_without_seed_differs():
     pytest.importorskip("gymnasium")
     env, commands = make_env(plant="model:ssm"), np.tile([0.3, 0.3], (40, 1))
-    first, repeated, following = (drive(env, commands, seed)[0] for seed in (1, 1, None))
-    assert np.array_equal(first, repeated) and not np.array_equal(first, following)
+    first, repeated, unseeded = (drive(env, commands, seed)[0] for seed in (1, 1, None))
+    assert np.array_equal(first, repeated) and not np.array_equal(first, unseeded)
 
 
 def test_episode_terminates_beyond_the_maximum_error():

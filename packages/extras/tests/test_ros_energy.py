@@ -99,12 +99,12 @@ def test_diagnostics_contain_predicted_and_measured_energy(battery):
 
 def test_implausible_battery_readings_are_reported_and_not_counted(battery):
     battery.drive(20, 12.0, -2.0)
-    before = battery.values()["energy of this drive measured [J]"]
+    original = battery.values()["energy of this drive measured [J]"]
     battery.publish(12.0, math.nan)
     battery.s.base.until(lambda: "1 refused" in battery.values()["battery messages"], "the refusal")
     status = battery.next_status()
     assert status.level == DiagnosticStatus.WARN and "is not finite" in status.message
-    assert battery.values()["energy of this drive measured [J]"] == before
+    assert battery.values()["energy of this drive measured [J]"] == original
     battery.publish(12000.0, -2.0)
     battery.s.base.until(lambda: "2 refused" in battery.values()["battery messages"], "the refusal")
     assert "the units must be V and A" in battery.values()["battery last refusal"]
@@ -139,8 +139,8 @@ def test_recording_contains_the_battery_readings(tmp_path):
         s.base.run(2)
     (path,) = tmp_path.iterdir()
     columns = read_drive_log(path).columns
-    received = np.isfinite(columns["battery_voltage_v"])
-    assert received.sum() >= 30  # several readings between two ticks give one row
-    assert (columns["battery_voltage_v"][received] == 12.0).all() and (
-        columns["battery_current_a"][received] == 2.0
+    has_reading = np.isfinite(columns["battery_voltage_v"])
+    assert has_reading.sum() >= 30  # several readings between two ticks give one row
+    assert (columns["battery_voltage_v"][has_reading] == 12.0).all() and (
+        columns["battery_current_a"][has_reading] == 2.0
     ).all()

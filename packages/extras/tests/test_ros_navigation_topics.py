@@ -128,7 +128,7 @@ def test_scan_has_the_true_ranges_and_arrives_after_the_latency():
     assert nanoseconds(scan.header.stamp) == 0
     angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
     ranges = np.array(scan.ranges)
-    # Ranges from the pose at the time of measurement: 1.9 m to the surface of the wall, 1.5 m to that of the post.
+    # Ranges from the pose at the time of measurement: 1.9 m to the wall and 1.5 m to the post.
     assert ranges[np.argmin(np.abs(angles))] == pytest.approx(1.9, abs=0.01)
     assert ranges[np.argmin(np.abs(angles - math.pi / 2))] == pytest.approx(1.5, abs=0.01)
     assert ranges[np.argmin(np.abs(angles + math.pi / 2))] == math.inf

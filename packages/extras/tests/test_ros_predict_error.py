@@ -104,8 +104,8 @@ def lay_with_limit(limit, response="slow", v=0.0):
     return lay_for_robot(CURVED_PATH, CURVED_PATH[0], (v, 0.0), limits, SETTINGS, CONFIG, [check]), predictor
 
 
-def speed_share(path):
-    """Return the share of the full speed from the note of a path."""
+def speed_fraction(path):
+    """Return the fraction of the full speed from the note of a path."""
     match = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", path.note)
     return 1.0 if match is None else 0.01 * int(match[1])
 
@@ -114,9 +114,9 @@ def test_path_is_slowed_until_its_predicted_error_is_within_the_limit():
     path, predictor = lay_with_limit(1.0)
     assert path.note == ""
     width = predictor.predict(path.reference, CONFIG).lateral.everywhere.max()
-    slow, _ = lay_with_limit(0.7 * width)
-    assert speed_share(slow) in (0.4, 0.6) and slow.reference.duration > 1.5 * path.reference.duration
-    assert predictor.predict(slow.reference, CONFIG).lateral.everywhere.max() <= 0.7 * width
+    slowed_path, _ = lay_with_limit(0.7 * width)
+    assert speed_fraction(slowed_path) in (0.4, 0.6) and slowed_path.reference.duration > 1.5 * path.reference.duration
+    assert predictor.predict(slowed_path.reference, CONFIG).lateral.everywhere.max() <= 0.7 * width
 
 
 def test_path_is_not_slowed_below_the_speed_of_the_robot():
@@ -124,9 +124,9 @@ def test_path_is_not_slowed_below_the_speed_of_the_robot():
     path, predictor = lay_with_limit(1.0)
     width = predictor.predict(path.reference, CONFIG).lateral.everywhere.max()
     limit = path_limits(CONFIG, np.eye(2), SETTINGS).v
-    slow, _ = lay_with_limit(0.7 * width, v=0.39 * limit)
-    assert speed_share(slow) >= 0.4
-    assert slow.reference.sample([0.0]).twist[0, 0] == pytest.approx(0.39 * limit, rel=0.02)
+    slowed_path, _ = lay_with_limit(0.7 * width, v=0.39 * limit)
+    assert speed_fraction(slowed_path) >= 0.4
+    assert slowed_path.reference.sample([0.0]).twist[0, 0] == pytest.approx(0.39 * limit, rel=0.02)
     with pytest.raises(ConfigError, match="follow_error_limit"):
         lay_with_limit(0.7 * width, v=0.9 * limit)
 

@@ -64,8 +64,8 @@ def test_costmap_is_converted_to_rectangles():
 def test_points_are_converted_to_discs():
     message = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
     assert message.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
-    standing = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
-    assert standing.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
+    static = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
+    assert static.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
     assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)
 
 
@@ -96,7 +96,7 @@ def field(index, **values):
     return apply
 
 
-BAD_GRIDS = {
+INVALID_GRIDS = {
     "width too small": (change(info__width=100), "its size is 100 x 120"),
     "size overflow": (change(info__width=2**32 - 1, info__height=2**32 - 1), "its size is 4294967295 x 4294967295"),
     "too large": (
@@ -113,7 +113,7 @@ BAD_GRIDS = {
     "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
     "past": (change(header__stamp__sec=-(2**31)), "before the last"),
 }
-BAD_CLOUDS = {
+INVALID_CLOUDS = {
     "no radius": (field(2, name="size"), "no field radius"),
     "too many points": (change(width=501), "501 points"),
     "size overflow": (change(width=2**32 - 1, height=2**32 - 1), "points; send at most the nearest 500"),
@@ -132,21 +132,21 @@ NODE_ERRORS = {"frame", "control characters", "future", "past"}
 POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
 
 
-@pytest.mark.parametrize("name", sorted(BAD_GRIDS.keys() - NODE_ERRORS))
+@pytest.mark.parametrize("name", sorted(INVALID_GRIDS.keys() - NODE_ERRORS))
 def test_invalid_costmap_is_refused_in_one_line(name):
-    corrupt, message = BAD_GRIDS[name]
+    corrupt, message = INVALID_GRIDS[name]
     with one_line_error((MessageError, SurroundingsError), match=message):
         read_costmap(serialize_message(corrupt(costmap(0))), FreeSpace())
 
 
-@pytest.mark.parametrize("name", sorted(BAD_CLOUDS.keys() - NODE_ERRORS))
+@pytest.mark.parametrize("name", sorted(INVALID_CLOUDS.keys() - NODE_ERRORS))
 def test_invalid_points_are_refused_in_one_line(name):
-    corrupt, message = BAD_CLOUDS[name]
+    corrupt, message = INVALID_CLOUDS[name]
     with one_line_error((MessageError, SurroundingsError), match=message):
         read_obstacles(serialize_message(corrupt(cloud(0, POINT))))
 
 
-def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
+def test_invalid_messages_do_not_affect_driving_while_valid_messages_arrive(capfd):
     """Invalid messages at 20 Hz on both topics cause no exception, no missing command and few warnings."""
     with stack(
         FREE_SPACE,
@@ -156,34 +156,34 @@ def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
     ) as s:
         base, surroundings_input = s.base, s.node.parts["free_space"].surroundings
         topics = (
-            (surroundings_input.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
+            (surroundings_input.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, INVALID_GRIDS),
             (
                 surroundings_input.obstacles,
                 s.publisher(PointCloud2, "obstacles"),
                 lambda now: cloud(now, POINT),
-                BAD_CLOUDS,
+                INVALID_CLOUDS,
             ),
         )
-        refusals = {watch.name: set() for watch, *_ in topics}
-        queues = {watch.name: list(bad.values()) for watch, _, _, bad in topics}
+        refusals = {topic_input.name: set() for topic_input, *_ in topics}
+        queues = {topic_input.name: list(cases.values()) for topic_input, _, _, cases in topics}
 
-        def send(publisher, message, watch, count):
-            before = getattr(watch, count)
+        def send(publisher, message, topic_input, count):
+            previous = getattr(topic_input, count)
             publisher.publish(message)
-            base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
+            base.until(lambda: getattr(topic_input, count) > previous, f"{topic_input.name} {count}")
 
         def drive(ticks, *, with_valid):
             """Send an invalid message in two of five ticks, and a valid message in every tenth tick."""
             for tick in range(ticks):
-                for watch, publisher, message, _ in topics:
+                for topic_input, publisher, message, _ in topics:
                     if with_valid and tick % 10 == 0:
-                        send(publisher, message(base.now), watch, "accepted")
+                        send(publisher, message(base.now), topic_input, "accepted")
                     if tick % 5 in (1, 3):
-                        corrupt, pattern = queues[watch.name][0]
-                        queues[watch.name] = queues[watch.name][1:] + queues[watch.name][:1]
-                        send(publisher, corrupt(message(base.now)), watch, "refused")
-                        assert re.search(pattern, watch.last_refusal), (pattern, watch.last_refusal)
-                        refusals[watch.name].add(pattern)
+                        corrupt, pattern = queues[topic_input.name][0]
+                        queues[topic_input.name] = queues[topic_input.name][1:] + queues[topic_input.name][:1]
+                        send(publisher, corrupt(message(base.now)), topic_input, "refused")
+                        assert re.search(pattern, topic_input.last_refusal), (pattern, topic_input.last_refusal)
+                        refusals[topic_input.name].add(pattern)
                 base.step()
             return s.loop.last
 
@@ -191,12 +191,12 @@ def test_invalid_messages_do_not_affect_driving_until_valid_ones_stop(capfd):
         assert drive(80, with_valid=True).mode == Mode.TRACKING
         assert base.commands[-1][0] > 0.1
         assert {name: len(patterns) for name, patterns in refusals.items()} == {
-            watch.name: len({pattern for _, pattern in bad.values()}) for watch, _, _, bad in topics
+            topic_input.name: len({pattern for _, pattern in cases.values()}) for topic_input, _, _, cases in topics
         }
         max_warnings = 1 + (time.monotonic() - start) / 5.0
         output = capfd.readouterr().err
-        for watch, *_ in topics:
-            assert 1 <= output.count(f"{watch.name} refused") <= max_warnings
+        for topic_input, *_ in topics:
+            assert 1 <= output.count(f"{topic_input.name} refused") <= max_warnings
         assert "Traceback" not in output and "\x1b" not in output.replace("\x1b[0m", "").replace("\x1b[33m", "")
         last = drive(45, with_valid=False)
         assert last.mode == Mode.STOPPED and "the surroundings are" in last.message

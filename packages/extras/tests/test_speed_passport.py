@@ -26,11 +26,11 @@ ROBOTS = {name: data for name, data in SHIPPED.factors.items() if name not in {"
 
 
 def test_error_rate_of_accepted_speeds_is_below_the_stated_level() -> None:
-    # Errors of known distribution: 0.1 s over the speed in the median, log-normal. Many speeds are just too fast.
+    # Log-normal errors with a median of 0.1 s times the speed; many speeds are slightly too fast.
     spread, tolerance = 0.5, 0.05
-    just = tolerance / 0.1 / np.exp(spread * norm.ppf(0.95))
-    speeds = [just * factor for factor in (0.2, 0.4, 0.6, 0.8, 0.95, 1.0 + 1e-9, 1.02, 1.05, 1.1, 1.2, 1.4)]
-    plan, repeats, wrong, none = SHIPPED.passport, 80, 0, 0
+    limit_speed = tolerance / 0.1 / np.exp(spread * norm.ppf(0.95))
+    speeds = [limit_speed * factor for factor in (0.2, 0.4, 0.6, 0.8, 0.95, 1.0 + 1e-9, 1.02, 1.05, 1.1, 1.2, 1.4)]
+    plan, repeats, wrong_count, rejected_count = SHIPPED.passport, 80, 0, 0
     for repeat in range(repeats):
 
         def drive(keys: list[Key], repeat: int = repeat) -> Mapping[Key, FloatArray]:
@@ -43,10 +43,10 @@ def test_error_rate_of_accepted_speeds_is_below_the_stated_level() -> None:
 
         search = SpeedSearch("floor", 0.0, tolerance, speeds, plan)
         measure([search], drive)
-        wrong += search.speed is not None and search.speed > just
-        none += search.speed is None
-    assert Rate.of_runs(wrong, repeats).low < 1.0 - plan.confidence
-    assert none < 0.1 * repeats
+        wrong_count += search.speed is not None and search.speed > limit_speed
+        rejected_count += search.speed is None
+    assert Rate.of_runs(wrong_count, repeats).low < 1.0 - plan.confidence
+    assert rejected_count < 0.1 * repeats
 
 
 PLAN: dict[str, Any] = {
@@ -65,29 +65,29 @@ PLAN: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a small passport."""
+def passport_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small passport."""
     folder = tmp_path_factory.mktemp("passport")
-    plain = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
-    (folder / "mine.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
+    proof = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
+    (folder / "mine.yaml").write_text(yaml.safe_dump(proof), encoding="utf-8")
     arguments = ["--campaign", folder / "mine.yaml", "--tolerance", "0.03,0.01", "--out", folder / "out", "--jobs", "1"]
     call("prove", "ssm", *arguments)
     return folder / "out"
 
 
-def test_passport_consists_of_table_page_and_file(measured: Path) -> None:
-    passport = yaml.safe_load((measured / PASSPORT).read_text(encoding="utf-8"))
+def test_passport_consists_of_table_page_and_file(passport_folder: Path) -> None:
+    passport = yaml.safe_load((passport_folder / PASSPORT).read_text(encoding="utf-8"))
     assert [(row["surface"], row["tolerance"]) for row in passport["rows"]] == [("firm", 0.01), ("firm", 0.03)]
-    rows = json.loads((measured / "passport.json").read_text(encoding="utf-8"))["speeds"]
+    rows = json.loads((passport_folder / "passport.json").read_text(encoding="utf-8"))["speeds"]
     assert [row["speed"] for row in rows] == [speed for row in passport["rows"] for speed in row["speeds"]]
     fresh = [rate for row in rows for rate in row["fresh"].values()]
     assert {rate["of"] for rate in fresh} == {PLAN["proof_runs"]}
-    # More room, more speed.
-    assert all(close <= wide for close, wide in zip(*(row["speeds"] for row in passport["rows"]), strict=True))
-    text = (measured / "passport.md").read_text(encoding="utf-8")
+    # A larger tolerance permits higher speeds.
+    assert all(tight <= wide for tight, wide in zip(*(row["speeds"] for row in passport["rows"]), strict=True))
+    text = (passport_folder / "passport.md").read_text(encoding="utf-8")
     assert "within 10 mm [m/s]" in text
     assert "one-sided lower bound at 90.0 % is at least 70 %; there are 2 tries" in text
-    assert (measured / "report.html").is_file()
+    assert (passport_folder / "report.html").is_file()
 
 
 def held_out(
@@ -99,13 +99,16 @@ def held_out(
     runs: int,
     jobs: int | None = 1,
 ) -> Rate:
-    """Count the robots that stay inside on paths without a passport; robots and seeds are new, too."""
+    """Return the rate of robots that stay within the tolerance on paths with or without a passport.
+
+    Paths, robots and seeds are held out.
+    """
     factors = ROBOTS | SHIPPED.passport.surfaces[surface] | {"seed": {"each": 90000}, "trajectory": {"one_of": []}}
-    use = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
+    entry = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
     files = []
     for name in paths:
         path = folder / f"{name}-{surface}-{tolerance:g}-{passport is not None}.yaml"
-        path.write_text(yaml.safe_dump({"timing": "smooth", **drawn(name), **use}), encoding="utf-8")
+        path.write_text(yaml.safe_dump({"timing": "smooth", **make_path(name), **entry}), encoding="utf-8")
         files.append(str(path))
     factors["trajectory"] = {"one_of": files}
     campaign = Campaign(description="held out", runs=runs, sampler="random", draw_seed=90, factors=factors)
@@ -118,8 +121,8 @@ def held_out(
     return Rate.of_runs(sum(max_lateral(run) <= tolerance for run in outcomes), runs)
 
 
-def drawn(name: str) -> dict[str, object]:
-    """Draw a path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
+def make_path(name: str) -> dict[str, object]:
+    """Build a path as fast as the limits permit: bends, random waypoints, or segments with increased speed."""
     if name.startswith("spline-"):
         return {"waypoints": random_splines().waypoints(int(name.removeprefix("spline-"))).tolist()}
     if name == "bends":
@@ -134,8 +137,8 @@ def drawn(name: str) -> dict[str, object]:
     return {"segments": rows}
 
 
-def test_only_paths_timed_by_a_passport_stay_within_the_tolerance(measured: Path, tmp_path: Path) -> None:
-    assert held_out(tmp_path, measured / PASSPORT, "firm", 0.01, ["bends"], 10).high >= PLAN["share"]
+def test_only_paths_timed_by_a_passport_stay_within_the_tolerance(passport_folder: Path, tmp_path: Path) -> None:
+    assert held_out(tmp_path, passport_folder / PASSPORT, "firm", 0.01, ["bends"], 10).high >= PLAN["share"]
     assert held_out(tmp_path, None, "firm", 0.01, ["bends"], 10).high < PLAN["share"]
 
 
@@ -153,11 +156,11 @@ def test_paths_timed_by_the_shipped_plan_stay_within_the_tolerance(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("arguments", "message"),
     [
         (["--tolerance", "1cm"], "--tolerance '1cm': give lengths in m with commas between them"),
         (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each must be above zero"),
     ],
 )
-def test_invalid_argument_raises_error_in_one_line(arguments: list[str], line: str, tmp_path: Path) -> None:
-    assert line in " ".join(call("prove", "ssm", *arguments, "--out", tmp_path / "out", code=2).split())
+def test_invalid_argument_raises_error_in_one_line(arguments: list[str], message: str, tmp_path: Path) -> None:
+    assert message in " ".join(call("prove", "ssm", *arguments, "--out", tmp_path / "out", code=2).split())

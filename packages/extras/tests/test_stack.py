@@ -31,7 +31,7 @@ POPULATION = SimpleNamespace(**yaml.safe_load(Path(__file__).with_suffix(".yaml"
 
 @dataclass(frozen=True)
 class DrawnLog:
-    """Log of a drawn robot, with the true quantities by the names of `estimate_stack`."""
+    """Log of a random robot, with the true quantities by the names of `estimate_stack`."""
 
     data: LogData
     truth: Mapping[str, float]
@@ -64,17 +64,17 @@ def drawn_log(
     """
     settings, build = POPULATION, draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
-    draw = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN_PARAMETERS}
+    values = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN_PARAMETERS}
     dt, track, radius = settings.sample_time, build.robot.track, build.robot.wheel_radius
     stride = round(dt / _FINE)
     count = round((seconds or settings.seconds) / dt)
-    max_command = np.array([draw["speed"], draw["turning"]])
-    hold = round(draw["hold"] / dt)
+    max_command = np.array([values["speed"], values["turning"]])
+    hold = round(values["hold"] / dt)
     command = max_command * np.repeat(stream.uniform(-1, 1, (count // hold + 1, 2)), hold, axis=0)[:count]
-    effective_track = track * (1.0 if build.twin.chassis.castors else draw["widening"])
+    effective_track = track * (1.0 if build.twin.chassis.castors else values["widening"])
     gain = np.array([1.0, build.firmware.track / effective_track])
-    level, slew = (limit or draw["limit"]) * max_command, max_command / draw["slew_time"]
-    lags = np.array([[build.firmware.lag_v, draw["second_lag"]], [build.firmware.lag_omega, draw["second_lag"]]])
+    level, slew = (limit or values["limit"]) * max_command, max_command / values["slew_time"]
+    lags = np.array([[build.firmware.lag_v, values["second_lag"]], [build.firmware.lag_omega, values["second_lag"]]])
     twist = _motor_response(
         np.repeat(np.clip(command, -level, level), stride, axis=0), slew, lags, build.twin.link.dead_time, damping
     )
@@ -94,7 +94,7 @@ def drawn_log(
         sensor.heading_sd,
     ]
     fresh = np.diff(np.floor(dt * np.arange(-1, count) / max(sensor.period or dt, dt) + 1e-9)) > 0
-    rate = twist[::stride, 1] + noise * (draw["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
+    rate = twist[::stride, 1] + noise * (values["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
     record = Record(
         f"robot {seed}",
         0.0,
@@ -201,8 +201,8 @@ def test_gyro_determines_the_multiplier_of_a_log_without_poses():
     multiplier = quantities["separation_multiplier"].value
     assert multiplier == pytest.approx(log.truth["separation_multiplier"], rel=0.02)
     slow_records = [replace(record, yaw_rate=0.8 * record.yaw_rate) for record in log.data.train]
-    slow = estimate_stack(replace(log.data, train=tuple(slow_records)))
-    assert slow["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
+    slow_quantities = estimate_stack(replace(log.data, train=tuple(slow_records)))
+    assert slow_quantities["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
 
 
 def test_quantities_without_finite_intervals_have_no_value(monkeypatch):
@@ -219,7 +219,7 @@ def test_quantities_without_finite_intervals_have_no_value(monkeypatch):
     assert "FollowPath.lookahead_time" not in content
 
 
-def test_look_ahead_keeps_the_phase_margin():
+def test_look_ahead_gives_the_phase_margin():
     """The phase of 2 (p + 1) exp(-theta p) / p^2 at gain one is -pi plus the margin."""
     margin = math.radians(45.0)
     theta = 1.0 / look_ahead_factor(margin)
@@ -228,10 +228,10 @@ def test_look_ahead_keeps_the_phase_margin():
     assert math.atan(crossover) - theta * crossover == pytest.approx(margin)
 
 
-def test_look_ahead_of_a_clipping_robot_is_that_of_its_maximum_speed(exact):
+def test_look_ahead_of_a_clipping_robot_matches_its_maximum_speed(exact):
     log, quantities = exact
-    ahead = quantities["look_ahead_time"].value * log.truth["max.v"]
-    assert quantities["look_ahead"].value == pytest.approx(ahead, rel=0.02)
+    expected = quantities["look_ahead_time"].value * log.truth["max.v"]
+    assert quantities["look_ahead"].value == pytest.approx(expected, rel=0.02)
 
 
 def test_reason_of_a_limit_names_its_multipliers(exact):

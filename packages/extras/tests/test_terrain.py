@@ -19,7 +19,7 @@ def ground(mu=0.6, modulus=1e-3, inner=None, slip=None):
     return Terrain(description="test", shear=Shear(mu_outer=mu, mu_inner=inner or mu, modulus=modulus), slip=slip)
 
 
-def test_straight_path_needs_the_torque_of_drag_and_rolling_resistance():
+def test_torque_on_a_straight_path_equals_drag_and_rolling_resistance():
     heavy = CENTRED.model_copy(update={"rolling_coefficient": 0.02})
     torques = side_torques(heavy, ground(), np.inf, 0.4)
     expected = heavy.drag_torque + 0.02 * heavy.wheel_radius * heavy.weight / 2
@@ -27,7 +27,7 @@ def test_straight_path_needs_the_torque_of_drag_and_rolling_resistance():
     assert torques.inner == pytest.approx(expected, rel=1e-9)
 
 
-def test_torque_converges_to_that_of_a_straight_path_for_large_radii():
+def test_torque_converges_to_the_straight_path_torque_for_large_radii():
     turns = side_torques(BOT, VINYL, [1e3, 1e5, 1e7], 0.4)
     assert (np.diff(np.abs(turns.outer - BOT.drag_torque)) < 0).all()
     assert turns.outer[-1] == pytest.approx(BOT.drag_torque, abs=1e-4)
@@ -51,8 +51,8 @@ def test_sliding_without_rotation_has_the_force_of_friction_times_weight():
 def test_stiff_tread_in_a_slow_turn_has_the_coulomb_torque():
     # At low speed there is no centripetal force; for small K all tyres slide mostly sideways, and the moments balance.
     torques = side_torques(CENTRED.model_copy(update={"drag_torque": 0.0}), ground(0.6, 1e-6), 1.0, 0.01)
-    share = BOT.wheel_base / np.hypot(BOT.track, BOT.wheel_base)
-    assert torques.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * share, rel=0.02)
+    ratio = BOT.wheel_base / np.hypot(BOT.track, BOT.wheel_base)
+    assert torques.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * ratio, rel=0.02)
     assert torques.inner[0] == pytest.approx(-torques.outer[0], rel=0.02)
     assert torques.twist[0, 2] == pytest.approx(0.01 / (1 + (BOT.wheel_base / BOT.track) ** 2), rel=0.02)
 

@@ -31,7 +31,7 @@ def settings_with_exponent(value):
     return SETTINGS.model_copy(update={"curves": SETTINGS.curves.model_copy(update={"speed_exponent": value})})
 
 
-def test_new_unit_compensates_the_error_of_its_sample():
+def test_new_unit_compensates_the_error_of_the_sample():
     learner = network(window=1, distance=(0.3, 0.3))
     error = learner.learn(2.0, 0.5)
     assert error == 0.5
@@ -131,7 +131,7 @@ def test_settling_time_removes_the_error_of_lagged_torques():
         for k, target in enumerate(steady):
             torque += (target - torque) * dt / lag
             lagged[k] = torque
-    short = settings_with_exponent(0.0).curves.model_copy(update={"settling": 0.5})
+    short_curves = settings_with_exponent(0.0).curves.model_copy(update={"settling": 0.5})
     outer = np.minimum(side_torques(BOT, STIFF, RADII, 0.4).outer, BOT.torque_limit)
 
     def relative_error(settings):
@@ -139,7 +139,7 @@ def test_settling_time_removes_the_error_of_lagged_torques():
         curves.learn_drive(commands, lagged_left, lagged_right, dt)
         return np.sqrt(np.mean((curves.outer(RADII) - outer) ** 2) / np.mean(outer**2))
 
-    short_settling = SETTINGS.model_copy(update={"curves": short})
+    short_settling = SETTINGS.model_copy(update={"curves": short_curves})
     assert relative_error(settings_with_exponent(0.0)) < 0.07 < relative_error(short_settling)
 
 
@@ -148,7 +148,7 @@ def test_torques_have_the_symmetries_of_left_right_forward_and_backward_turns():
     left, right = curves.torques([[0.4, 0.4]])[0], curves.torques([[0.4, -0.4]])[0]
     assert left.tolist() == right[::-1].tolist()
     assert left[1] > 0 > left[0]
-    # In a backward counter-clockwise turn the left wheels are the outer ones and turn backward.
+    # In a backward counter-clockwise turn, the left wheels are the outer wheels and turn backward.
     backward = curves.torques([[-0.4, 0.4]])[0]
     assert backward.tolist() == [-left[1], -left[0]]
     spot_turn = curves.torques([[0.0, 0.5]])[0]

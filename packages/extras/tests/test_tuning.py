@@ -56,7 +56,7 @@ def test_configuration_changes_only_if_the_report_seeds_confirm_it(tuned_folder:
     assert ("was 700" in (out / "config.yaml").read_text(encoding="utf-8")) == is_better
 
 
-def test_parameter_without_effect_keeps_the_start_configuration(tmp_path: Path) -> None:
+def test_parameter_without_effect_does_not_change_the_configuration(tmp_path: Path) -> None:
     config = tmp_path / "start.yaml"
     config.write_text("model: sm\nhorizon: 20\nestimator: {max_yaw_rate: 8.0}\n", encoding="utf-8")
     changes = {"parameters": {"estimator.max_yaw_rate": {"low": 7.0, "high": 20.0}}}
@@ -67,16 +67,16 @@ def test_parameter_without_effect_keeps_the_start_configuration(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("changes", "line"),
+    ("changes", "message"),
     [
         ({"parameters": {"weights.acros": {"times": [0.5, 2]}}}, "parameters.weights.acros: the configuration has no"),
         ({"parameters": {"horizon": {"low": 10, "high": 900}}}, "horizon: Input should be less than or equal to"),
         ({"report_seeds": {"first": 600, "count": 4}}, "report_seeds: 600 to 603 overlap with tuning_seeds"),
     ],
 )
-def test_invalid_plan_is_refused_in_one_line(changes: dict[str, object], line: str, tmp_path: Path) -> None:
+def test_invalid_plan_is_refused_in_one_line(changes: dict[str, object], message: str, tmp_path: Path) -> None:
     output = call("tune", "ssm", "--plan", write_plan(tmp_path, changes), "--out", tmp_path / "out", code=2)
-    assert line in " ".join(output.split())
+    assert message in " ".join(output.split())
 
 
 def test_search_depends_on_the_seed_but_not_on_the_number_of_processes(tmp_path: Path) -> None:

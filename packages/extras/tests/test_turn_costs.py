@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.turn_costs import (
 from refusals import one_line_error
 
 BOT, MOTORS = load_vehicle("fsu_bot"), load_drive_constants("fsu_bot")
-TRUE = np.array(load_terrain("asphalt").slip)
+TRUE_SLIP = np.array(load_terrain("asphalt").slip)
 SURFACES = ("slippery", "default", "carpet", "grippy")
 GRID = np.array([[v, w] for v in (-0.6, -0.2, 0.0, 0.2, 0.4, 0.6) for w in np.linspace(-1.2, 1.2, 41)])
 
@@ -32,7 +32,7 @@ def curves():
 
 @pytest.fixture(scope="module")
 def vinyl(curves):
-    return costs_of_curves(curves, TRUE, name="vinyl", vehicle=BOT, drive=MOTORS, provenance="prior")
+    return costs_of_curves(curves, TRUE_SLIP, name="vinyl", vehicle=BOT, drive=MOTORS, provenance="prior")
 
 
 def drive_commands(rng, count=40, hold=25):
@@ -43,23 +43,23 @@ def drive_commands(rng, count=40, hold=25):
 def test_slip_law_is_identified_within_its_standard_deviations():
     rng = np.random.default_rng(3)
     commands = drive_commands(rng)
-    clean = identify_slip(commands, polynomial_twist(TRUE, commands))
-    assert clean.coefficients == pytest.approx(TRUE, abs=1e-9)
+    clean = identify_slip(commands, polynomial_twist(TRUE_SLIP, commands))
+    assert clean.coefficients == pytest.approx(TRUE_SLIP, abs=1e-9)
     normalised_errors = []
     for _ in range(60):
-        noisy = polynomial_twist(TRUE, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
+        noisy = polynomial_twist(TRUE_SLIP, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
         estimate = identify_slip(commands, noisy)
-        normalised_errors.append((estimate.coefficients - TRUE) / estimate.deviations)
+        normalised_errors.append((estimate.coefficients - TRUE_SLIP) / estimate.deviations)
     assert np.std(normalised_errors) == pytest.approx(1.0, abs=0.15)
 
 
 def test_settling_and_non_finite_samples_are_omitted():
     commands = drive_commands(np.random.default_rng(6))
-    twist = polynomial_twist(TRUE, commands)
+    twist = polynomial_twist(TRUE_SLIP, commands)
     twist[::25] += 1.0  # the first row after each change
     twist[7] = np.nan
-    assert identify_slip(commands, twist, 0.02, 0.02).coefficients == pytest.approx(TRUE, abs=1e-9)
-    assert np.abs(identify_slip(commands, twist).coefficients - TRUE).max() > 1e-3
+    assert identify_slip(commands, twist, 0.02, 0.02).coefficients == pytest.approx(TRUE_SLIP, abs=1e-9)
+    assert np.abs(identify_slip(commands, twist).coefficients - TRUE_SLIP).max() > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -117,14 +117,14 @@ def test_symbolic_power_is_smooth_and_agrees_with_the_numeric_power(name, symbol
 
 def test_braking_side_returns_no_power_without_regeneration():
     costs = load_turn_costs("fsu_bot-grippy")
-    changed = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
+    no_regeneration = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
     turn = [[0.4, 0.1]]
-    rim_speed = changed.vehicle.rim_speeds(np.array(turn))[0, 0]
-    inner_power = changed.torques(turn)[0, 0] * rim_speed / changed.vehicle.wheel_radius
-    assert inner_power < 0 and changed.power(turn) > costs.power(turn)
+    rim_speed = no_regeneration.vehicle.rim_speeds(np.array(turn))[0, 0]
+    inner_power = no_regeneration.torques(turn)[0, 0] * rim_speed / no_regeneration.vehicle.wheel_radius
+    assert inner_power < 0 and no_regeneration.power(turn) > costs.power(turn)
     v, omega = ca.SX.sym("v"), ca.SX.sym("w")
-    function = ca.Function("power", [v, omega], [changed.symbolic_power(v, omega)])
-    assert float(function(0.4, 0.1)) == pytest.approx(changed.power(turn)[0], rel=0.02)
+    function = ca.Function("power", [v, omega], [no_regeneration.symbolic_power(v, omega)])
+    assert float(function(0.4, 0.1)) == pytest.approx(no_regeneration.power(turn)[0], rel=0.02)
 
 
 def test_least_radius_reaches_the_torque_limit_and_is_proportional_to_speed():

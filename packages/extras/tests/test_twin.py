@@ -166,7 +166,7 @@ def test_one_of_two_inseparable_parameters_is_identified():
 
 
 def test_free_run_of_the_true_plant_reproduces_its_log():
-    """A free run with the true parameters agrees with the log to its noise."""
+    """A free run with the true parameters agrees with the log within the noise."""
     truth = draw_parameters(31)
     record = simulate_record(build_robot(truth), 31, 12.0)
     counts = np.ones((len(record.command), 3), dtype=bool)
@@ -185,7 +185,7 @@ def test_log_without_wheel_speeds_requires_a_robot_file():
 
 
 SEEDS = (21, 22, 23, 24, 25, 26)
-"""Seeds of the evaluation; seeds 11 to 14 were used for choices."""
+"""Seeds of the evaluation; seeds 11 to 14 were used to choose the settings."""
 
 
 @pytest.mark.long
@@ -193,15 +193,15 @@ def test_parameters_are_inside_their_intervals(tmp_path):
     """At most 8 of 48 values are outside their 95 % interval; a correct fit exceeds this with probability 0.001."""
     file = tmp_path / "motors.yaml"
     file.write_text(MOTORS)
-    missed = []
+    outside = []
     for seed in SEEDS:
         truth = draw_parameters(seed)
         fit = fit_record(simulate_record(build_robot(truth), seed, 60.0), file, 30.0)
         expected = in_fit_units(fit, truth)
         for parameter in fit.parameters:
             if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
-                missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
-    assert len(missed) <= 8, missed
+                outside.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
+    assert len(outside) <= 8, outside
 
 
 @pytest.fixture(scope="module")
@@ -216,11 +216,11 @@ def log(tmp_path_factory):
 def test_twin_command_writes_a_plant_and_a_report(log):
     out = log.parent / "twin"
     call("twin", log, "--seconds", 5, "--jobs", 1, "--out", out)
-    numbers = json.loads((out / "twin.json").read_text())
-    twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
+    content = json.loads((out / "twin.json").read_text())
+    twin, model = (content[name]["fit_percent"] for name in ("twin", "model"))
     # The log was simulated with this plant: a velocity model cannot be much better.
     assert all(twin[channel] > model[channel] - 2.0 for channel in ("v", "omega"))
-    result = {parameter["name"]: parameter for parameter in numbers["parameters"]}
+    result = {parameter["name"]: parameter for parameter in content["parameters"]}
     robot = load_simulated_robot(out / "plant.yaml")
     assert robot.friction == pytest.approx(result["friction"]["value"], rel=1e-6)
     assert robot.twin.link.dead_time == pytest.approx(result["dead_time"]["value"], rel=1e-6)
@@ -237,12 +237,12 @@ def test_twin_command_writes_a_plant_and_a_report(log):
 
 
 @pytest.mark.parametrize(
-    ("options", "line"),
+    ("options", "message"),
     [
         (["--seconds", "1"], "error: --seconds 1: use 5 or more"),
         (["--model", "lstm"], "error: model 'lstm' is nonlinear"),
     ],
 )
-def test_invalid_option_is_refused_in_one_line(log, options, line):
-    assert line in refusal("twin", log, *options, "--out", log.parent / "none")
+def test_invalid_option_is_refused_in_one_line(log, options, message):
+    assert message in refusal("twin", log, *options, "--out", log.parent / "none")
     assert not (log.parent / "none").exists()

@@ -31,8 +31,8 @@ def untrusted(tmp_path):
 
 def run_file(folder, factors):
     path = folder / "run.yaml"
-    stored = {"run": "0", "factors": {"plant": "model:ssm", **factors}, "figures": {}, "environment": {}}
-    path.write_text(yaml.safe_dump(stored))
+    content = {"run": "0", "factors": {"plant": "model:ssm", **factors}, "figures": {}, "environment": {}}
+    path.write_text(yaml.safe_dump(content))
     return path
 
 
@@ -54,8 +54,8 @@ FACTORS = {
 @pytest.mark.parametrize("name", FACTORS)
 def test_untrusted_files_of_a_run_file_are_neither_opened_nor_run(name, untrusted, tmp_path):
     factors = json.loads(json.dumps(FACTORS[name]).replace("@", str(untrusted)))
-    code, printed, files = call("repeat", run_file(tmp_path, factors))
-    assert code == 2 and f"--trust-terms {untrusted}" in printed, printed
+    code, output, files = call("repeat", run_file(tmp_path, factors))
+    assert code == 2 and f"--trust-terms {untrusted}" in output, output
     assert not [path for path in files if untrusted in path.parents]
     assert not (untrusted / "marker").exists()
 
@@ -76,8 +76,8 @@ def test_code_names_in_a_run_file_are_not_imported(factors, untrusted, tmp_path)
 
 def test_run_file_may_name_files_of_a_trusted_folder(untrusted, tmp_path):
     factors = {"trajectory": str(untrusted / "short.yaml"), "config": str(untrusted / "config.yaml")}
-    code, printed, _ = call("repeat", run_file(tmp_path, factors), "--trust-terms", untrusted)
-    assert code == 0, printed
+    code, output, _ = call("repeat", run_file(tmp_path, factors), "--trust-terms", untrusted)
+    assert code == 0, output
     assert (untrusted / "marker").exists()
 
 
@@ -93,12 +93,12 @@ def test_run_file_may_name_files_of_a_trusted_folder(untrusted, tmp_path):
 def test_yaml_tags_do_not_create_objects(command, tmp_path):
     (tmp_path / "file.yaml").write_text(f"name: !!python/object/apply:os.mkdir ['{tmp_path}/marker']\n")
     paths = {"FILE": tmp_path / "file.yaml", "OUT": tmp_path / "out"}
-    code, printed, _ = call(*(paths.get(word, word) for word in command.split()))
-    assert code == 2 and printed.startswith("error: "), printed
+    code, output, _ = call(*(paths.get(argument, argument) for argument in command.split()))
+    assert code == 2 and output.startswith("error: "), output
     assert not (tmp_path / "marker").exists()
 
 
-class MakesFolder:
+class PickledCommand:
     """Object that creates a folder when it is unpickled."""
 
     def __init__(self, folder):
@@ -113,7 +113,7 @@ def test_store_ignores_files_that_are_not_rows(tmp_path):
     path = tmp_path / "runs" / "00" / f"{key}.json"
     path.parent.mkdir(parents=True)
     hostile = json.dumps({"row": {"py/reduce": ["os.mkdir", f"{tmp_path}/marker"]}}).encode()
-    for content in (hostile, pickle.dumps({"row": MakesFolder(tmp_path)}), b"[" * 100_000, b"[1]"):
+    for content in (hostile, pickle.dumps({"row": PickledCommand(tmp_path)}), b"[" * 100_000, b"[1]"):
         path.write_bytes(content)
         path.with_suffix(".pkl").write_bytes(content)
         assert Store(tmp_path).load(key) is None
@@ -153,11 +153,11 @@ def test_untrusted_files_of_a_log_are_neither_opened_nor_run(name, run, untruste
     changes, model = NAMED_FILES[name]
     config = configuration(untrusted, changes)
     log = write_mcap(run, tmp_path / "log.mcap", config, model)
-    code, printed, files = call("log", "replay", log)
-    assert code == 2 and f"--trust-terms {untrusted}" in printed
-    # A configuration of the user replaces that of the log.
-    code, printed, files_with_model = call("log", "replay", log, "--model", "ssm")
-    assert code == 0, printed
+    code, output, files = call("log", "replay", log)
+    assert code == 2 and f"--trust-terms {untrusted}" in output
+    # A configuration of the user replaces the configuration in the log.
+    code, output, files_with_model = call("log", "replay", log, "--model", "ssm")
+    assert code == 0, output
     assert not [path for path in files + files_with_model if untrusted in path.parents]
     assert not (untrusted / "marker").exists()
     # The same function reads ticks of the node from bags and MCAP logs.
@@ -170,13 +170,13 @@ def test_untrusted_files_of_a_log_are_neither_opened_nor_run(name, run, untruste
 
 def test_log_may_name_files_of_a_trusted_folder(run, untrusted, tmp_path):
     log = write_mcap(run, tmp_path / "log.mcap", configuration(untrusted, NAMED_FILES["a term"][0]))
-    code, printed, _ = call("log", "replay", log, "--trust-terms", untrusted)
-    assert code == 0, printed
+    code, output, _ = call("log", "replay", log, "--trust-terms", untrusted)
+    assert code == 0, output
     assert (untrusted / "marker").exists()
     # A symbolic link to another folder is not trusted.
     (untrusted / "inside").mkdir()
     (untrusted / "inside" / "term.py").symlink_to(untrusted / "term.py")
     linked_config = configuration(untrusted, {"terms": [{"file": "@/inside/term.py", "function": "slow"}]})
     log = write_mcap(run, tmp_path / "linked.mcap", linked_config)
-    code, printed, _ = call("log", "replay", log, "--trust-terms", untrusted / "inside")
-    assert code == 2 and "neither opened nor run" in printed
+    code, output, _ = call("log", "replay", log, "--trust-terms", untrusted / "inside")
+    assert code == 2 and "neither opened nor run" in output

@@ -108,7 +108,7 @@ def test_walker_hitting_a_standing_robot_neither_pushes_it_nor_ends_the_run(tmp_
     poses = drive(plant, (0.0, 0.0), 200)
     (contact,) = plant.contacts
     assert contact.obstacle == "mover 0"
-    # The mover is at the robot's centre at 2 s; the contact starts and ends half a width and a radius away from it.
+    # The mover is at the centre at 2 s; the contact starts and ends at a distance of half the width plus the radius.
     assert contact.time == pytest.approx(2.0 - (WIDTH / 2 + 0.25), abs=0.02)
     assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02)
     assert contact.max_speed < 0.005
@@ -121,7 +121,7 @@ def test_obstacle_behind_a_wall_is_not_visible(tmp_path: Path) -> None:
     distances, bearings = cast_rays(np.zeros(3), shapes, sight)
     ahead = np.abs(bearings) < 0.4
     np.testing.assert_allclose(distances[ahead] * np.cos(bearings[ahead]), 0.95, atol=1e-9)
-    # The second post is outside the shadow of the wall: rays end on it.
+    # The second post is outside the shadow of the wall, so rays end on this post.
     to_post = np.hypot(*(distances[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) - [2.0, 1.9]).T)
     assert np.isclose(to_post, 0.2).sum() > 5
     hidden, visible = Mover(x=2.0, y=0.0), Mover(x=2.0, y=1.9)
@@ -135,8 +135,8 @@ def test_obstacle_behind_a_wall_is_not_visible(tmp_path: Path) -> None:
 
 def test_costmap_is_unknown_behind_obstacles_and_outside_the_field_of_view(tmp_path: Path) -> None:
     walls = "walls: [{start: [1, -3], end: [1, 3], thickness: 0.1}]\n"
-    text = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
-    grid = ObstacleSensors(load_world(write_world(tmp_path, text)), 0).observe(0.0, [0, 0, 0]).grid
+    content = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
+    grid = ObstacleSensors(load_world(write_world(tmp_path, content)), 0).observe(0.0, [0, 0, 0]).grid
 
     def cell(x: float, y: float) -> int:
         return int(grid.cells[math.floor((y - grid.origin[1]) / 0.05), math.floor((x - grid.origin[0]) / 0.05)])
@@ -167,24 +167,24 @@ def test_person_track_has_the_true_velocity_and_the_configured_noise(tmp_path: P
         observations = [sensors.observe(k / 10, [0, 0, 0]) for k in range(16)]
         first, last = observations[0].discs[0], observations[-1].discs[0]
         errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
-        assert first.vx == first.vy == 0.0  # one position gives no velocity
+        assert first.vx == first.vy == 0.0  # a single position does not determine the velocity
     errors = np.array(errors)
     assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60)
     assert 0.02 < errors[:, :2].std() < 0.04
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.06 and errors[:, 2:].std() < 0.2
 
 
-@pytest.mark.parametrize("through", [False, True])
-def test_drawn_worlds_are_passable_and_reproducible(through: bool) -> None:
+@pytest.mark.parametrize("is_path_blocked", [False, True])
+def test_drawn_worlds_are_passable_and_reproducible(is_path_blocked: bool) -> None:
     settings, densities = drawn_world_settings(), []
     for seed in range(6):
-        world = drawn_world(seed, through=through)
+        world = drawn_world(seed, through=is_path_blocked)
         drawn_world.cache_clear()
-        assert drawn_world(seed, through=through) == world
+        assert drawn_world(seed, through=is_path_blocked) == world
         densities.append(len(world.posts))
         assert is_passable(world, settings.disc_radius)
         clearance = world.shapes(0.0).distance(dense_path(np.array(world.way.waypoints))).min()
-        if through:
+        if is_path_blocked:
             # A post on the path blocks the robot's hull.
             assert clearance < WIDTH / 2
         else:

@@ -63,13 +63,13 @@ def identify_robot(folder, make_plant, structure="sm"):
 def measure(config, make_plant, trajectory, oracle):
     """Yield, per direction, the number of drives inside, and width, oracle's width and maximum error [mm]."""
     predicted = predict_by_drives(config, trajectory, own_plant(config))
-    reference, loaded = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
-    runs = (simulate(Controller(loaded), make_plant(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
+    reference, settings = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
+    runs = (simulate(Controller(settings), make_plant(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
     widths = [predicted.lateral.everywhere, predicted.along.everywhere]
     np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
     for width, rows in zip(widths, errors.swapaxes(0, 1), strict=True):
-        oracle_width = tube(rows[_DRIVES:], loaded.sample_time).everywhere.mean() if oracle else np.nan
+        oracle_width = tube(rows[_DRIVES:], settings.sample_time).everywhere.mean() if oracle else np.nan
         yield np.count_nonzero((rows[:_DRIVES] <= width).all(axis=1))
         yield from (1e3 * np.array([width.mean(), oracle_width, rows.max()])).round(2)
 

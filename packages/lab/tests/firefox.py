@@ -12,7 +12,7 @@ from typing import Any
 from websockets.sync.client import ClientConnection, connect
 
 _OPTIONS = ("--headless", "--no-remote", "--remote-debugging-port=0", "--profile")
-_PATIENCE = 60.0
+_TIMEOUT = 60.0
 
 
 class Tab:
@@ -40,7 +40,7 @@ class Tab:
     def _call(self, method: str, **parameters: object) -> dict[str, Any]:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
-        while (message := json.loads(self._socket.recv(_PATIENCE))).get("id") != number:
+        while (message := json.loads(self._socket.recv(_TIMEOUT))).get("id") != number:
             pass
         assert message["type"] == "success", message
         result: dict[str, Any] = message["result"]

@@ -1,4 +1,4 @@
-"""The laboratory in a real browser: drives as those of Python, and every link, control and file."""
+"""The laboratory in a real browser: drives equal to those of Python, links, controls and files."""
 
 import fcntl
 import importlib.util
@@ -26,11 +26,11 @@ from diffdrive_mpc_lab import build
 from diffdrive_mpc_lab.build import experiments, page_text, sources_digest
 from diffdrive_mpc_lab.numbers import FLOOR, configuration, default_of, lab_settings, plant_functions, values_of
 
-COMMITTED = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
+COMMITTED_PAGE = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
 DRIVES = "laboratory.activeDrives"
-# Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
+# Tolerance of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiply-add and another libm.
 ROUNDING = 1e-11
 
 
@@ -45,8 +45,8 @@ def page_file(tmp_path_factory: pytest.TempPathFactory, testrun_uid: str) -> Pat
     return page
 
 
-def test_page_of_the_repository_is_made_of_the_present_sources() -> None:
-    (digest,) = re.findall(r'<meta name="sources" content="(\w+)">', COMMITTED.read_text(encoding="utf-8"))
+def test_committed_page_is_up_to_date() -> None:
+    (digest,) = re.findall(r'<meta name="sources" content="(\w+)">', COMMITTED_PAGE.read_text(encoding="utf-8"))
     assert digest == sources_digest(), "docs/laboratory/index.html is out of date: run make lab and commit it"
 
 
@@ -62,18 +62,18 @@ def test_digest_names_changed_numbers_and_ignores_rounding(monkeypatch: pytest.M
 
 @contextmanager
 def laboratory(page_file: Path, link: str = "", **options: Any) -> Iterator[Any]:
-    """Open the page from the file system without a network; at the end there must be no errors and no requests."""
-    complaints: list[str] = []
+    """Open the page from the file system without a network; at the end, check that there were no errors or requests."""
+    errors: list[str] = []
     requests: list[str] = []
     with open_browser() as browser:
         settings = {"viewport": {"width": 1280, "height": 900}, "offline": True, "accept_downloads": True} | options
         page = browser.new_context(**settings).new_page()
-        page.on("console", lambda message: complaints.append(message.text))
-        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda message: errors.append(message.text))
+        page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
         visit(page, page_file, link)
         yield page
-        assert complaints == []
+        assert errors == []
         assert {url.partition("#")[0] for url in requests if not url.startswith(("data:", "blob:"))} == {
             page_file.as_uri()
         }
@@ -85,8 +85,8 @@ def visit(page: Any, page_file: Path, link: str = "") -> None:
     page.wait_for_selector("html[data-ready]", state="attached")
 
 
-def judged(page: Any) -> float:
-    """Return the position RMSE [m] of the whole drive with the present settings, after the page has driven it."""
+def evaluated_rmse(page: Any) -> float:
+    """Wait for the drive with the current settings to be evaluated; return its position RMSE [m]."""
     page.wait_for_function("() => laboratory.evaluation !== null")
     return float(page.evaluate("laboratory.evaluation.rms"))
 
@@ -95,8 +95,8 @@ def choices(page: Any) -> dict[str, Any]:
     return dict(page.evaluate("laboratory.choices"))
 
 
-def middle(node: Any) -> tuple[float, float]:
-    """Return the middle of an element on the screen, after it appears."""
+def centre_of(node: Any) -> tuple[float, float]:
+    """Return the centre of an element on the screen after scrolling to it."""
     node.scroll_into_view_if_needed()
     box = node.bounding_box()
     return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
@@ -105,20 +105,20 @@ def middle(node: Any) -> tuple[float, float]:
 # Without a browser.
 
 
-def test_formulas_in_c_are_those_of_the_plant() -> None:
-    floor_of, move_of = plant_functions()
+def test_c_formulas_equal_those_of_the_plant() -> None:
+    slip_function, pose_function = plant_functions()
     slip = load_surface("ice").slip
     output, pose = np.array([0.7, -0.9]), np.array([0.3, -0.2, 2.0])
-    body, wheels = floor_of(output, [getattr(slip, name) for name in FLOOR])
+    body, wheels = slip_function(output, [getattr(slip, name) for name in FLOOR])
     assert body.full().ravel() == pytest.approx(slip.body(output), abs=1e-15)
     assert wheels.full().ravel() == pytest.approx(slip.turned(*output), abs=1e-15)
     v, lateral, omega = slip.body(output)
     expected = integrate_pose(pose, v, omega, 0.02, -lateral / (v * omega))
-    moved = move_of(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
-    assert moved == pytest.approx(expected, abs=1e-15)
+    end_pose = pose_function(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
+    assert end_pose == pytest.approx(expected, abs=1e-15)
 
 
-def test_missing_compiler_is_one_line_that_names_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_compiler_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     result = CliRunner().invoke(app, ["lab", "--out", str(tmp_path / "lab.html")])
     assert result.exit_code == 1
@@ -130,68 +130,68 @@ def test_missing_compiler_is_one_line_that_names_the_remedy(monkeypatch: pytest.
 
 
 @in_browser
-def test_drives_are_those_of_python(page_file: Path) -> None:
-    """Twelve: commands, poses and those of the peer, with limits that press and weights that are not shipped."""
-    varied = {"ssm": (700, 6), "sm": (333.3, 3), "mbm": (1500, 7.25)}
+def test_drives_equal_those_of_python(page_file: Path) -> None:
+    """Compare commands, poses and peer commands of twelve drives with active limits and changed weights."""
+    settings_by_model = {"ssm": (700, 6), "sm": (333.3, 3), "mbm": (1500, 7.25)}
     with laboratory(page_file, "path=s") as page:
-        judged(page)
-        standard = choices(page)
-        for model, (across, slew) in varied.items():
+        evaluated_rmse(page)
+        default = choices(page)
+        for model, (across, slew) in settings_by_model.items():
             for path in PATHS:
-                chosen = standard | {"model": model, "robot": model, "path": path, "across": across, "slew": slew}
-                driven = page.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", chosen)
+                selected = default | {"model": model, "robot": model, "path": path, "across": across, "slew": slew}
+                result = page.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", selected)
                 config = configuration(model, {"told": 0.04, "across": across, "slew": slew})
                 reference, plant = load_trajectory(path, config), f"model:{model}+0.04"
                 run = simulate(Controller(config), make_plant(plant), reference)
                 peer = simulate(RegulatedPurePursuit(), make_plant(plant), reference)
-                assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
-                assert np.abs(run.true_pose - np.array(driven["poses"])).max() < ROUNDING
-                assert np.abs(peer.command - np.array(driven["peer"])).max() < ROUNDING
-                assert driven["rms"] == pytest.approx(run.metrics.position_rmse_m, abs=1e-12)
+                assert np.abs(run.command - np.array(result["commands"])).max() < ROUNDING
+                assert np.abs(run.true_pose - np.array(result["poses"])).max() < ROUNDING
+                assert np.abs(peer.command - np.array(result["peer"])).max() < ROUNDING
+                assert result["rms"] == pytest.approx(run.metrics.position_rmse_m, abs=1e-12)
 
 
 @pytest.mark.system("firefox")
-def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tmp_path: Path) -> None:
+def test_drives_in_firefox_equal_those_of_python_and_a_hostile_link_is_refused(page_file: Path, tmp_path: Path) -> None:
     ready = "async () => { while (!window.laboratory?.evaluation) await new Promise((go) => setTimeout(go, 20)); }"
     with opened_firefox("firefox-esr", tmp_path) as tab:
         tab.open(f"{page_file.as_uri()}#horizon=1e308")
         tab.evaluate(f"async () => {{ await ({ready})(); return null; }}")
-        line, chosen = tab.evaluate("() => [document.getElementById('notice').textContent, laboratory.choices]")
-        assert "'horizon=1e308' is not a valid choice" in line
-        assert chosen["horizon"] == default_of("horizon")
+        notice, selected = tab.evaluate("() => [document.getElementById('notice').textContent, laboratory.choices]")
+        assert "'horizon=1e308' is not a valid choice" in notice
+        assert selected["horizon"] == default_of("horizon")
         for path in PATHS:
-            changed = chosen | {"path": path, "dead": 0.04, "told": 0.04}
-            driven = tab.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", changed)
+            changed = selected | {"path": path, "dead": 0.04, "told": 0.04}
+            result = tab.evaluate("(chosen) => laboratory.evaluator.drive(chosen)", changed)
             config = configuration("ssm", {"told": 0.04})
             run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
-            assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
+            assert np.abs(run.command - np.array(result["commands"])).max() < ROUNDING
 
 
 @in_browser
-def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp_path: Path) -> None:
-    """A shipped path, one at another speed, and a drawn one; with lost poses, ice everywhere and other limits."""
-    drawn = "drawn=0,0;60,5;120,50;180,60;240,10;300,0"
+def test_saved_files_reproduce_the_error_of_the_page_in_simulate(page_file: Path, tmp_path: Path) -> None:
+    """Use a shipped path, a path at another speed and a drawn path, with lost poses, ice and other limits."""
+    drawn_path = "drawn=0,0;60,5;120,50;180,60;240,10;300,0"
     links = (
         "path=circle&dead=0.12&told=0.08&surface=ice&sensors=half_lost&seed=1&horizon=20&slew=3",
         "path=slalom&speed=0.8&model=mbm&robot=sm&wheel=1.19",
-        f"{drawn}&speed=0.5&model=kinematic&sensors=perfect&smooth=35",
+        f"{drawn_path}&speed=0.5&model=kinematic&sensors=perfect&smooth=35",
     )
     with laboratory(page_file) as page:
         for number, link in enumerate(links):
             visit(page, page_file, link)
-            rms = judged(page)
+            rms = evaluated_rmse(page)
             assert page.evaluate("location.hash.slice(1).split('&').sort()") == sorted(link.split("&"))
             folder = tmp_path / str(number)
             for button in ("#save", "#savepath"):
                 if page.locator(button).is_visible():
-                    with page.expect_download() as coming:
+                    with page.expect_download() as download:
                         page.locator(button).click()
-                    coming.value.save_as(folder / coming.value.suggested_filename)
+                    download.value.save_as(folder / download.value.suggested_filename)
             command = page.locator("#command").inner_text()
             assert f"# {command}" in (folder / "lab.yaml").read_text()
-            arguments = [str(folder / word) if (folder / word).exists() else word for word in shlex.split(command)[1:]]
-            printed = invoke(app, *arguments).stdout
-            assert f"position RMSE {1000 * rms:.1f} mm" in printed
+            arguments = [str(folder / name) if (folder / name).exists() else name for name in shlex.split(command)[1:]]
+            output = invoke(app, *arguments).stdout
+            assert f"position RMSE {1000 * rms:.1f} mm" in output
 
 
 @in_browser
@@ -212,20 +212,20 @@ def test_unusable_link_opens_the_first_experiment_with_a_notice(page_file: Path)
         "path=" + "x" * 1_000_000,
     )
     with laboratory(page_file) as page:
-        standard = choices(page)
+        default_choices = choices(page)
         title = page.title()
         for link in links:
             page.evaluate("(link) => { location.hash = link }", link)
             page.wait_for_function("() => !document.getElementById('notice').hidden")
-            line = page.locator("#notice").inner_text()
-            assert line.startswith("This link cannot be used, so the first experiment is shown: ")
-            assert len(line) < 160
-            assert "\n" not in line
-            assert choices(page) == standard
+            notice = page.locator("#notice").inner_text()
+            assert notice.startswith("This link cannot be used, so the first experiment is shown: ")
+            assert len(notice) < 160
+            assert "\n" not in notice
+            assert choices(page) == default_choices
             assert page.title() == title
             page.evaluate("laboratory.choose({ seed: 0 })")
         visit(page, page_file, "path=" + "x" * 1_000_000)
-        assert choices(page) == standard
+        assert choices(page) == default_choices
 
 
 @in_browser
@@ -239,10 +239,10 @@ def test_each_control_changes_a_setting_that_the_link_restores(page_file: Path) 
             else:
                 control.select_option(str(changed))
             assert choices(page)[name] == changed
-        everything = choices(page)
-        judged(page)
+        changed_choices = choices(page)
+        evaluated_rmse(page)
         visit(page, page_file, page.evaluate("location.hash.slice(1)"))
-        assert choices(page) == everything
+        assert choices(page) == changed_choices
         assert page.locator("#notice").is_hidden()
 
 
@@ -252,14 +252,14 @@ def test_pointer_touch_and_keyboard_act_as_documented(page_file: Path) -> None:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         floor = page.locator("#floor")
         page.wait_for_function("() => laboratory.report.time > 0.5")
-        page.touchscreen.tap(*middle(floor))
+        page.touchscreen.tap(*centre_of(floor))
         page.wait_for_function("() => laboratory.report.error > 0.1")
         page.locator("#tool-ice").tap()
-        page.touchscreen.tap(*middle(floor))
+        page.touchscreen.tap(*centre_of(floor))
         assert len(choices(page)["ice"]) == 1
         assert "ice=" in page.evaluate("location.hash")
         page.locator("#tool-draw").click()
-        x, y = middle(floor)
+        x, y = centre_of(floor)
         page.mouse.move(x, y)
         page.mouse.down()
         for step in range(20):
@@ -290,20 +290,20 @@ def test_experiments_show_both_drives_with_their_figures(page_file: Path) -> Non
             page.wait_for_function(f"() => {DRIVES}.length === 2 && {DRIVES}.every((drive) => drive.evaluation)")
             rms = page.evaluate(f"{DRIVES}.map((drive) => drive.evaluation.rms)")
             assert rms[1] <= experiment["share"] * rms[0], experiment["name"]
-            shown = [page.locator(f"#rms-{side}").inner_text() for side in "ab"]
-            assert shown == [f"{1000 * value:.1f} mm" for value in rms]
+            displayed = [page.locator(f"#rms-{side}").inner_text() for side in "ab"]
+            assert displayed == [f"{1000 * value:.1f} mm" for value in rms]
 
 
 @in_browser
 def test_link_opens_a_comparison_with_the_marked_drive(page_file: Path) -> None:
     sides = "() => Object.values(laboratory.drives).map((drive) => drive.choices)"
     with laboratory(page_file, "path=circle&across=333.3&b.path=circle&b.ice=0,200") as page:
-        first, second = before = page.evaluate(sides)
+        first, second = drives = page.evaluate(sides)
         assert (first["across"], first["ice"], second["ice"]) == (333.3, [], [[0, 2]])
         assert choices(page) == first
         page.locator("#side-b").click()
         visit(page, page_file, page.evaluate("location.hash.slice(1)"))
-        assert page.evaluate(sides) == before
+        assert page.evaluate(sides) == drives
         assert choices(page) == second
         page.locator("#number-dead").fill("0.08")
         page.keyboard.press("Enter")
@@ -314,7 +314,7 @@ def test_link_opens_a_comparison_with_the_marked_drive(page_file: Path) -> None:
 
 
 @in_browser
-def test_typed_number_is_used_or_replaced_by_the_nearest_with_a_notice(page_file: Path) -> None:
+def test_typed_number_is_used_or_replaced_by_the_nearest_valid_number_with_a_notice(page_file: Path) -> None:
     expected = (("across", "612.5", 612.5), ("across", "1", 50), ("horizon", "33", 30), ("told", "", 0.12))
     with laboratory(page_file) as page:
         for name, text, value in expected:
@@ -329,10 +329,10 @@ def test_tools_and_figures_are_above_the_fold_and_keys_act_without_scrolling(pag
     with laboratory(page_file, viewport={"width": 1400, "height": 900}) as page:
         for name in ("floor", "tools", "actions", "keys", "rms-a", "rms-b", "mode-b", "charts", "choice-seed"):
             assert page.locator(f"#{name}").evaluate("(node) => node.getBoundingClientRect().bottom") <= 900, name
-        for used in ("#push", "#side-a", "#choice-slew", "#choices"):
-            page.locator(used).click()
+        for selector in ("#push", "#side-a", "#choice-slew", "#choices"):
+            page.locator(selector).click()
             page.keyboard.press("Space")
-            assert page.evaluate("laboratory.paused") == (used in ("#push", "#choice-slew")), used
+            assert page.evaluate("laboratory.paused") == (selector in ("#push", "#choice-slew")), selector
         page.keyboard.press("ArrowDown")
         assert page.evaluate("window.scrollY") == 0
         page.keyboard.press("Control+c")

@@ -1,6 +1,6 @@
 """Slow reference implementation of the rules of the monitor.
 
-Each call evaluates the whole history, instead of the ring buffers, filters and running bounds of the C code.
+Each call evaluates the complete history. The C code uses ring buffers, filters and running bounds instead.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def wrapped(angle):
+def wrap_angle(angle):
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
@@ -28,8 +28,8 @@ class OracleJudge:
         if not violated:
             self.violated.pop(name, None)
             return
-        since = self.violated.setdefault(name, self.now)
-        if self.now - since >= lasting - 1e-9:
+        start = self.violated.setdefault(name, self.now)
+        if self.now - start >= lasting - 1e-9:
             if self.stopped is None:
                 self.stopped = (self.now, {name})
             elif self.stopped[0] == self.now:
@@ -45,16 +45,16 @@ class OracleJudge:
         is_valid = np.isfinite(points).all()
         if is_valid and len(points) > 1:
             dt, step = np.diff(points[:, 0]), np.hypot(*np.diff(points[:, 1:3], axis=0).T)
-            turn = np.abs(wrapped(np.diff(points[:, 3])))
+            turn = np.abs(wrap_angle(np.diff(points[:, 3])))
             r = self.rules.commands
             is_valid = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
         self.path = points if is_valid and len(points) else None
         self.returning, self.away_at = True, now - self.rules.path.lasting
         self.judge("bad_reference", not is_valid)
 
-    def is_usable(self, stamp, values, past):
-        fresh = not past or stamp > past[-1][0]
-        return np.isfinite([stamp, *values]).all() and stamp <= self.now + self.rules.sensors.ahead and fresh
+    def is_usable(self, stamp, values, history):
+        is_new = not history or stamp > history[-1][0]
+        return np.isfinite([stamp, *values]).all() and stamp <= self.now + self.rules.sensors.ahead and is_new
 
     def says(self, now, *, drives):
         self.now = now
@@ -98,8 +98,8 @@ class OracleJudge:
         ):
             maximum = gain * max([0.0, *(u[i] for u in pending)])
             minimum = gain * min([0.0, *(u[i] for u in pending)])
-            before, high, low = self.bounds.get(name, (self.start, 0.0, 0.0))
-            weight = (now - before) / (lag + now - before)
+            last_time, high, low = self.bounds.get(name, (self.start, 0.0, 0.0))
+            weight = (now - last_time) / (lag + now - last_time)
             high = maximum if maximum > high else high + weight * (maximum - high)
             low = minimum if minimum < low else low + weight * (minimum - low)
             self.bounds[name] = (now, high, low)
@@ -110,12 +110,12 @@ class OracleJudge:
         r, response = self.rules.commands, self.rules.answer
         drift = np.zeros(2)
         if self.rest_since is not None:
-            moved = [t for t, twist in self.sent if self.moves(twist)]
-            moved_at = min(moved[-1] if moved else -np.inf, self.rest_since + r.stop_within)
-            rest_at = moved_at + response.dead_time + 3 * max(response.lag_v, response.lag_omega)
-            for before, row in zip(self.odometry, self.odometry[1:], strict=False):
+            motion_times = [t for t, twist in self.sent if self.moves(twist)]
+            motion_end = min(motion_times[-1] if motion_times else -np.inf, self.rest_since + r.stop_within)
+            rest_at = motion_end + response.dead_time + 3 * max(response.lag_v, response.lag_omega)
+            for previous, row in zip(self.odometry, self.odometry[1:], strict=False):
                 if row[7] > max(rest_at, self.rest_since):
-                    drift += min(row[0] - before[0], 1.0) * np.array(row[1:3])
+                    drift += min(row[0] - previous[0], 1.0) * np.array(row[1:3])
         self.judge("creeps", abs(drift[0]) > r.rest_distance)
         self.judge("turns_at_rest", abs(drift[1]) > r.rest_turn)
 
@@ -130,8 +130,8 @@ class OracleJudge:
                 wheels += dt / (r.window + dt) * (row[2] - wheels)
                 gyro += dt / (r.window + dt) * (row[8] - gyro)
         bounds = [0.0 + r.window * wheels * ratio for ratio in (r.gyro_gain, r.gyro_least)]
-        inside = min(bounds) - r.gyro_turn <= r.window * gyro <= max(bounds) + r.gyro_turn
-        self.judge("gyro_wheels", not inside, r.lasting)
+        agrees = min(bounds) - r.gyro_turn <= r.window * gyro <= max(bounds) + r.gyro_turn
+        self.judge("gyro_wheels", not agrees, r.lasting)
 
     def pose(self, now, stamp, pose):
         self.now = now
@@ -163,7 +163,7 @@ class OracleJudge:
 
     def _compute_place(self):
         r = self.rules.agreement
-        place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
+        pose, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
             return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
         motion = self.integrated([event[1][0] for event in self.events])
@@ -173,26 +173,26 @@ class OracleJudge:
                 dt = min(row[0] - newest[0], 1.0) if newest is not None else 0.0
                 unexplained = unexplained * (1.0 - dt / (r.window + dt))
                 self.driven += abs(row[1]) * dt - dt / (r.window + dt) * self.driven
-                if place is not None:
-                    middle = place[2] + 0.5 * row[6] * dt
-                    place = place + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
+                if pose is not None:
+                    middle = pose[2] + 0.5 * row[6] * dt
+                    pose = pose + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
                 newest = row
                 continue
             current = np.array(row[1:4])
             latest = self.integrated([newest[0]])[0] if newest is not None else None
             if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
-                past = motion[k]
-                displacement = (latest[0] - past[0] + 1j * (latest[1] - past[1])) * np.exp(1j * (row[3] - past[2]))
-                current = current + [displacement.real, displacement.imag, latest[2] - past[2]]
-            before = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
-            dt = min(row[0] - before[-1], 1.0) if before else 0.0
-            place = current.copy() if place is None else place
-            error = current - place
-            error[2] = wrapped(error[2])
+                prev = motion[k]
+                displacement = (latest[0] - prev[0] + 1j * (latest[1] - prev[1])) * np.exp(1j * (row[3] - prev[2]))
+                current = current + [displacement.real, displacement.imag, latest[2] - prev[2]]
+            pose_times = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
+            dt = min(row[0] - pose_times[-1], 1.0) if pose_times else 0.0
+            pose = current.copy() if pose is None else pose
+            error = current - pose
+            error[2] = wrap_angle(error[2])
             self.pending = unexplained + error
-            place = place + dt / (r.blend + dt) * error
+            pose = pose + dt / (r.blend + dt) * error
             unexplained = unexplained + dt / (r.blend + dt) * error
-        return place, unexplained
+        return pose, unexplained
 
     def _compare_poses(self):
         r = self.rules.agreement
@@ -208,15 +208,15 @@ class OracleJudge:
         if np.isfinite(twist).all():
             self.judge("speed", abs(v) > (r.v_reverse or r.v if v < 0 else r.v) * (1 + 1e-9))
             self.judge("yaw_rate", abs(omega) > (r.omega_right or r.omega if omega < 0 else r.omega) * (1 + 1e-9))
-            moving = self.moves(twist)
+            is_moving = self.moves(twist)
             ahead = stamp - now
-            self.judge("old_command", moving and stamp and -ahead > r.oldest)
-            self.judge("command_ahead", moving and stamp and ahead > self.rules.sensors.ahead)
+            self.judge("old_command", is_moving and stamp and -ahead > r.oldest)
+            self.judge("command_ahead", is_moving and stamp and ahead > self.rules.sensors.ahead)
             stamps = [command[1] for command in self.commands if command[1]]
-            self.judge("command_order", moving and stamp and stamps and stamp < stamps[-1])
+            self.judge("command_order", is_moving and stamp and stamps and stamp < stamps[-1])
             self.commands.append((now, stamp, v, omega, bool(self.sent) and self.moves(self.sent[-1][1])))
             self._slew()
-            self._check_interval(moving)
+            self._check_interval(is_moving)
         if self.stopped is None:
             self.sent.append((now, twist))
             self._time()
@@ -225,14 +225,14 @@ class OracleJudge:
         r = self.rules.commands
         limits = ((r.v_slew, r.v_braking), (r.omega_slew, r.omega_braking))
         for i, name in enumerate(("slew", "yaw_slew")):
-            follower, away, violated = 0.0, 0.0, False
+            follower, deviation, violated = 0.0, 0.0, False
             for k, command in enumerate(self.commands):
                 if command[2] == 0.0 and command[3] == 0.0:
                     follower, violated = 0.0, False
                     continue
                 step = 0.0
                 if k:
-                    last = next((old[1] for old in self.commands[k - 1 :: -1] if old[1]), None)
+                    last = next((earlier[1] for earlier in self.commands[k - 1 :: -1] if earlier[1]), None)
                     step = (
                         command[1] - last if command[1] and last is not None else command[0] - self.commands[k - 1][0]
                     )
@@ -241,18 +241,18 @@ class OracleJudge:
                 slower = u * follower >= 0 and abs(u) < abs(follower)
                 slew = max(limits[i]) if slower else limits[i][0]
                 follower = float(np.clip(u, follower - slew * step, follower + slew * step))
-                away = abs(u - follower)
-                violated = away > slew * r.jitter
+                deviation = abs(u - follower)
+                violated = deviation > slew * r.jitter
             self.judge(name, violated)
 
     def _check_interval(self, moving):
         r = self.rules.commands
         middle = 0.5 * (r.slowest + r.quickest)
-        pace = middle
-        for before, command in zip([None, *self.commands], self.commands, strict=False):
-            pace = pace + 0.05 * (min(command[0] - before[0], 1.0) - pace) if before and command[4] else middle
-        self.judge("slow", moving and pace > r.slowest)
-        self.judge("flood", pace < r.quickest)
+        mean = middle
+        for prior, command in zip([None, *self.commands], self.commands, strict=False):
+            mean = mean + 0.05 * (min(command[0] - prior[0], 1.0) - mean) if prior and command[4] else middle
+        self.judge("slow", moving and mean > r.slowest)
+        self.judge("flood", mean < r.quickest)
 
     def tick(self, now):
         self.now = now
@@ -262,18 +262,18 @@ class OracleJudge:
     def _time(self):
         r, now = self.rules, self.now
         output = self.sent[-1][1] if self.sent else (0.0, 0.0)
-        moved = self.moves(output)
-        self.judge("silent", moved and now - self.commands[-1][0] > r.commands.silence)
-        stands = self.report is not None and not self.report[1] and now - self.report[0] > r.commands.stop_within
-        self.judge("not_to_move", moved and stands, r.path.grace)
+        is_moving = self.moves(output)
+        self.judge("silent", is_moving and now - self.commands[-1][0] > r.commands.silence)
+        is_late = self.report is not None and not self.report[1] and now - self.report[0] > r.commands.stop_within
+        self.judge("not_to_move", is_moving and is_late, r.path.grace)
         for name, readings, max_age in (
             ("odometry", self.odometry, r.sensors.odometry_age),
             ("pose", self.poses, r.sensors.pose_age),
             ("gyro", self.gyros, r.sensors.gyro_age),
         ):
             age = now - (readings[-1][0] if readings else self.start)
-            self.judge(name, moved and max_age > 0 and age > max_age)
-        self._path(output, moved)
+            self.judge(name, is_moving and max_age > 0 and age > max_age)
+        self._path(output, is_moving)
 
     def section(self, start, end):
         """Return poses (n, 3) of the reference at two times and at all its times in between."""
@@ -281,8 +281,8 @@ class OracleJudge:
         start, end = min(start, path[-1, 0]), max(end, path[0, 0])
         inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
         times = np.concatenate([[max(start, path[0, 0])], inside, [min(end, path[-1, 0])]])
-        turned = np.unwrap(path[:, 3])
-        return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
+        headings = np.unwrap(path[:, 3])
+        return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], headings)])
 
     def away(self, pose, start, end, close):
         """Compute the distance from a path section, and the minimum angle to the headings of its near parts."""
@@ -292,18 +292,18 @@ class OracleJudge:
         length = (along**2).sum(axis=1)
         fraction = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
         distance = np.linalg.norm(pose[:2] - a[:, :2] - fraction[:, None] * along, axis=1)
-        angle = np.abs(wrapped(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
-        near = distance <= close
-        return distance.min(), max(angle[near].min(), 0.0) if near.any() else 0.0
+        angle = np.abs(wrap_angle(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
+        is_near = distance <= close
+        return distance.min(), max(angle[is_near].min(), 0.0) if is_near.any() else 0.0
 
-    def _path(self, output, moved):
+    def _path(self, output, moves):
         r, back, now = self.rules.path, self.rules.returning, self.now
-        self.judge("no_reference", moved and self.path is None, r.grace)
-        place, unexplained = self._place()
-        bound = self.path is not None and place is not None and (moved or (self.report is not None and self.report[1]))
+        self.judge("no_reference", moves and self.path is None, r.grace)
+        pose, unexplained = self._place()
+        bound = self.path is not None and pose is not None and (moves or (self.report is not None and self.report[1]))
         is_off_section = is_far = heading = False
         if bound:
-            distance, turned = self.away(place, now - r.late, now + r.early, r.distance)
+            distance, heading_error = self.away(pose, now - r.late, now + r.early, r.distance)
             unexplained = np.hypot(*unexplained[:2])
             is_blocked = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
             if distance > r.distance:
@@ -322,13 +322,13 @@ class OracleJudge:
             time = r.reaction + abs(v) / (2 * self.rules.commands.v_braking)
             gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
             rate = gyro if gyro is not None else self.odometry[-1][2] if self.odometry else 0.0
-            middle = place[2] + 0.5 * rate * time
-            predicted = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
+            middle = pose[2] + 0.5 * rate * time
+            predicted = pose + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
             late, early = (back.late, back.early) if self.returning else (r.late, r.early)
             stop_distance, _ = self.away(predicted, now - late, now + time + early, np.inf)
             is_far = stop_distance > (back.distance if self.returning else r.far + unexplained)
             is_off_section, heading = (
-                (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
+                (distance > r.distance, heading_error > r.heading) if not self.returning else (False, False)
             )
         self.path_at = now
         self.judge("strays", is_off_section, r.lasting)

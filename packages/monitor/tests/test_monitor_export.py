@@ -39,12 +39,12 @@ def test_example_runs_with_sanitizers(folder):
 
 
 def test_name_of_rules_cannot_inject_code():
-    named = RULES.model_copy(update={"name": "x */ int i; \\\n#error ??/"})
-    header = rules_texts(named)["rules.h"]
+    rules = RULES.model_copy(update={"name": "x */ int i; \\\n#error ??/"})
+    header = rules_texts(rules)["rules.h"]
     assert header.count("*/") == 1 and "#error" not in header.splitlines() and "\\" not in header
 
 
-class Emulated:
+class EmulatedJudge:
     """Judge on the STM32F4 of QEMU; messages of eight doubles in both directions."""
 
     def __init__(self, image):
@@ -74,10 +74,10 @@ class Emulated:
         self.process.communicate()
 
 
-def flat(name, arguments, words):
+def flatten_call(name, arguments, keywords):
     """Return the numbers of a call: now, stamp, values."""
     if name == "says":
-        return (arguments[0], 0.0, float(words["drives"]))
+        return (arguments[0], 0.0, float(keywords["drives"]))
     if name == "tick":
         return arguments
     now, stamp, *values = arguments
@@ -92,20 +92,20 @@ def test_microcontroller_gives_equal_verdicts(folder):
     command = ["arm-none-eabi-gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", *CORTEX, *LINK]
     command += [f"-I{folder / 'ddmon'}", "-T", str(folder / "stm32f4" / "stm32f4.ld"), *map(str, sources)]
     subprocess.run([*command, "-lm", "--specs=nosys.specs", "-o", str(image)], check=True)
-    judge, board, calls_since = Judge(RULES, START), Emulated(image), 0
+    judge, board, calls_after_stop = Judge(RULES, START), EmulatedJudge(image), 0
     try:
         board("start", START)
-        for name, arguments, words in random_drive(0):
-            result = getattr(judge, name)(*arguments, **words)
+        for name, arguments, keywords in random_drive(0):
+            result = getattr(judge, name)(*arguments, **keywords)
             if name == "reference":
                 for point in arguments[1]:
                     board("point", arguments[0], 0.0, *point)
                 assert board("reference", arguments[0])[0] == 1.0
                 continue
-            reply = board(name, *flat(name, arguments, words))
+            reply = board(name, *flatten_call(name, arguments, keywords))
             verdict = judge.verdict
-            calls_since += bool(verdict)
-            if calls_since > 100:
+            calls_after_stop += bool(verdict)
+            if calls_after_stop > 100:
                 break
             assert rule_names()[int(reply[3])] == verdict.rule
             if verdict:

@@ -29,9 +29,9 @@ class Robot:
         self.state, self.twist, self.out = np.zeros(3), np.zeros(2), (0.0, 0.0)
         self.ignores_commands = self.has_no_odometry = self.has_no_pose = False
 
-    def drive(self, seconds, command=None, stamp=None, silent=False):
+    def drive(self, seconds, command=None, stamp=None, is_silent=False):
         """Drive for a time; return the commands (n, 2) of the base."""
-        sent = []
+        commands = []
         for _ in range(round(seconds / DT)):
             judge, now = self.judge, self.now
             if not self.has_no_odometry:
@@ -40,18 +40,18 @@ class Robot:
             if not self.has_no_pose:
                 judge.pose(now, now, self.state.tolist())
             v = min(self.speed, 1.9 * (now - START)) if command is None else command[0]
-            if not silent:
+            if not is_silent:
                 self.out = judge.command(now, now if stamp is None else stamp(now), v, command[1] if command else 0.0)
-            stopped = judge.tick(now)
-            self.out = self.out if stopped is None else stopped
-            sent.append(self.out)
+            stop_command = judge.tick(now)
+            self.out = self.out if stop_command is None else stop_command
+            commands.append(self.out)
             if not self.ignores_commands:
                 self.twist = self.twist + 0.2 * (np.array(self.out) - self.twist)
             x, y, theta = self.state
             v, omega = self.twist
             self.state = np.array([x + DT * v * math.cos(theta), y + DT * v * math.sin(theta), theta + DT * omega])
             self.now += DT
-        return np.array(sent)
+        return np.array(commands)
 
 
 REST = (0.0, 0.0)
@@ -62,7 +62,7 @@ def stand(robot):
 
 
 def finish(robot):
-    """Let the controller drive, stop and report it."""
+    """Report that the controller drives and then stops, and stand still for a second."""
     robot.judge.says(robot.now, drives=True)
     robot.judge.reference(robot.now, [[robot.now, *robot.state], [robot.now + 20.0, *robot.state]])
     robot.judge.says(robot.now, drives=False)
@@ -75,20 +75,20 @@ def robot():
 
 
 def test_commands_of_a_valid_drive_are_unchanged(robot):
-    sent = robot.drive(10.0)
+    commands = robot.drive(10.0)
     assert not robot.judge.verdict
-    assert sent[-1].tolist() == [0.4, 0.0]
+    assert commands[-1].tolist() == [0.4, 0.0]
     assert robot.drive(1.0, (0.0, 0.0))[0].tolist() == [0.0, 0.0]
     assert not robot.judge.verdict
 
 
 @pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
-def test_non_finite_commands_never_reach_the_base(robot, v):
+def test_non_finite_commands_are_not_forwarded_to_the_base(robot, v):
     robot.drive(2.0)
-    sent = robot.drive(1.0, (v, 0.0))
+    commands = robot.drive(1.0, (v, 0.0))
     assert robot.judge.verdict.rule == "not_finite"
-    assert np.isfinite(sent).all()
-    assert np.all(np.diff(sent[:, 0]) <= 0) and sent[-1, 0] == 0.0
+    assert np.isfinite(commands).all()
+    assert np.all(np.diff(commands[:, 0]) <= 0) and commands[-1, 0] == 0.0
 
 
 @pytest.mark.parametrize("sensor", ["pose", "odometry", "gyro"])
@@ -114,7 +114,7 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
     for _ in range(250):
         for part in range(5 if defect == "not finite" else 1):
             send(part)
-        # Send the other of the two sensors that this robot lacks.
+        # `has_no_odometry` disables both sensors; send valid readings of the other sensor.
         if sensor == "gyro":
             robot.judge.odometry(robot.now, robot.now, robot.twist.tolist(), robot.state.tolist())
         if sensor == "odometry":
@@ -123,33 +123,33 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
     assert robot.judge.verdict.rule == sensor
 
 
-def test_robot_brakes_at_the_braking_limits_and_stays_stopped(robot):
+def test_robot_brakes_at_the_braking_limits_and_remains_stopped(robot):
     robot.drive(2.0)
-    sent = robot.drive(1.0, (1.6, 0.0))[:, 0]
+    commands = robot.drive(1.0, (1.6, 0.0))[:, 0]
     assert robot.judge.verdict.rule == "speed"
-    falling = sent[sent > 0]
-    assert len(falling) == pytest.approx(0.4 / (RULES.commands.v_braking * DT), abs=1)
-    assert np.abs(np.diff([0.4, *falling])).max() <= RULES.commands.v_braking * DT + 1e-12
+    braking = commands[commands > 0]
+    assert len(braking) == pytest.approx(0.4 / (RULES.commands.v_braking * DT), abs=1)
+    assert np.abs(np.diff([0.4, *braking])).max() <= RULES.commands.v_braking * DT + 1e-12
     # Valid commands do not resume the drive without a reset.
     assert not robot.drive(2.0, (0.0, 0.0)).any() and not robot.drive(0.5, (0.01, 0.0)).any()
     assert robot.judge.verdict.words == "a command is too fast: 1.6 m/s, the limit is 1.5 m/s"
 
 
-def test_robot_with_wrong_response_is_stopped_at_once(robot):
+def test_robot_with_wrong_response_is_stopped_without_a_ramp(robot):
     """A braking ramp would continue the wrong motion."""
     robot.drive(2.0)
     robot.ignores_commands = True
     robot.twist = np.array([-0.5, 0.0])
-    sent = robot.drive(0.5)
+    commands = robot.drive(0.5)
     assert robot.judge.verdict.rule == "answer_v"
-    first = np.flatnonzero(sent[:, 0] == 0.0)[0]
-    assert sent[first - 1, 0] == 0.4
+    first = np.flatnonzero(commands[:, 0] == 0.0)[0]
+    assert commands[first - 1, 0] == 0.4
 
 
 @pytest.mark.parametrize(
     ("rule", "violate"),
     [
-        ("silent", lambda r: r.drive(0.5, silent=True)),
+        ("silent", lambda r: r.drive(0.5, is_silent=True)),
         ("old_command", lambda r: r.drive(0.1, stamp=lambda now: now - 0.3)),
         ("command_ahead", lambda r: r.drive(0.1, stamp=lambda now: now + 0.3)),
         ("slew", lambda r: r.drive(0.1, (0.9, 0.0))),
@@ -241,7 +241,7 @@ def pause(robot, seconds):
 
 
 def test_robot_may_be_late_after_a_standstill():
-    """The reference continues during the standstill."""
+    """The reference advances during the standstill."""
     robot = Robot(Judge(RULES, START), duration=30.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
@@ -252,7 +252,7 @@ def test_robot_may_be_late_after_a_standstill():
 
 @pytest.mark.parametrize(("is_renewed", "rule"), [(True, ""), (False, "off_path")])
 def test_robot_needs_a_shifted_reference_after_a_long_standstill(is_renewed, rule):
-    """With a reference delayed by the standstill the robot is on time, and must stay on time."""
+    """If the reference is delayed by the standstill, the robot is on time; later delays are detected."""
     robot = Robot(Judge(RULES, START), duration=30.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
@@ -290,12 +290,12 @@ def test_robot_that_never_returns_is_stopped_in_time(renewed):
     assert robot.judge.verdict.at - start_time <= RULES.returning.within + RULES.path.lasting + 0.1
 
 
-@pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
-def test_robot_may_return_after_an_external_motion(robot, moved, rule):
+@pytest.mark.parametrize(("motion", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
+def test_robot_may_return_after_an_external_motion(robot, motion, rule):
     """The allowed external motion is limited."""
     robot.drive(2.0)
     for _ in range(10):
-        robot.state[1] += 0.1 * moved
+        robot.state[1] += 0.1 * motion
         robot.drive(DT)
     robot.drive(0.5)
     while robot.state[1] > 0.01 and not robot.judge.verdict:
@@ -333,8 +333,8 @@ def test_reset_succeeds_when_the_cause_is_gone(robot):
     robot.drive(1.0, (0.0, 0.0))
     assert not robot.judge.reset(robot.now)
     assert not robot.judge.verdict
-    sent = robot.drive(0.5, (0.02, 0.0))
-    assert sent[-1, 0] == 0.02 and not robot.judge.verdict
+    commands = robot.drive(0.5, (0.02, 0.0))
+    assert commands[-1, 0] == 0.02 and not robot.judge.verdict
 
 
 def test_reset_fails_while_sensor_data_is_missing(robot):
@@ -348,15 +348,15 @@ def test_reset_fails_while_sensor_data_is_missing(robot):
     assert not robot.judge.reset(robot.now)
 
 
-@pytest.mark.parametrize(("away", "rule"), [(0.9, "no_reference"), (1.2, "no_reference"), (0.3, "")])
-def test_robot_far_from_its_path_needs_a_new_reference(away, rule):
-    """A robot beyond the returning distance loses its reference at the reset."""
+@pytest.mark.parametrize(("offset", "rule"), [(0.9, "no_reference"), (1.2, "no_reference"), (0.3, "")])
+def test_robot_far_from_its_path_needs_a_new_reference(offset, rule):
+    """A reset discards the reference of a robot beyond the returning distance."""
     robot = Robot(Judge(RULES, START))
     robot.drive(2.0)
     robot.state[1] = 0.9
     robot.drive(3.0)
     assert robot.judge.verdict.rule == "pose_jumps"
-    robot.state[1] = away
+    robot.state[1] = offset
     robot.drive(3.0, (0.0, 0.0))
     robot.judge.reference(robot.now, [[t + 6.0, *pose] for t, *pose in robot.points])
     assert not robot.judge.reset(robot.now)
@@ -369,26 +369,26 @@ def random_drive(seed):
 
     From seed 18 on the drive contains a standstill, and from seed 26 on the robot creeps during it.
     """
-    draw = np.random.default_rng(seed)
-    kind, stands = seed % 12, 4.0 if seed >= 26 else 1.0 if seed >= 18 else 0.0
+    rng = np.random.default_rng(seed)
+    fault, standstill = seed % 12, 4.0 if seed >= 26 else 1.0 if seed >= 18 else 0.0
     now, state, twist, command = START, np.zeros(3), np.zeros(2), np.zeros(2)
-    curve = draw.uniform(-0.5, 0.5)
+    yaw_rate = rng.uniform(-0.5, 0.5)
     times = np.arange(0.0, 6.01, 0.1)
-    heading = curve * times
-    speed = draw.uniform(0.2, 0.5)
+    heading = yaw_rate * times
+    speed = rng.uniform(0.2, 0.5)
     x = np.cumsum(speed * 0.1 * np.cos(heading)) - speed * 0.1
     y = np.cumsum(speed * 0.1 * np.sin(heading))
     yield "reference", (START, np.column_stack([START + times, x, y, heading]).tolist()), {}
-    fault_start, drives = draw.uniform(0.8, 1.5) + 1.5 * stands, True
-    for _ in range(round(250 * (1.0 + 0.5 * stands))):
+    fault_start, is_driving = rng.uniform(0.8, 1.5) + 1.5 * standstill, True
+    for _ in range(round(250 * (1.0 + 0.5 * standstill))):
         t = now - START
-        was_driving, drives = drives, not 1.0 <= t < 1.0 + stands
-        if drives and not was_driving and seed % 2:
-            restart = START + stands
+        was_driving, is_driving = is_driving, not 1.0 <= t < 1.0 + standstill
+        if is_driving and not was_driving and seed % 2:
+            restart = START + standstill
             yield "reference", (now, np.column_stack([restart + times, x, y, heading]).tolist()), {}
         is_faulty = t > fault_start
-        target = np.array([speed, curve]) * (t < 6.0 + stands and drives)
-        if seed >= 26 and not drives:
+        target = np.array([speed, yaw_rate]) * (t < 6.0 + standstill and is_driving)
+        if seed >= 26 and not is_driving:
             target = np.array([0.028, 0.0] if seed % 2 else [0.0, 0.075])
         if is_faulty:
             target = {
@@ -398,20 +398,20 @@ def random_drive(seed):
                 3: target + [0.9, 0],
                 4: target + [0, 1.9],
                 5: target * 0 + 0.2,
-            }.get(kind, target)
+            }.get(fault, target)
         command = command + np.clip(target - command, [-2 * DT, -6 * DT], [2 * DT, 6 * DT])
-        if kind == 6 and is_faulty:
-            command = command + draw.normal(0, 0.1, 2)
-        noise = draw.normal(0.0, 0.01, 3)
-        if not (kind == 7 and is_faulty):
-            yield "gyro", (now, now, float(twist[1] * (-2.0 if kind == 8 and is_faulty else 1.0) + noise[0])), {}
+        if fault == 6 and is_faulty:
+            command = command + rng.normal(0, 0.1, 2)
+        noise = rng.normal(0.0, 0.01, 3)
+        if not (fault == 7 and is_faulty):
+            yield "gyro", (now, now, float(twist[1] * (-2.0 if fault == 8 and is_faulty else 1.0) + noise[0])), {}
             yield "odometry", (now, now, (twist + noise[:2]).tolist(), state.tolist()), {}
-        if draw.random() < 0.4:
-            measured = np.zeros(3) if kind == 9 and is_faulty else state
+        if rng.random() < 0.4:
+            measured = np.zeros(3) if fault == 9 and is_faulty else state
             yield "pose", (now, now - 0.03, (measured + noise).tolist()), {}
-        yield "says", (now,), {"drives": drives and not (kind == 10 and is_faulty)}
-        if not (kind == 11 and is_faulty and draw.random() < 0.8):
-            yield "command", (now, now if kind % 2 else 0.0, *map(float, command)), {}
+        yield "says", (now,), {"drives": is_driving and not (fault == 10 and is_faulty)}
+        if not (fault == 11 and is_faulty and rng.random() < 0.8):
+            yield "command", (now, now if fault % 2 else 0.0, *map(float, command)), {}
         yield "tick", (now,), {}
         twist = twist + 0.2 * (command - twist)
         v, omega = twist
@@ -424,9 +424,9 @@ def test_oracle_agrees_with_the_judge(seed):
     """Compare stop, time and rule after each call."""
     rules = RULES if seed < 12 or seed >= 18 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0)
     judge, oracle = Judge(rules, START), OracleJudge(rules, START)
-    for name, arguments, words in random_drive(seed):
-        getattr(judge, name)(*arguments, **words)
-        getattr(oracle, "odometry_" if name == "odometry" else name)(*arguments, **words)
+    for name, arguments, keywords in random_drive(seed):
+        getattr(judge, name)(*arguments, **keywords)
+        getattr(oracle, "odometry_" if name == "odometry" else name)(*arguments, **keywords)
         result = judge.verdict
         assert bool(result) == (oracle.stopped is not None), (name, arguments, result, oracle.stopped)
         if result:
@@ -435,24 +435,24 @@ def test_oracle_agrees_with_the_judge(seed):
 
 
 def test_random_drives_violate_many_rules():
-    result = set()
+    rules = set()
     for seed in range(18):
         judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
-        for name, arguments, words in random_drive(seed):
-            getattr(judge, name)(*arguments, **words)
-        result.add(judge.verdict.rule)
-    assert len(result - {""}) >= 6, result
+        for name, arguments, keywords in random_drive(seed):
+            getattr(judge, name)(*arguments, **keywords)
+        rules.add(judge.verdict.rule)
+    assert len(rules - {""}) >= 6, rules
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("commands.slowest: 0.001", "commands.quickest must be shorter than commands.slowest"),
         ("commands.vv: 1", "did you mean 'commands.v'"),
         ("path.distance: .nan", "path.distance"),
     ],
 )
-def test_invalid_rules_raise_a_one_line_error(tmp_path, text, words):
+def test_invalid_rules_raise_a_one_line_error(tmp_path, text, message):
     import yaml
 
     values = yaml.safe_load((FOLDER / "default.yaml").read_text(encoding="utf-8"))
@@ -461,9 +461,9 @@ def test_invalid_rules_raise_a_one_line_error(tmp_path, text, words):
     values[group][name] = yaml.safe_load(value)
     path = tmp_path / "rules.yaml"
     path.write_text(yaml.safe_dump(values), encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError) as error:
         load_rules(path)
-    assert words in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
+    assert message in str(error.value) and "\n" not in str(error.value) and str(path) in str(error.value)
 
 
 def test_rules_and_the_c_struct_have_equal_names():

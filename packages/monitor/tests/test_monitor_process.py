@@ -26,7 +26,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SPEED = 0.4
 
 
-class BrokenNode:
+class FaultyController:
     """Faulty controller on the thread of the base, with a straight reference."""
 
     def __init__(self, base):
@@ -58,12 +58,12 @@ class BrokenNode:
 class Scene:
     """Base, faulty controller and process of the monitor, in simulated time."""
 
-    def __init__(self, *words):
+    def __init__(self, *args):
         self.process = subprocess.Popen(
-            [COMMAND, "monitor", "--ros-args", "-p", "use_sim_time:=true", *words], stderr=subprocess.PIPE, text=True
+            [COMMAND, "monitor", "--ros-args", "-p", "use_sim_time:=true", *args], stderr=subprocess.PIPE, text=True
         )
         self.base = FakeBase(lambda: time.sleep(0.001))
-        self.controller = BrokenNode(self.base)
+        self.controller = FaultyController(self.base)
         self.base.until(self.connected, "the monitor")
         for _ in range(25):  # discovery may be incomplete on the other side
             self.connected()
@@ -78,7 +78,7 @@ class Scene:
         return base.commands and controller.state and all(reader.get_subscription_count() for reader in readers)
 
     def step(self, v=None, omega=0.0, stamp=None):
-        """Simulate a tick: sensors, clock, the command if there is one; return the resulting command of the base."""
+        """Simulate a tick with sensors, clock and an optional command; return the resulting command of the base."""
         base, count = self.base, len(self.base.commands)
         base.advance_clock()
         for _ in range(5):
@@ -141,17 +141,17 @@ def scene():
 
 def test_faults_stop_the_robot_until_a_reset(scene):
     """Check message, persistent stop and reset of several faults in one process."""
-    for command, words in (
+    for command, message in (
         ({"v": float("nan")}, "a command is not finite"),
         ({"v": 0.9, "omega": 0.0}, "v of the commands jumps"),
         ({}, "no command while the robot moves"),
         ({"v": SPEED, "stamp": START}, "a command is old"),
     ):
-        assert words in scene.until_stopped(**command)
+        assert message in scene.until_stopped(**command)
         # No command resumes the drive, and a reset fails while commands move the robot.
         assert scene.step(0.2) == (0.0, 0.0)
-        refused = scene.reset()
-        assert not refused.success and "commands still move the robot" in refused.message
+        response = scene.reset()
+        assert not response.success and "commands still move the robot" in response.message
         for _ in range(20):
             scene.step(0.0)
         assert scene.reset().success
@@ -174,33 +174,33 @@ def test_second_publisher_of_commands_stops_the_robot(scene):
 @pytest.mark.parametrize("topic", ["odom", "imu", "cmd_vel_unchecked"])
 def test_second_publisher_on_an_input_stops_the_robot(scene, topic):
     """A second publisher without messages does not stop the robot."""
-    kind, qos = {"odom": (Odometry, qos_profile_sensor_data), "imu": (Imu, qos_profile_sensor_data)}.get(
+    message_type, qos = {"odom": (Odometry, qos_profile_sensor_data), "imu": (Imu, qos_profile_sensor_data)}.get(
         topic, (TwistStamped, QoSProfile(depth=1))
     )
-    twin = scene.base.node.create_publisher(kind, topic, qos)
-    scene.base.until(lambda: twin.get_subscription_count() == 1, "the monitor's subscription")
+    second_publisher = scene.base.node.create_publisher(message_type, topic, qos)
+    scene.base.until(lambda: second_publisher.get_subscription_count() == 1, "the monitor's subscription")
     scene.drive(0.5)
     assert scene.state_text == "PASSING"
     for _ in range(4):
-        message = kind()
+        message = message_type()
         message.header.stamp = time_message(scene.base.now)
-        if kind is TwistStamped:
+        if message_type is TwistStamped:
             message.twist.linear.x = SPEED
-        twin.publish(message)
+        second_publisher.publish(message)
         scene.step(SPEED)
     assert f"publishes an input (two publishers on /{topic})" in scene.until_stopped(v=SPEED)
-    scene.base.node.destroy_publisher(twin)
+    scene.base.node.destroy_publisher(second_publisher)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_no_command_passes_after_the_monitor_ends(scene, number):
+@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_command_passes_after_the_monitor_ends(scene, signal_number):
     """A terminated monitor sends zero; after a kill only the timeout of the base stops the robot."""
-    scene.process.send_signal(number)
+    scene.process.send_signal(signal_number)
     scene.process.wait()
     for _ in range(20):
         scene.base.spin()
     count = len(scene.base.commands)
-    assert scene.base.commands[-1] == ((0.0, 0.0) if number == signal.SIGTERM else (SPEED, 0.0))
+    assert scene.base.commands[-1] == ((0.0, 0.0) if signal_number == signal.SIGTERM else (SPEED, 0.0))
     for _ in range(10):
         scene.base.plant.advance(scene.base.commands[-1])
         scene.base.advance_clock()
@@ -211,11 +211,11 @@ def test_no_command_passes_after_the_monitor_ends(scene, number):
 
 
 def test_invalid_input_ends_with_a_one_line_error():
-    for words, line in (
+    for args, line in (
         (["--rules", "defualt"], "unknown rules 'defualt'"),
         (["--ros-args", "-p", "rules:=nowhere.yaml"], "unknown rules 'nowhere.yaml'"),
         (["--rls", "default"], "unknown argument '--rls'"),
     ):
-        result = subprocess.run([COMMAND, "monitor", *words], capture_output=True, text=True, timeout=60, check=False)
+        result = subprocess.run([COMMAND, "monitor", *args], capture_output=True, text=True, timeout=60, check=False)
         errors = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
         assert result.returncode == 2 and len(errors) == 1 and line in errors[0], result.stderr

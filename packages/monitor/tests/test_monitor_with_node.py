@@ -99,12 +99,12 @@ def test_monitor_uses_the_topics_of_its_namespace():
         rclpy.shutdown(context=context)
 
 
-def test_unknown_parameter_similar_to_a_known_one_prevents_the_start():
-    word, message = "use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"
+def test_unknown_parameter_similar_to_a_known_parameter_prevents_the_start():
+    parameter, message = "use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"
     context = Context()
     # `gadget` could be a parameter of another node.
-    arguments = [word, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
-    rclpy.init(context=context, args=["--ros-args", *(part for each in arguments for part in ("-p", each))])
+    arguments = [parameter, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
+    rclpy.init(context=context, args=["--ros-args", *(part for argument in arguments for part in ("-p", argument))])
     try:
         with pytest.raises(ConfigError) as refusal:
             MonitorNode(MonitorSettings(), context=context)
@@ -113,7 +113,7 @@ def test_unknown_parameter_similar_to_a_known_one_prevents_the_start():
     assert message in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_unknown_parameter_is_named_while_it_runs():
+def test_unknown_parameter_at_run_time_raises_an_error_with_its_name():
     context = Context()
     rclpy.init(context=context, args=in_name_space("r3"))
     node = MonitorNode(MonitorSettings(), context=context)
@@ -126,7 +126,7 @@ def test_unknown_parameter_is_named_while_it_runs():
         rclpy.shutdown(context=context)
 
 
-class Watch:
+class TopicJudge:
     """Judge that reads the topics of the node, like the process of the monitor."""
 
     def __init__(self, s):
@@ -169,7 +169,7 @@ def test_robot_drives_on_after_a_stop_only_with_the_delayed_reference(stop, is_u
         def hold(*, active):
             assert s.call(SetBool, "/diffdrive_mpc/hold", SetBool.Request(data=active)).success
 
-        watch = Watch(s)
+        watch = TopicJudge(s)
         watch.run(100)
         assert len(watch.paths) == 1
         hold(active=True) if stop == "hold" else s.trigger("pause")
@@ -196,21 +196,21 @@ def test_base_stops_the_robot_if_the_monitor_is_killed(tmp_path, monkeypatch):
         running("node", node, environment, tmp_path) as controller,
         running("monitor", ["monitor", *in_sim_time], environment, tmp_path) as monitor,
         running("robot", robot, environment, tmp_path) as base,
-        true_twists(environment) as following,
+        true_twists(environment) as read_twists,
     ):
-        end = time.monotonic() + BOUND
-        while following()[0] < 0.3:
+        deadline = time.monotonic() + BOUND
+        while read_twists()[0] < 0.3:
             assert all(process.popen.poll() is None for process in (controller, monitor, base))
             assert "STOPPED" not in monitor.output, monitor.output
-            assert time.monotonic() < end, (controller.output, monitor.output, base.output)
+            assert time.monotonic() < deadline, (controller.output, monitor.output, base.output)
         monitor.popen.kill()
-        while np.abs(following()).max() > 0.01:
+        while np.abs(read_twists()).max() > 0.01:
             assert controller.popen.poll() is None and base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
         topics = ("/cmd_vel", "/ground_truth/twist")
         requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in topics}
         commands, truth = read_topics(reader, bag, requests).values()
-    since = 1e-9 * (truth.stamped - commands.received[-1])
+    delays = 1e-9 * (truth.stamped - commands.received[-1])
     assert commands.value[-1, 0] > 0.2
-    assert 0.5 < since[-1] < 1.5
+    assert 0.5 < delays[-1] < 1.5

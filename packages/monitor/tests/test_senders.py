@@ -26,7 +26,7 @@ def test_two_publishers_are_detected_within_the_bound(count):
 
 @pytest.mark.parametrize("count", [15, LONG])
 def test_restarts_count_as_one_publisher(count):
-    """Best-effort subscriptions drop reordered messages; the publisher lives for a second or more."""
+    """Best-effort subscriptions drop reordered messages; the publisher runs for a second or more."""
     streams = (restarts(seed, is_ordered=True, min_life=1.0) for seed in range(RESERVED, RESERVED + count))
     assert not [stream[0] for stream in streams if detection_time(stream) is not None]
 
