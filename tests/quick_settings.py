@@ -13,7 +13,7 @@ SHORT_SETTINGS = {
         "model_excitation_settings",
         {"population": 6, "generations": 1},
     ),
-    "diffdrive_mpc_extras.hybrids.finding": ("hybrid_settings", {"units": 6, "decays": (1e-3,), "most_steps": 80}),
+    "diffdrive_mpc_extras.hybrids.finding": ("hybrid_settings", {"units": 6, "decays": (1e-3,), "max_steps": 80}),
     "diffdrive_mpc_extras.twin.fitting": ("twin_settings", {"evaluations": (2, 3), "refined": 1}),
 }
 """Function that reads the settings, and changed values, by module of an optional package."""
