@@ -101,12 +101,15 @@ class UserReference:
     def sample(self, times: Any) -> ReferenceSample:
         """Return samples on a straight line; `spoils` maps the number of a call to its first coordinate."""
         clipped = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
-        pose = np.asarray(self.pose) + clipped[:, None] * np.asarray(self.velocity)
+        # Infinite velocities are drawn, too: their product with time zero is undefined.
+        with np.errstate(invalid="ignore"):
+            pose = np.asarray(self.pose) + clipped[:, None] * np.asarray(self.velocity)
+            arc_length = clipped * abs(self.twist[0])
         twist = np.tile(np.asarray(self.twist, dtype=float), (len(clipped), 1))
         self._calls = getattr(self, "_calls", 0) + 1
         if self._calls in self.spoils:
             pose[:, 0] = self.spoils[self._calls]
-        return ReferenceSample(pose, twist, clipped * abs(self.twist[0]))
+        return ReferenceSample(pose, twist, arc_length)
 
 
 class ControllerFuzzer:
