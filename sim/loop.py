@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffdrive_mpc.models.errors import checked_number
-from diffdrive_mpc.models.interface import (
-    CompiledController,
-    FloatArray,
-    Reference,
-    TrackingController,
-)
+from diffdrive_mpc.models.interface import CompiledController, FloatArray, Reference, TrackingController
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Surrounded

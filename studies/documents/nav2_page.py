@@ -38,9 +38,9 @@ class PathRun:
 
     Attributes
     ----------
-    away
-        Distance (n,) between the true position and the path at each tick [m].
-    end, turned
+    distances
+        Distances (n,) between the true position and the path at each tick [m].
+    end_distance, heading_error
         Distance from the end of the path [m] and heading error [rad], both at rest.
     time, speed
         Time until the robot is at rest [s], and mean speed until then [m/s].
@@ -76,12 +76,12 @@ def run_path(make: Callable[[], TrackingController], reference: Reference, seed:
     moving_ticks = np.flatnonzero(np.abs(run.true_twist).max(axis=1) > _REST_SPEED)
     stop = int(moving_ticks[-1]) + 1
     position = run.true_pose[: stop + 1, :2]
-    end_distance = run.true_pose[min(stop, len(run.true_pose) - 1)]
+    final_pose = run.true_pose[min(stop, len(run.true_pose) - 1)]
     travelled = float(np.hypot(*np.diff(position, axis=0).T).sum())
     return PathRun(
         _distances(position, path[:, :2]),
-        float(np.hypot(*(end_distance - path[-1])[:2])),
-        abs(float(np.angle(np.exp(1j * (end_distance[2] - path[-1, 2]))))),
+        float(np.hypot(*(final_pose - path[-1])[:2])),
+        abs(float(np.angle(np.exp(1j * (final_pose[2] - path[-1, 2]))))),
         stop * run.sample_time,
         travelled / (stop * run.sample_time),
         position,
