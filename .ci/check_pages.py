@@ -1,6 +1,6 @@
-"""Open reports of earlier tests in Chromium: usage is `check_pages.py BASETEMP FOLDER...`.
+"""Open reports in Chromium: usage is `check_pages.py FOLDER...`; each folder contains a `report.html`.
 
-Each report is checked by `tests/bench/opened_report.py`. Reports of earlier tests are used because building them takes
+Each report is checked by `tests/bench/opened_report.py`. Reports of earlier steps are used because building them takes
 minutes.
 """
 
@@ -11,10 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "bench"))
 from opened_report import check_report
 
-base, *names = sys.argv[1:]
-for name in names:
-    pages = sorted(Path(base).glob(f"popen-gw*/{name}[0-9]*/**/report.html"))
-    if not pages:
-        sys.exit(f"{base}: no test wrote a report into a folder {name}")
-    check_report(pages[0])
-    print(f"{name}: its report is drawn")
+for folder in map(Path, sys.argv[1:]):
+    page = next(folder.rglob("report.html"), None)
+    if page is None:
+        sys.exit(f"{folder}: no earlier step wrote a report.html into this folder")
+    check_report(page)
+    print(f"{folder.name}: its report is drawn")
