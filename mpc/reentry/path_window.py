@@ -214,7 +214,9 @@ def path_speeds(
         (S, C, K) speeds [m/s].
     """
     k, lengths = np.abs(paths.curvature), paths.lengths
-    max_curvature = np.maximum(k[:, 1:], k[:, :-1])
+    # Curvature halfway, for a mean curvature by Simpson's rule: near a cusp it is larger than that of both nodes.
+    halfway = 1.5 * np.diff(paths.heading, axis=1) / lengths - 0.25 * (paths.curvature[:, 1:] + paths.curvature[:, :-1])
+    max_curvature = np.maximum(np.maximum(k[:, 1:], k[:, :-1]), np.abs(halfway))
     curvature_rate = np.abs(np.diff(paths.curvature, axis=1)) / lengths
     with np.errstate(divide="ignore", over="ignore"):
         # Bounds of the squared speed: |k| v <= omega_max, and |dk/ds| v^2 <= alpha_max at constant speed.

@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ideal_robot import PROMPT, IdealRobot
 
@@ -29,22 +29,22 @@ REFERENCES["back and forth"] = lay_segments(
 )
 REFERENCES["turning"] = lay_segments([Segment(v=0.0, omega=0.8, duration=9.0)], ROBOT, name="turning")
 
-angles, bends = st.floats(-np.pi, np.pi), st.floats(-2.0, 2.0)
+angles, curvatures = st.floats(-np.pi, np.pi), st.floats(-2.0, 2.0)
 ends = st.tuples(st.floats(0.3, 2.0), st.floats(-1.0, 1.0), angles)
 
 
-@given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), angles), bends, ends, bends)
+@given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), angles), curvatures, ends, curvatures)
 def test_quintic_path_meets_pose_and_curvature_at_both_ends(start, start_bend, shift, end_bend):
     start, end = np.array(start), np.array(start) + shift
     nodes = 4001
     path = quintic_paths(start[None], np.array([start_bend]), end[None], np.array([end_bend]), nodes)
-    for index, pose, bend in ((0, start, start_bend), (-1, end, end_bend)):
+    for index, pose, curvature in ((0, start, start_bend), (-1, end, end_bend)):
         assert path.points[0, index] == pytest.approx(pose[:2], abs=1e-9)
         assert wrap_angle(path.heading[0, index] - pose[2]) == pytest.approx(0.0, abs=1e-6)
-        assert path.curvature[0, index] == pytest.approx(bend, abs=1e-6)
+        assert path.curvature[0, index] == pytest.approx(curvature, abs=1e-6)
 
 
-@given(st.floats(-1.5, 1.5), bends, bends)
+@given(st.floats(-1.5, 1.5), curvatures, curvatures)
 def test_heading_curvature_and_length_match_the_points(angle, start_bend, end_bend):
     end = np.array([1.0, 0.4, angle])
     path = quintic_paths(np.zeros((1, 3)), np.array([start_bend]), end[None], np.array([end_bend]), 4001)
@@ -57,36 +57,36 @@ def test_heading_curvature_and_length_match_the_points(angle, start_bend, end_be
     assert np.abs(path.heading[0] - path.heading[0, 0] - turn).max() < 1e-3
 
 
-@given(ends, bends, st.floats(0.0, 0.6), st.floats(0.0, 0.6))
-def test_speeds_keep_every_limit_on_every_piece(end, bend, enter, leave):
+@given(ends, curvatures, st.floats(0.0, 0.6), st.floats(0.0, 0.6))
+def test_speeds_satisfy_every_limit_on_every_piece(end, bend, start_speed, end_speed):
     path = quintic_paths(np.zeros((1, 3)), np.array([bend]), np.array([end]), np.zeros(1), 33)
-    speed = path_speeds(path, np.array([enter]), np.array([leave]), LIMITS, np.ones(1), np.ones(1))[0, 0]
+    speed = path_speeds(path, np.array([start_speed]), np.array([end_speed]), LIMITS, np.ones(1), np.ones(1))[0, 0]
     k, ds = path.curvature[0], path.lengths[0]
-    slack = 1 + 1e-6
-    assert speed[0] <= enter
-    assert speed[-1] <= leave
-    assert speed.max() <= LIMITS.v * slack
-    assert np.abs(speed * k).max() <= LIMITS.omega * slack
+    tolerance = 1 + 1e-6
+    assert speed[0] <= start_speed
+    assert speed[-1] <= end_speed
+    assert speed.max() <= LIMITS.v * tolerance
+    assert np.abs(speed * k).max() <= LIMITS.omega * tolerance
     acceleration = np.diff(speed**2) / (2 * ds)
-    assert np.abs(acceleration).max() <= LIMITS.v_acceleration * slack
+    assert np.abs(acceleration).max() <= LIMITS.v_acceleration * tolerance
     # d(k v)/dt = dk/ds v^2 + k a at both ends of each piece.
     change = np.diff(k) / ds
     for piece_ends in (slice(None, -1), slice(1, None)):
-        yaw = np.abs(change) * speed[piece_ends] ** 2 + np.abs(k[piece_ends] * acceleration)
-        assert yaw.max() <= LIMITS.omega_acceleration * slack
+        yaw_acceleration = np.abs(change) * speed[piece_ends] ** 2 + np.abs(k[piece_ends] * acceleration)
+        assert yaw_acceleration.max() <= LIMITS.omega_acceleration * tolerance
     assert travel_times(path, speed[None])[0, -1] >= ds.sum() / LIMITS.v * (1 - 1e-6)
 
 
 def test_straight_line_from_rest_to_rest_takes_the_shortest_time():
     path = quintic_paths(np.zeros((1, 3)), np.zeros(1), np.array([[1.0, 0.0, 0.0]]), np.zeros(1), 401)
     speed = path_speeds(path, np.zeros(1), np.zeros(1), LIMITS, np.ones(1), np.ones(1))[0]
-    # A trapezoid: v / a to reach the speed and to leave it, over v^2 / a of distance; the rest at v.
+    # A trapezoid: acceleration and braking take v / a each and v^2 / a of distance together; the rest is driven at v.
     expected = LIMITS.v / 1.0 + 1.0 / LIMITS.v
     assert travel_times(path, speed)[0, -1] == pytest.approx(expected, rel=1e-2)
 
 
 @pytest.mark.parametrize("angle", [0.2, -1.0, 3.0])
-def test_turn_on_the_spot_keeps_limits_and_predicted_time(angle):
+def test_turn_on_the_spot_satisfies_limits_and_predicted_time(angle):
     line = MotionLine(np.array([1.0, 2.0, 0.5]))
     line.turn(angle, LIMITS)
     turn = line.trajectory("turn", 0.5 + angle)
@@ -133,28 +133,29 @@ random_offsets = st.tuples(
 )
 
 
+@example(("back and forth", 0.25, -0.835, -2.793, 0.596, 1.046))
 @settings(max_examples=150)
 @given(random_offsets)
-def test_return_path_connects_any_pose_to_the_reference(where):
-    pose, path, nearest = connect(*where)
+def test_return_path_connects_any_pose_to_the_reference(offset):
+    pose, path, nearest = connect(*offset)
     reference = path.reference
-    # The path starts at the robot, ...
+    # The path starts at the robot.
     first = path.sample([path.begins])
     assert first.pose[0, :2] == pytest.approx(pose[:2], abs=1e-9)
     assert wrap_angle(first.pose[0, 2] - pose[2]) == pytest.approx(0.0, abs=1e-6)
-    # ... has no jump, ...
+    # The path is continuous.
     times = np.arange(path.begins, path.joins + 0.3, 0.002)
     sample = path.sample(times)
     assert np.isfinite(sample.pose).all()
     assert np.hypot(*np.diff(sample.pose[:, :2], axis=0).T).max() < 0.0101 + 0.002
     assert np.abs(np.diff(sample.pose[:, 2])).max() < 0.01
     assert (np.diff(sample.arc_length) >= -1e-9).all()
-    # ... and ends on the reference ahead of the robot.
+    # The path ends on the reference ahead of the robot.
     assert path.joins >= nearest
     at_join = reference.sample([path.joins])
     assert path.sample([path.joins]).pose == pytest.approx(at_join.pose)
     last = path.connection.sample([path.connection.duration]).pose[0]
-    assert np.hypot(*(last - at_join.pose[0])[:2]) <= 0.0101  # within this distance it only turns
+    assert np.hypot(*(last - at_join.pose[0])[:2]) <= 0.0101  # within this distance the robot only turns
     assert last[2] == pytest.approx(at_join.pose[0, 2], abs=1e-6)
     # Splines may slightly exceed the limits between their nodes.
     assert np.abs(sample.twist[times < path.joins, 0]).max() <= LIMITS.v * 1.02
@@ -162,23 +163,23 @@ def test_return_path_connects_any_pose_to_the_reference(where):
     assert 0 < path.connection.duration < 12.0
 
 
-# The reference drives at cruise speed as far ahead as a return path may reach.
+# The reference has cruise speed over the maximum length of a return path.
 @settings(max_examples=60)
 @given(
     st.sampled_from([("circle", 4.0), ("circle", 7.5), ("s", 5.5), ("backwards", 2.0)]),
     st.floats(-0.3, 0.3),
     st.floats(-0.4, 0.4),
 )
-def test_return_path_to_a_moving_reference_keeps_course_and_joins_its_twist(where, across, turn):
-    name, time = where
+def test_return_path_to_a_moving_reference_has_its_twist_at_both_ends(case, across, turn):
+    name, time = case
     twist = REFERENCES[name].sample([time]).twist[0]
     _, path, _ = connect(name, time, across, turn, *twist)
-    # The return path begins with the robot's speed, reduced if its first bend is too tight, and ends with the speed and
+    # The return path starts at the robot's speed, reduced if its first curve is too tight, and ends with the speed and
     # curvature of the reference; a difference of 0.16 m/s is 0.08 s of command slew.
     start, end = path.connection.sample([0.0]), path.connection.sample([path.connection.duration])
     assert start.twist[0, 0] == pytest.approx(twist[0], abs=0.16)
     assert end.twist[0] == pytest.approx(REFERENCES[name].sample([path.joins]).twist[0], abs=0.1)
-    # Smooth: always forwards, without a stop.
+    # The robot never stops or reverses.
     times = np.linspace(0.0, path.connection.duration, 400)
     speeds = np.sign(twist[0]) * path.connection.sample(times).twist[:, 0]
     assert speeds.min() > 0.1
@@ -191,7 +192,7 @@ SLEW = np.array([2.0, 6.0]) * DT
 
 
 def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, held=None, move=None, base=None, slip=None, **overrides):
-    """Run the loop with a robot that starts `start` (across [m], turn [rad]) from the reference.
+    """Run the loop with a robot that starts at an offset `start` (across [m], turn [rad]) from the reference.
 
     `held` = (start, end): the robot does not move in this interval.
     `move(k, pose)` may return another pose. `base(command)` returns the twist that the wheels reach.
@@ -204,8 +205,8 @@ def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, held=None, move=No
     results, poses, times, applied = [], [], [], None
     for k in range(round(seconds / DT)):
         t = robot.time
-        if move is not None and (elsewhere := move(k, robot.pose)) is not None:
-            robot.poses = [elsewhere] * (robot.late + 1)
+        if move is not None and (new_pose := move(k, robot.pose)) is not None:
+            robot.poses = [new_pose] * (robot.late + 1)
         measurement = robot.measure()
         if applied is not None:
             measurement = replace(measurement, sent=applied)
@@ -229,16 +230,16 @@ def offset_pose(reference, time, across, turn):
     return pose + [-across * np.sin(pose[2]), across * np.cos(pose[2]), turn]
 
 
-def lateral(reference, results, poses, times):
-    """Return the signed distance from the path near the reference, positive to its left."""
-    fine = np.linspace(0.0, reference.duration, 6000)
-    path = reference.sample(fine).pose
+def lateral_errors(reference, results, poses, times):
+    """Return the signed distance of each pose from the path near the reference, positive to its left [m]."""
+    grid = np.linspace(0.0, reference.duration, 6000)
+    path = reference.sample(grid).pose
     offsets = []
     for result, pose, t in zip(results, poses, times, strict=True):
-        near = np.abs(fine - (t - result.reference_delay)) < 2.0
-        offset = pose[:2] - path[near, :2]
+        is_near = np.abs(grid - (t - result.reference_delay)) < 2.0
+        offset = pose[:2] - path[is_near, :2]
         nearest = int(np.argmin(np.hypot(*offset.T)))
-        heading = path[near][nearest, 2]
+        heading = path[is_near][nearest, 2]
         offsets.append(
             np.copysign(
                 np.hypot(*offset[nearest]), np.cos(heading) * offset[nearest, 1] - np.sin(heading) * offset[nearest, 0]
@@ -247,26 +248,26 @@ def lateral(reference, results, poses, times):
     return np.array(offsets)
 
 
-def return_time_and_overshoot(distance, times, since):
-    """Return the time [s] after `since` from which the robot stays in the band, and its overshoot after that."""
-    after = times >= since
-    outside = np.flatnonzero(after & (np.abs(distance) > BAND))
-    worst = np.flatnonzero(after)[np.argmax(np.abs(distance[after]))]
-    return times[outside[-1]] - since, float(np.max(-np.sign(distance[worst]) * distance[worst:]))
+def return_time_and_overshoot(distance, times, start):
+    """Return the time [s] from `start` until the robot stays in the band, and the overshoot after the maximum error."""
+    is_after = times >= start
+    outside_band = np.flatnonzero(is_after & (np.abs(distance) > BAND))
+    peak = np.flatnonzero(is_after)[np.argmax(np.abs(distance[is_after]))]
+    return times[outside_band[-1]] - start, float(np.max(-np.sign(distance[peak]) * distance[peak:]))
 
 
-def smooth(results):
+def satisfies_slew(results):
     return (np.abs(np.diff([r.command for r in results], axis=0)) <= SLEW + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
-def test_reentry_changes_no_bit_within_the_band(name):
+def test_reentry_does_not_change_commands_within_the_band(name):
     reference = load_trajectory(name)
-    with_it, poses, _ = drive(reference, 6.0, noise=1.0)
-    without, plain, _ = drive(reference, 6.0, noise=1.0, **{"reentry.enabled": False})
-    assert (poses == plain).all()
-    assert all((a.command == b.command).all() for a, b in zip(with_it, without, strict=True))
-    assert {(r.progress, r.reference_delay, r.message) for r in with_it} == {(1.0, 0.0, "")}
+    enabled, poses, _ = drive(reference, 6.0, noise=1.0)
+    disabled, disabled_poses, _ = drive(reference, 6.0, noise=1.0, **{"reentry.enabled": False})
+    assert (poses == disabled_poses).all()
+    assert all((a.command == b.command).all() for a, b in zip(enabled, disabled, strict=True))
+    assert {(r.progress, r.reference_delay, r.message) for r in enabled} == {(1.0, 0.0, "")}
 
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane", "backwards"])
@@ -274,14 +275,14 @@ def test_reentry_changes_no_bit_within_the_band(name):
 def test_robot_started_off_the_path_returns_in_time_without_overshoot(name, across, turn):
     reference = REFERENCES[name]
     results, poses, times = drive(reference, 6.0, start=(across, turn), noise=1.0)
-    distance = lateral(reference, results, poses, times)
-    back, over = return_time_and_overshoot(distance, times, 0.0)
-    assert back <= 3.0
-    assert over <= BAND
+    distance = lateral_errors(reference, results, poses, times)
+    return_time, overshoot = return_time_and_overshoot(distance, times, 0.0)
+    assert return_time <= 3.0
+    assert overshoot <= BAND
     assert {r.mode for r in results} == {Mode.TRACKING}
-    assert smooth(results)
+    assert satisfies_slew(results)
     assert np.mean([r.command[0] for r in results]) * reference.sample([1.0]).twist[0, 0] > 0.04
-    # The command stays little above the reference's own speed.
+    # The command exceeds the speed of the reference only slightly.
     assert np.max([abs(r.command[0]) for r in results]) < 0.5 * 1.25 + 0.15
     assert "outside the band" in results[0].message
     assert "rejoining" in results[0].message
@@ -294,11 +295,11 @@ def test_kidnapped_robot_turns_first_and_then_drives_back():
         return pose + [-0.8 * np.sin(pose[2]), 0.8 * np.cos(pose[2]), np.pi] if k == 200 else None
 
     results, poses, times = drive(reference, 13.0, move=kidnap)
-    distance = lateral(reference, results, poses, times)
+    distance = lateral_errors(reference, results, poses, times)
     sequence = [r.mode for k, r in enumerate(results) if k == 0 or r.mode != results[k - 1].mode]
     assert sequence == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     rejoining = [k for k, r in enumerate(results) if "rejoining" in r.message]
-    assert smooth(results[rejoining[0] :])
+    assert satisfies_slew(results[rejoining[0] :])
     # The robot does not drive while it faces away from the path.
     tangent = np.array([results[k].reference[-1, 2] for k in rejoining])
     facing_away = np.abs(wrap_angle(poses[rejoining, 2] - tangent)) > 0.6 * np.pi
@@ -311,15 +312,15 @@ def test_kidnapped_robot_turns_first_and_then_drives_back():
 def test_reference_waits_for_a_blocked_robot_and_command_stays_small():
     reference = load_trajectory("s")
     results, poses, times = drive(reference, 14.0, held=(5.0, 8.0))
-    within = (times > 6.5) & (times < 8.0)
+    is_blocked = (times > 6.5) & (times < 8.0)
     commands = np.array([r.command for r in results])
     delays = np.array([r.reference_delay for r in results])
-    assert (np.abs(commands[within]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
-    assert all("blocked for" in r.message for r, w in zip(results, within, strict=True) if w)
-    assert max(r.progress for r, w in zip(results, within, strict=True) if w) < 0.01
-    # After release the robot neither leaps nor leaves the path; the reference catches up within its rate.
+    assert (np.abs(commands[is_blocked]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
+    assert all("blocked for" in r.message for r, w in zip(results, is_blocked, strict=True) if w)
+    assert max(r.progress for r, w in zip(results, is_blocked, strict=True) if w) < 0.01
+    # After release the robot stays on the path without a jump; the reference catches up within its rate.
     assert 2.0 < delays.max() < 3.5
-    assert np.abs(lateral(reference, results, poses, times)[times > 8.0]).max() < BAND
+    assert np.abs(lateral_errors(reference, results, poses, times)[times > 8.0]).max() < BAND
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / DT
     assert speed[times[1:] > 8.0].max() < 1.0
     assert (np.diff(delays) >= -0.25 * DT - 1e-9).all()
@@ -329,7 +330,7 @@ def test_reference_waits_for_a_blocked_robot_and_command_stays_small():
 
 @pytest.mark.parametrize("slip", [Slip(turn_ahead=0.12), Slip(turn_ahead=-0.12), Slip(slide_x=0.12)])
 def test_displacement_by_a_turn_on_the_spot_does_not_start_reentry(slip):
-    """The robot turns about a point 12 cm off, or slides 12 cm per radian: it leaves the band and returns by itself."""
+    """The robot turns about a point 12 cm away or slides 12 cm per radian, and returns to the band without re-entry."""
     reference = load_trajectory("square")
     results, poses, times = drive(reference, reference.duration, slip=slip)
     distance = np.hypot(*(poses - reference.sample(times).pose)[:, :2].T)
@@ -347,59 +348,59 @@ def test_robot_too_far_from_the_reference_stops_and_reports_the_distance():
     assert "1.40 m from the reference; the limit is 1.0 m" in results[-1].message
 
 
-def wheels(max_speed=np.inf, share=(1.0, 1.0), until=np.inf, turning=False):
-    """Return a base whose right and left wheels do `share` of their command, at most `max_speed` [m/s].
+def wheels(max_speed=np.inf, share=(1.0, 1.0), end=np.inf, turning=False):
+    """Return a base whose right and left wheels reach `share` of their command, at most `max_speed` [m/s].
 
-    `max_speed` applies until `until` [s], and only during turns on the spot if `turning`.
+    `max_speed` applies until `end` [s], and only during turns on the spot if `turning`.
     """
     half_track, ticks = 0.5 * load_config("ssm").wheels.track, count()
 
     def base(command):
         v, omega = command
-        limit = max_speed if next(ticks) * DT < until and (abs(v) < 0.1 or not turning) else np.inf
+        limit = max_speed if next(ticks) * DT < end and (abs(v) < 0.1 or not turning) else np.inf
         right, left = np.clip([v + half_track * omega, v - half_track * omega] * np.array(share), -limit, limit)
         return np.array([right + left, (right - left) / (2 * half_track)]) / [2, 1]
 
     return base
 
 
-def off_the_path(reference, poses):
-    drawn = reference.sample(np.linspace(0, reference.duration, 5000)).pose[:, :2]
-    return max(np.hypot(*(drawn - pose[:2]).T).min() for pose in poses)
+def max_path_error(reference, poses):
+    path = reference.sample(np.linspace(0, reference.duration, 5000)).pose[:, :2]
+    return max(np.hypot(*(path - pose[:2]).T).min() for pose in poses)
 
 
-def slowed_by_wheels(results):
+def reports_slow_wheels(results):
     return np.array(["the wheels get no faster than" in result.message for result in results])
 
 
 @pytest.mark.parametrize("path", ["circle", "s", "slalom"])
-def test_robot_with_slow_wheels_stays_on_its_path_and_is_late(path):
+def test_robot_with_slow_wheels_stays_on_its_path_with_delay(path):
     """The outer wheel cannot follow: a higher command of v or omega would only straighten the curve."""
     reference = load_trajectory(path)
     results, poses, _ = drive(reference, 1.2 * reference.duration, base=wheels(max_speed=0.44))
-    assert off_the_path(reference, poses) < 0.06
+    assert max_path_error(reference, poses) < 0.06
     assert results[-1].reference_delay > 0.1 * reference.duration
-    assert slowed_by_wheels(results).any()
+    assert reports_slow_wheels(results).any()
     assert all(result.mode is Mode.TRACKING for result in results)
 
 
 def test_recovered_wheels_are_used_again_within_a_second():
-    results, _, times = drive(load_trajectory("circle"), 9.0, base=wheels(max_speed=0.44, until=6.0))
+    results, _, times = drive(load_trajectory("circle"), 9.0, base=wheels(max_speed=0.44, end=6.0))
     progress = np.array([result.progress for result in results])
     assert progress[(times > 2.0) & (times < 6.0)].mean() < 0.8
     # The controller tries higher speeds after 1 s, and the rate rises within 0.5 s.
     assert progress[times > 7.5].min() >= 1.0
 
 
-@pytest.mark.parametrize("watched", [True, False])
-def test_limit_of_a_turn_on_the_spot_ends_with_the_turn(watched):
+@pytest.mark.parametrize("monitored", [True, False])
+def test_speed_limit_of_a_turn_on_the_spot_ends_with_the_turn(monitored):
     reference = load_trajectory("square")
     base = wheels(max_speed=0.08, turning=True)
-    results, _, times = drive(reference, 13.0, base=base, **{"monitor.wheel_limits": watched})
-    # In the first turn the slow wheels look like a lower gain.
-    assert slowed_by_wheels(results).any() == watched
-    path = reference.sample(times - [result.reference_delay for result in results]).twist[:, 0]
-    leaves = times[(times > 9.0) & (path > 0.0)][0]
+    results, _, times = drive(reference, 13.0, base=base, **{"monitor.wheel_limits": monitored})
+    # In the first turn, slow wheels cannot be distinguished from a lower gain.
+    assert reports_slow_wheels(results).any() == monitored
+    path_speed = reference.sample(times - [result.reference_delay for result in results]).twist[:, 0]
+    leaves = times[(times > 9.0) & (path_speed > 0.0)][0]
     assert results[round((leaves + 1.0) / DT)].progress >= 1.0
 
 
@@ -407,7 +408,7 @@ def test_limit_of_a_turn_on_the_spot_ends_with_the_turn(watched):
 def test_weak_wheels_are_compensated_and_the_drive_finishes(share):
     reference = load_trajectory("circle")
     results, poses, _ = drive(reference, 1.5 * reference.duration + 8.0, base=wheels(share=share))
-    assert off_the_path(reference, poses) < 0.08
+    assert max_path_error(reference, poses) < 0.08
     assert results[-1].mode is Mode.FINISHED
 
 
