@@ -239,9 +239,12 @@ def _run_pytest(tree: Path, stage: str, library: Path | None, *, keep: bool) -> 
     sys.dont_write_bytecode = not keep
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
-    # The virtual environment may be inside the clone.
-    outside = [path for path in sys.path if "site-packages" in path or not Path(path).is_relative_to(ROOT)]
-    sys.path[:] = [str(tree / "src"), str(tree), *outside]
+    # Folders of the clone, such as those of the packages, become folders of the tree, except a virtual environment.
+    is_ours = [Path(path).is_relative_to(ROOT) and "site-packages" not in path for path in sys.path]
+    paths = [
+        str(tree / Path(path).relative_to(ROOT)) if ours else path for path, ours in zip(sys.path, is_ours, strict=True)
+    ]
+    sys.path[:] = [str(tree / "src"), str(tree), *paths]
     if library:
         core = import_module("diffdrive_mpc.mpc.core.library")
 
