@@ -77,6 +77,8 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "late wheel": _LATE,
     "tyre change": _yes("the robot would drive a curve for the command of a straight line"),
     "gyro drift": _yes("the heading would drift as much"),
+    "reading at rest": _yes("the pose estimate would drift until the controller has learned this reading"),
+    "uneven turns": _yes("the robot would turn differently to one side"),
     "curved command": _yes("the robot would follow small commands more slowly than predicted"),
     "scaled poses": _yes("lengths in the map differ from those on the ground"),
     "slipping wheels": _yes("on another surface the robot would drive much faster than predicted"),

@@ -15,6 +15,7 @@ from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settin
 from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_parts, check_turning, compare, relations
 from diffdrive_mpc.models.logs.diagnosis.commands import check_curve, check_echo, check_latch, check_rounding
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
+from diffdrive_mpc.models.logs.diagnosis.motions import check_motions, compare_sensors
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
@@ -60,7 +61,7 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     # Gains and shifts can be compared once signs and units are correct.
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
-    findings += check_turning(log, streams, settings)
+    findings += check_turning(log, streams, settings) or check_motions(log, streams, settings)
     findings += check_curve(log, streams, settings)
     findings += check_rounding(log, streams, settings)
     findings += check_ramps(log, streams, settings)
@@ -85,7 +86,7 @@ def compare_logs(logs: Sequence[Log]) -> list[Finding]:
 
 
 def summary(log: Log) -> list[str]:
-    """Summarise a log in lines of 78 columns: streams, times, commands, and responses of v and omega."""
+    """Summarise a log in lines of 78 columns: streams, times, commands, responses, and a comparison of the sensors."""
     settings = check_settings()
     records = log.records
     dt = records[0].dt
@@ -107,6 +108,8 @@ def summary(log: Log) -> list[str]:
         f"one sample every {dt:.4g} s",
         "commands": "; ".join(_command_summary(records, channel, settings) for channel in (0, 1)),
     } | {CHANNELS[channel]: _response_summary(streams, channel, settings) for channel in (0, 1)}
+    for entry in compare_sensors(streams, settings):
+        texts[entry.motion] = f"{texts[entry.motion]}; {entry}" if entry.motion in texts else str(entry)
     return [line for head, text in texts.items() for line in wrap(f"{head:10}{text}", 78, subsequent_indent=10 * " ")]
 
 
