@@ -60,7 +60,7 @@ SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")}
 }
 # Precedes the size of an array in its declaration: larger sizes have no effect, smaller sizes are undefined.
-_ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
+_ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) (?:\w+ = [\w.()]+, )*[^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 
 

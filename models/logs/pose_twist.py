@@ -10,8 +10,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
-# Minimum span of a difference [s]: shorter spans have more noise, longer spans blur the response to a command.
-_MIN_SPAN = 0.1
+# Minimum span of a difference [s]: shorter spans have more noise; in longer spans the robot does not drive an arc.
+_MIN_SPAN = 0.3
 
 
 def with_twist_of_poses(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -33,11 +33,13 @@ def _with_twist(record: Record) -> Record:
     min_span = max(2, int(np.ceil(_MIN_SPAN / record.dt - 1e-9)))
     max_span = 2 * max(min_span, 2 * int(np.median(steps)))
     twist, is_fresh = np.full((len(pose), 2), np.nan), np.zeros(len(pose), dtype=bool)
+    used_spans = []
     for index, first in enumerate(rows):
         spans = rows[index + 1 :][: max_span + 1] - first
         usable = spans[(spans >= min_span) & (spans % 2 == 0) & (spans <= max_span)]
         if len(usable):
             span = int(usable[0])
+            used_spans.append(span)
             middle = first + span // 2
             twist[middle], is_fresh[middle] = _mean_twist(pose[first], pose[first + span], span * record.dt), True
     known = np.flatnonzero(is_fresh)
@@ -46,7 +48,8 @@ def _with_twist(record: Record) -> Record:
     inside = np.arange(known[0], known[-1] + 1)
     for column in twist.T:
         column[inside] = np.interp(inside, known, column[known])
-    return replace(record, twist=twist, fresh_twist=is_fresh)
+    # Jittered poses have several spans; the fit assumes the usual one.
+    return replace(record, twist=twist, fresh_twist=is_fresh, twist_span=2 * round(0.5 * float(np.median(used_spans))))
 
 
 def _mean_twist(before: FloatArray, after: FloatArray, duration: float) -> tuple[float, float]:

@@ -68,6 +68,9 @@ class Record:
         (K, 4) motor currents front left, front right, rear left, rear right [A]; None unless all four are logged.
     fresh_twist, fresh_yaw_rate, fresh_pose
         (K,) True for samples with a reading of the encoders (twist and wheels), the gyro or the pose.
+    twist_span
+        Number of samples over which each reading of `twist` is a mean, half before and half after its sample; 0 for
+        readings of one instant.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class Record:
     fresh_twist: BoolArray | None = None
     fresh_yaw_rate: BoolArray | None = None
     fresh_pose: BoolArray | None = None
+    twist_span: int = 0
 
     def __post_init__(self) -> None:
         """Fill in missing masks and check all fields."""

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.ndimage import correlate1d
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
@@ -116,6 +117,8 @@ YawSource = Literal["gyro", "encoders", "poses"]
 def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
     """Pair commands (v_ref, omega_ref) with v of the encoders and omega of the gyro or of the encoders.
 
+    If the twist is a mean over `Record.twist_span` samples, the commands and the gyro are averaged over them, too.
+
     Raises
     ------
     ValueError
@@ -128,9 +131,20 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
             omega, fresh_omega = _signal(record, "yaw_rate")
         else:
             omega, fresh_omega = twist[:, 1], fresh_twist
+        inputs, span = record.command, record.twist_span
+        if span:
+            # The mean of the response to a command is the response to the mean of the command.
+            inputs, omega = _mean(inputs, span), omega if yaw == "poses" else _mean(omega, span)
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
-        experiments.append(SampledExperiment(record.name, record.dt, record.command, outputs, counts))
+        experiments.append(SampledExperiment(record.name, record.dt, inputs, outputs, counts))
     return _mark_consecutive(experiments, records)
+
+
+def _mean(values: FloatArray, span: int) -> FloatArray:
+    """Average values (K, ...) over `span` sample times, half before and half after each sample, by trapezoids."""
+    kernel = np.full(span + 1, 1.0 / span)
+    kernel[[0, -1]] *= 0.5
+    return np.asarray(correlate1d(values, kernel, axis=0, mode="nearest"))
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
