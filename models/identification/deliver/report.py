@@ -23,7 +23,6 @@ from diffdrive_mpc.models.identification.deliver.tables import (
     parameter_table,
     residual_table,
     score_table,
-    slip_table,
 )
 from diffdrive_mpc.models.identification.deliver.trust import Trust, judge
 from diffdrive_mpc.models.identification.fit.fitting import Fitted
@@ -159,8 +158,6 @@ class IdentificationReport:
         tables += self._parameter_tables
         if poses.parameters.names:
             tables.append(parameter_table("Parameters from poses", poses.parameters))
-        if poses.laws:
-            tables.append(slip_table(poses))
         if self.data.findings:
             tables.append(finding_table(self.data.findings))
         return tables

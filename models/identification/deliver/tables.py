@@ -111,19 +111,6 @@ def effect_table(base: IdentifiedBase) -> TextTable:
     )
 
 
-def slip_table(poses: PoseResults) -> TextTable:
-    """Tabulate slip laws with their errors over short windows."""
-    rows = [
-        (name, ", ".join(_format_values(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
-        for name, law in poses.laws
-    ]
-    columns = ("law", "coefficients", "ahead [m]", "to the left [m]", "heading [rad]", "windows")
-    note = (
-        "RMSE of the body's displacement over windows of one second, from wheel speeds and slip law, on training data."
-    )
-    return TextTable("Slip laws", columns, tuple(rows), text_columns=2, note=note)
-
-
 def finding_table(findings: Sequence[Finding]) -> TextTable:
     """Tabulate the findings in the logs."""
     rows = tuple(

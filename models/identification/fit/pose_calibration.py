@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -21,36 +21,12 @@ from diffdrive_mpc.models.output_error.doubts import uncertain_parameters
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
-from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
 _MIN_WINDOWS = 20
 _ROUNDS = 6
 # Window for the estimation of lags, as a share of the configured window; lags affect speed changes over a window.
 _LAG_WINDOW = 0.4
 _SHIFTS = 3
-
-
-class SlipLaw(Protocol):
-    """Interface of a slip law, which maps wheel rates to the body's twist."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names (q,) of the coefficients."""
-        ...
-
-    @property
-    def start(self) -> FloatArray:
-        """Coefficients (q,) of a robot without slip."""
-        ...
-
-    @property
-    def holds_lever_arm(self) -> bool:
-        """True if the coefficients include the lever arm of the pose point."""
-        ...
-
-    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute v [m/s], speed to the left [m/s] and yaw rate [rad/s] (..., 3) from wheel rates (..., 2) [rad/s]."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +44,6 @@ class ConstantTrack:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = ("wheel_radius", "track", "side_slip")
-    holds_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
@@ -76,61 +51,11 @@ class ConstantTrack:
         return np.array([self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute (..., 3) as in `SlipLaw`."""
+        """Compute v [m/s], speed to the left [m/s] and yaw rate [rad/s] (..., 3) from wheel rates (..., 2) [rad/s]."""
         radius, track, side_slip = coefficients
         v, difference = rim_speeds(radius, wheels)
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
-
-
-@dataclass(frozen=True)
-class GrowingTrack(ConstantTrack):
-    """Track that increases with the yaw rate, i = p1 |yaw rate| + p0, with side-slip as in `ConstantTrack`.
-
-    Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
-    """
-
-    names: tuple[str, ...] = ("wheel_radius", "p0", "p1", "side_slip")
-
-    @property
-    def start(self) -> FloatArray:
-        """Initial coefficients (4,)."""
-        return np.array([self.wheel_radius, self.track, 0.0, 0.0])
-
-    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute (..., 3) as in `SlipLaw`."""
-        radius, p0, p1, side_slip = coefficients
-        v, difference = rim_speeds(radius, wheels)
-        omega = virtual_track_yaw_rate(difference, p0, p1)
-        return twist_with_side_slip(v, omega, side_slip)
-
-
-@dataclass(frozen=True)
-class SlipPolynomial:
-    """Polynomial in v_c, w_c and v_c w_c for v, lateral speed and yaw rate; see `models.slip_laws.polynomial_twist`.
-
-    The polynomial describes the twist of the pose point, so that its lever arm is a part of a12 and a22.
-
-    Attributes
-    ----------
-    wheel_radius, track
-        Values for the computation of (v_c, w_c) [m]; the coefficients depend on them.
-    """
-
-    wheel_radius: float
-    track: float
-    names: tuple[str, ...] = POLYNOMIAL
-    holds_lever_arm: bool = True
-
-    @property
-    def start(self) -> FloatArray:
-        """Initial coefficients (9,)."""
-        return np.zeros(9)
-
-    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute (..., 3) as in `SlipLaw`."""
-        v, difference = rim_speeds(self.wheel_radius, wheels)
-        return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
 
 
 def twist_with_side_slip(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
@@ -215,7 +140,7 @@ class PoseCalibration:
     ----------
     parameters
         Coefficients. For wheels also lever_arm_ahead and lever_arm_left [m], the position of the pose point relative to
-        the rotation centre, unless the law includes them.
+        the rotation centre.
     rmse
         Root mean square error over one window: ahead [m], to the left [m], heading [rad]; for a gyro, of the mean yaw
         rate [rad/s].
@@ -231,7 +156,7 @@ class PoseCalibration:
     warnings: tuple[Doubt, ...]
 
 
-def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 0.0) -> PoseCalibration:
+def calibrate_wheels(records: Sequence[Record], law: ConstantTrack, pose_lag: float = 0.0) -> PoseCalibration:
     """Fit the coefficients of a slip law and the lever arm of the pose point.
 
     Parameters
@@ -252,17 +177,15 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     count = len(law.names)
 
     def errors(parameters: FloatArray) -> FloatArray:
-        lever_arm = np.zeros(2) if law.holds_lever_arm else parameters[count:]
         parts = []
         for part in windows:
-            predicted = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
+            predicted = displacement(law.twist(parameters[:count], part.signal), part.dt, parameters[count:])
             error = part.displacement - predicted
             error[:, 2] = wrap_angle(error[:, 2])
             parts.append(error)
         return np.concatenate(parts)
 
-    arm = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
-    return _solve(errors, np.append(law.start, np.zeros(len(arm))), (*law.names, *arm))
+    return _solve(errors, np.append(law.start, np.zeros(2)), (*law.names, "lever_arm_ahead", "lever_arm_left"))
 
 
 def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:

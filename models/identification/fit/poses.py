@@ -15,10 +15,7 @@ from diffdrive_mpc.models.identification.effects import IdentifiedBase
 from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
-    GrowingTrack,
     PoseCalibration,
-    SlipLaw,
-    SlipPolynomial,
     calibrate_gyro,
     calibrate_wheels,
 )
@@ -164,8 +161,6 @@ class PoseResults:
     ----------
     parameters
         Parameters of wheels and gyro, SI units; empty if the log has no poses.
-    laws
-        Names and calibrations of the compared slip laws.
     drift
         Open-loop pose error on the validation records by horizon.
     warnings
@@ -173,7 +168,6 @@ class PoseResults:
     """
 
     parameters: ParameterEstimate
-    laws: tuple[tuple[str, PoseCalibration], ...]
     drift: tuple[PoseDrift, ...]
     warnings: tuple[Doubt, ...]
 
@@ -206,7 +200,7 @@ class PosePoint(NamedTuple):
     """Delay of poses [s]."""
 
 
-NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), (), ())
+NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), ())
 
 
 def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
@@ -218,40 +212,34 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     if not train and not validation:
         return NO_POSES
     warnings: list[Doubt] = []
-    laws = _slip_laws(train, fitted.geometry, warnings)
+    wheels = _calibrate_wheels(train, fitted.geometry, warnings)
     if fitted.base and data.yaw == "gyro":
         pose_parameters = fitted.base.pose or NO_POSES.parameters
         return PoseResults(
-            pose_parameters, laws, _compute_drift(*_predict_with_base(data, fitted.base), warnings), tuple(warnings)
+            pose_parameters, _compute_drift(*_predict_with_base(data, fitted.base), warnings), tuple(warnings)
         )
     gyro = _calibrate_gyro(train, warnings) if data.yaw == "gyro" else None
-    calibrations = [("wheels", laws[0][1])] if laws else []
+    calibrations = [("wheels", wheels)] if wheels else []
     calibrations += [("gyro", gyro)] if gyro else []
     warnings += [doubt.about("poses") for _, calibration in calibrations for doubt in calibration.warnings]
     parts = [calibration.parameters for _, calibration in calibrations]
-    if parts and laws and fitted.geometry is None:
+    if wheels and fitted.geometry is None:
         parts[0] = _convert_to_gains(parts[0])
     parameters = join_estimates(parts) if parts else NO_POSES.parameters
-    drift = _compute_drift(*_predict_with_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
-    return PoseResults(parameters, laws, drift, tuple(warnings))
+    drift = _compute_drift(*_predict_with_model(data, fitted, wheels.parameters if wheels else None, gyro), warnings)
+    return PoseResults(parameters, drift, tuple(warnings))
 
 
-def _slip_laws(
+def _calibrate_wheels(
     train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[Doubt]
-) -> tuple[tuple[str, PoseCalibration], ...]:
-    """Calibrate the law with a constant track and, for a log with wheel speeds, the other laws."""
-    if not train:
-        return ()
+) -> PoseCalibration | None:
+    """Calibrate wheel radius, effective track and side-slip; without wheel speeds, those of unit wheels."""
     records = train if geometry else [_add_unit_wheels(record) for record in train]
-    size = geometry or _UNIT_WHEELS
-    candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*size)} | (
-        {"virtual track": GrowingTrack(*size), "slip polynomial": SlipPolynomial(*size)} if geometry else {}
-    )
     try:
-        return tuple((name, calibrate_wheels(records, law)) for name, law in candidates.items())
+        return calibrate_wheels(records, ConstantTrack(*(geometry or _UNIT_WHEELS))) if train else None
     except ValueError as error:
         warnings.append(Doubt("pose calibration", f"wheels are not calibrated from poses: {error}"))
-        return ()
+        return None
 
 
 def _calibrate_gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | None:

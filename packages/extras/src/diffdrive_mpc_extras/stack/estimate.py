@@ -187,7 +187,7 @@ class TwoRadii(ConstantTrack):
         return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Return the twist (..., 3) as in `SlipLaw`."""
+        """Return the twist (..., 3) as in `ConstantTrack`."""
         *radii, track, side_slip = coefficients
         v, difference = rim_speeds(1.0, wheels * np.array(radii))
         omega = difference / track
