@@ -103,7 +103,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "limit": _yes("stay below that limit"),
     "dead time": _yes("the robot may respond later than predicted"),
     "no dead time": _no("the sum of dead time and lag is correct"),
-    "told together": _no("together they predict the same"),
+    "inseparable": _no("together they predict the same"),
     "prior kept": _no("the log shows no sign of it"),
     "pose calibration": _no("the controller does not use it"),
     "effect": _yes("drive gently until another log determines it"),
@@ -132,12 +132,12 @@ class Doubt:
     ----------
     kind
         A key of `VERDICTS`.
-    words
+    message
         Description, a sentence without a full stop.
     """
 
     kind: str
-    words: str
+    message: str
 
     @property
     def verdict(self) -> DoubtRelevance:
@@ -146,11 +146,11 @@ class Doubt:
 
     def about(self, label: str) -> Doubt:
         """Return the doubt with `label`, the part of the model that it concerns, in front."""
-        return Doubt(self.kind, f"{label}: {self.words}")
+        return Doubt(self.kind, f"{label}: {self.message}")
 
     def __str__(self) -> str:
         """Format the doubt and its relevance in one line."""
-        return escaped(f"{self.words} ({self.verdict})")
+        return escaped(f"{self.message} ({self.verdict})")
 
 
 def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.models.logs.record import labelled
+from diffdrive_mpc.models.logs.record import format_labelled_findings
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import TextTable, plain_line
@@ -189,7 +189,7 @@ def _print_log(log: Log) -> None:
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for line in labelled(findings):
+    for line in format_labelled_findings(findings):
         _print_line(line)
 
 

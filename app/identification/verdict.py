@@ -337,4 +337,4 @@ def _run_drives(
             return TrialVerdict(identification, config, (), failure=f"the configuration is unusable: {error}")
     failed = trial_doubts(drives)
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    return TrialVerdict(identification, config, tuple(drives), failure=f"{failed[0].words}{more}" if failed else "")
+    return TrialVerdict(identification, config, tuple(drives), failure=f"{failed[0].message}{more}" if failed else "")

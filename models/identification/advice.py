@@ -29,7 +29,7 @@ from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.diagnosis.coherence import coherence
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.mapping import LogMapping
-from diffdrive_mpc.models.logs.mapping_changes import base_mapping, changed, mapping_text
+from diffdrive_mpc.models.logs.mapping_changes import apply_changes, base_mapping, format_mapping
 from diffdrive_mpc.models.logs.record import MappingChange, UnsoundLogError
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.validation import fit_percents, simulate_records
@@ -111,7 +111,7 @@ class Advice:
 
     def text(self) -> str:
         """Format the mapping as the text of a file."""
-        return mapping_text(self.mapping)
+        return format_mapping(self.mapping)
 
     def write(self, folder: Path) -> None:
         """Write the mapping file to `folder`; raise OSError on failure."""
@@ -257,7 +257,7 @@ class _Trial:
         """Read the logs with the changed mapping; return None if a change cannot be applied or a log cannot be read."""
         logs: list[Log] = []
         try:
-            mapping = changed(mapping, changes)
+            mapping = apply_changes(mapping, changes)
             for path in (*selection.logs, *selection.validate):
                 dt = logs[0].records[0].dt if logs else None
                 logs.append(read_log(path, mapping, dt, diagnosed=False))

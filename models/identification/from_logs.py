@@ -337,7 +337,7 @@ def identify_data(
         mapping_track=data.stated_track,
         keep_sample_time=predictor is not None,
         sensors=data.sensors,
-        notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
+        notes=tuple(finding.message for finding in data.findings if finding.kind == "no heading"),
     )
     if robot is not None:
         configuration = apply_stated_values(configuration, robot)

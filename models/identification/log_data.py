@@ -16,7 +16,7 @@ from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.pose_twist import with_twist_of_poses
-from diffdrive_mpc.models.logs.record import Topics, refuse
+from diffdrive_mpc.models.logs.record import Topics, raise_on_error
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
@@ -133,7 +133,7 @@ def read_data(
     def report_findings(findings: Sequence[Finding]) -> None:
         on_findings([finding for finding in findings if force or finding.severity != "error"])
         if not force:
-            refuse(findings)
+            raise_on_error(findings)
 
     all_logs = _read_logs((*logs, *validate), mapping, on_log or (lambda _: None), report_findings)
     records = [record for log in all_logs for record in log.records]

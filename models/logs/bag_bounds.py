@@ -33,7 +33,7 @@ class Budget:
             )
 
 
-def unpacked(path: Path, data: bytes | memoryview, compression: str, size: int | None = None) -> bytes | memoryview:
+def unpack(path: Path, data: bytes | memoryview, compression: str, size: int | None = None) -> bytes | memoryview:
     """Unpack `data` of a file, up to its declared size or `MAX_UNPACKED`.
 
     Parameters

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import open_input
-from diffdrive_mpc.models.logs.bag_bounds import Budget, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import Budget, unpack
 from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
 from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
@@ -83,7 +83,7 @@ class Bag:
             if time is not None and (topic, kind) in wanted:
                 content = bytes(data)
                 if self._is_packed:
-                    content = bytes(unpacked(self._path, content, "zstd"))
+                    content = bytes(unpack(self._path, content, "zstd"))
                     budget.take(len(content))
                 yield topic, time, content
 

@@ -124,7 +124,7 @@ class TopicRows:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Bag]:
+def open_bag(path: Path) -> Iterator[Bag]:
     """Open a rosbag2 by its folder or by one .mcap or .db3 file.
 
     Raises

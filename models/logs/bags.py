@@ -20,7 +20,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     TopicRows,
     connections_of,
     motor_readers,
-    opened,
+    open_bag,
     read_topics,
     require_topics,
 )
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.command_bursts import check_bursts, silences
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.imu_mount import imu_decoders
-from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
+from diffdrive_mpc.models.logs.long_logs import decimation_finding, most_excited_rows, required_stride, subset_finding
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     LogMapping,
@@ -38,9 +38,9 @@ from diffdrive_mpc.models.logs.mapping import (
     Topics,
     draft_command,
 )
-from diffdrive_mpc.models.logs.record import Finding, ranges
+from diffdrive_mpc.models.logs.record import Finding, format_ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
-from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
+from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap, usual_step
 
 _WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
 _DECODERS: dict[str, Decoders] = {
@@ -77,7 +77,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         If the bag is damaged, a topic is missing, empty or of another type, the stamps come from two clocks, or the
         command and the sensors have no time in common.
     """
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         recorded = {known.topic for known in reader.connections}
         topics = mapping.topics if mapping else Topics()
         if topics is None:
@@ -181,19 +181,19 @@ def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Fin
     if role == "command" or count < 2:
         return 1
     period = 1e-9 * reader.duration / count
-    stride = needed_stride(period, check_settings())
+    stride = required_stride(period, check_settings())
     if stride > 1:
-        findings.append(decimated(f"{path.name}, {topic.topic}", "message", stride, period))
+        findings.append(decimation_finding(f"{path.name}, {topic.topic}", "message", stride, period))
     return stride
 
 
 def _most_driven_parts(path: Path, stretch: RawStretch, findings: list[Finding]) -> tuple[RawStretch, ...]:
     """Reduce a bag with too many commands to the parts with the largest changes of commands."""
-    command, max_rows = stretch.command, check_settings().most_rows
+    command, max_rows = stretch.command, check_settings().max_rows
     if len(command.time) <= max_rows:
         return (stretch,)
-    rows = most_driven(list(command.value.T), max_rows)
-    findings.append(subset(path.name, "commands", len(rows), len(command.time)))
+    rows = most_excited_rows(list(command.value.T), max_rows)
+    findings.append(subset_finding(path.name, "commands", len(rows), len(command.time)))
     spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return tuple(stretch.between(command.time[span[0]], command.time[span[-1]]) for span in spans)
 
@@ -224,15 +224,15 @@ def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: lis
 def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
     """Build the signal of one topic in order of time, without invalid or out-of-order messages."""
     prefix = f"{path.name}, {rows.topic}, message "
-    finite = (np.abs(rows.value) < ABSURD).all(axis=1)
-    ordered = increasing(time)
+    finite = (np.abs(rows.value) < MAX_VALUE).all(axis=1)
+    ordered = is_increasing(time)
     for is_good, kind, reason in (
         (finite, "NaN rows", "messages are not finite"),
         (ordered, "time backwards", "messages are not later than an earlier message"),
     ):
         if not is_good.all():
             message = f"{(~is_good).sum()} {reason} and are left out"
-            place = prefix + ranges(rows.stride * np.flatnonzero(~is_good) + 1)
+            place = prefix + format_ranges(rows.stride * np.flatnonzero(~is_good) + 1)
             findings.append(Finding(kind, "warning", place, message))
     keep = finite & ordered
     value = rows.value[keep]
@@ -241,7 +241,7 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
         remedy = f"check the joints {', '.join(joints)}" if joints else "leave it out of the mapping"
         raise ConfigError(f"{path}: topic '{rows.topic}' holds no usable number; {remedy}")
     if role == "pose":
-        value = unwrapped(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
+        value = unwrap(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
     elif role in _SIDES:
         assert isinstance(topic, MotorTopic)
         value = topic.sign * FACTORS[topic.unit] * value

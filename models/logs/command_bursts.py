@@ -35,9 +35,9 @@ class Silences(NamedTuple):
 def silences(command: Signal, settings: CheckSettings) -> Silences | None:
     """Return the silences of commands in bursts; None for steady commands with rare pauses."""
     steps = np.diff(command.time)
-    indices = np.flatnonzero(steps > settings.longest_step(usual_step([command.time])))
+    indices = np.flatnonzero(steps > settings.max_step(usual_step([command.time])))
     share = float(steps[indices].sum() / steps.sum()) if len(steps) else 0.0
-    if len(indices) < settings.fewest_silences or share < settings.silent_share:
+    if len(indices) < settings.min_silences or share < settings.silent_share:
         return None
     return Silences(command.time[indices], command.time[indices + 1], command.value[indices])
 
@@ -75,4 +75,4 @@ def _continues(silence: Silences, measured: Mapping[str, Signal], settings: Chec
         scale = np.maximum(np.abs(silence.command[:, channels]).max(axis=0), np.finfo(float).tiny)
         response += float((signal.value[is_late] * last / scale**2).sum())
         commanded += float(((last / scale) ** 2).sum())
-    return commanded > 0.0 and response > settings.silent_answer * commanded
+    return commanded > 0.0 and response > settings.silent_response * commanded

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
 from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
-from diffdrive_mpc.models.logs.long_logs import chosen_rows
+from diffdrive_mpc.models.logs.long_logs import reduce_table
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     FOUR_WHEELS,
@@ -30,13 +30,13 @@ from diffdrive_mpc.models.logs.mapping import (
     draft_command,
     load_mapping,
 )
-from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges, refuse
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
-from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
+from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
-OWN_FORMAT = "simulate"
+SIMULATION_MAPPING = "simulate"
 """Mapping of logs written by `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
@@ -64,7 +64,7 @@ class RowSignal:
     def signal(self, rows: Rows) -> Signal:
         """Return the readings in `rows`, which must be in order of time."""
         rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
-        rows = rows[increasing(self.time[rows])]
+        rows = rows[is_increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
         if self.counts:
             # A difference of counts yields the mean speed of the interval, valid at its centre.
@@ -98,7 +98,7 @@ class RowReader:
                 "out of the mapping"
             )
         # Squares of larger values would overflow.
-        values = np.where(np.abs(values) < ABSURD, values, np.nan)
+        values = np.where(np.abs(values) < MAX_VALUE, values, np.nan)
         bad = np.isnan(values) & ~empty
         if bad.all():
             raise ConfigError(
@@ -106,7 +106,7 @@ class RowReader:
                 "column, or leave it out of the mapping"
             )
         if bad.any():
-            place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
+            place = f"{self.table.path.name}, line {format_ranges(self.table.lines[bad])}"
             message = f"column '{column.column}' is not finite in {bad.sum()} rows; these rows are left out"
             self.findings.append(Finding("NaN rows", "warning", place, message))
         return column.sign * self._factor(column) * values, bad
@@ -216,7 +216,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
         Parameters of the wheels from the mapping; None if it has none.
     """
     settings, path = check_settings(), whole.path
-    table, findings = chosen_rows(whole, columns, settings)
+    table, findings = reduce_table(whole, columns, settings)
     findings = [*table.findings, *findings]
     del whole
     reader = RowReader(table, wheels)
@@ -232,14 +232,14 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     # Any measured signal serves: its smoothness shows the true order of the rows.
     reference = next(iter(measured.values())).value[is_timed, -1]
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
-        refuse([finding])
+        raise_on_error([finding])
     stretches = []
     for rows in _split_stretches(table, columns, time, is_invalid, findings):
         signal = command.signal(rows)
         if len(signal.time):
             parts = {field: row_signal.signal(rows) for field, row_signal in measured.items()}
             if "pose" in parts:
-                parts["pose"] = Signal(parts["pose"].time, unwrapped(parts["pose"].value))
+                parts["pose"] = Signal(parts["pose"].time, unwrap(parts["pose"].value))
             sides = None if wheel_command is None else wheel_command.signal(rows)
             stretches.append(RawStretch(time[rows], signal, parts, sides))
     if not stretches:
@@ -248,7 +248,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
 
 
 def _own_mapping(path: Path) -> LogMapping:
-    mapping, header = load_mapping(OWN_FORMAT), read_header(path)
+    mapping, header = load_mapping(SIMULATION_MAPPING), read_header(path)
     assert mapping.columns is not None
     if header and not mapping.columns.found_in(header).names() <= set(header):
         remedy = f"Give a mapping file, {draft_command(path)}"
@@ -349,14 +349,14 @@ def _split_stretches(
     """Split the rows into parts of one segment with increasing times and finite commands."""
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
-        lines = ranges(table.lines[np.isnan(time)])
+        lines = format_ranges(table.lines[np.isnan(time)])
         findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time and is left out"))
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
     repeated = rows[1:][steps == 0]
     if len(repeated):
         message = f"{len(repeated)} rows have the time of the row before; the last row of each time is used"
-        findings.append(Finding("time stands still", "warning", where + ranges(table.lines[repeated]), message))
+        findings.append(Finding("time stands still", "warning", where + format_ranges(table.lines[repeated]), message))
     is_cut = steps < 0
     for row, step in zip(rows[1:][is_cut], steps[is_cut], strict=True):
         message = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch starts"

@@ -31,7 +31,7 @@ _GROWTH = 8
 """Divisor of the size by which the array grows at a time, so that it is rarely copied."""
 
 
-class Growing(Generic[_Scalar]):
+class GrowingArray(Generic[_Scalar]):
     """Growing array of values of one type.
 
     Parameters
@@ -190,7 +190,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         If the file cannot be read or is empty, a column name occurs twice, or a line has too few or too many cells.
         A truncated last line is left out, with a finding.
     """
-    lines: Growing[np.int64] = Growing(np.int64)
+    lines: GrowingArray[np.int64] = GrowingArray(np.int64)
     words: dict[str, float] = {}
     findings: list[Finding] = []
     with open_csv(path) as file:
@@ -200,8 +200,8 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         if count > 1:
             raise ConfigError(f"{path}: column '{duplicate}' occurs twice; rename one")
         wanted = list(dict.fromkeys(name for name in header if name in names))
-        values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
-        missing: dict[str, Growing[np.bool_]] = {}
+        values: dict[str, GrowingArray[np.float64]] = {name: GrowingArray(np.float64) for name in wanted}
+        missing: dict[str, GrowingArray[np.bool_]] = {}
         line = layout.first_row
         try:
             for text, last in _blocks(path, file):
@@ -214,7 +214,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
                 for name in wanted:
                     values[name].extend(parsed_cells[name])
                     if name in empty or name in missing:
-                        missing.setdefault(name, Growing(np.bool_, len(lines))).extend(
+                        missing.setdefault(name, GrowingArray(np.bool_, len(lines))).extend(
                             empty.get(name, np.zeros(len(numbers), dtype=bool))
                         )
                 lines.extend(line + numbers)

@@ -15,7 +15,7 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, opened
+from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, open_bag
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
@@ -363,7 +363,7 @@ _TYPES = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES, 
 
 def _draft_from_bag(log: Path) -> list[str]:
     counts: Counter[tuple[str, str]] = Counter()
-    with opened(log) as reader:
+    with open_bag(log) as reader:
         for connection in reader.connections:
             counts[connection.topic, connection.msgtype] += connection.msgcount
     lines, used = ["topics:"], set()

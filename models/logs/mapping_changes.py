@@ -11,9 +11,8 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.logs.bags import is_bag
-from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
-from diffdrive_mpc.models.logs.drive_log.reader import OWN_FORMAT as DRIVE_FORMAT
-from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
+from diffdrive_mpc.models.logs.csv_log import SIMULATION_MAPPING
+from diffdrive_mpc.models.logs.drive_log.reader import DRIVE_MAPPING, is_drive_log
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
 from diffdrive_mpc.models.logs.record import MappingChange
 
@@ -30,12 +29,12 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
     if mapping is not None:
         return load_mapping(mapping)
     if is_drive_log(path):
-        return load_mapping(DRIVE_FORMAT)
+        return load_mapping(DRIVE_MAPPING)
     if not is_bag(path):
-        return load_mapping(OWN_FORMAT)
-    from diffdrive_mpc.models.logs.bag_topics import opened  # noqa: PLC0415 - only bags need it
+        return load_mapping(SIMULATION_MAPPING)
+    from diffdrive_mpc.models.logs.bag_topics import open_bag  # noqa: PLC0415 - only bags need it
 
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         return LogMapping(topics=Topics().named({known.topic for known in reader.connections}))
 
 
@@ -47,7 +46,7 @@ def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]
     )
 
 
-def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
+def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Return the mapping with all changes applied.
 
     Signs are inverted and delays added, so a finding does not need the current values. For wheels, v is inverted by the
@@ -64,7 +63,7 @@ def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping
     return check(LogMapping, data, "changed mapping")
 
 
-def mapping_text(mapping: LogMapping) -> str:
+def format_mapping(mapping: LogMapping) -> str:
     """Format a mapping as YAML with absolute paths."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     if definitions := data.get("topics", {}).get("definitions"):

@@ -14,7 +14,7 @@ from zlib import crc32
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import MEGABYTE, open_input
-from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, Budget, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, Budget, unpack
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
@@ -153,7 +153,7 @@ def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
     data = record[40 + name :]
     if len(data) != packed:
         raise ValueError(f"a chunk declares {packed:,} bytes and has {len(data):,}")
-    content = unpacked(path, data, compression, size)
+    content = unpack(path, data, compression, size)
     # Records that are not compressed cannot exceed the size of the file.
     budget.take(len(content) if compression else 0)
     if checksum and crc32(content) != checksum:

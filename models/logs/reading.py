@@ -24,9 +24,9 @@ from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.headings import with_headings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import to_topic_keys
-from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
+from diffdrive_mpc.models.logs.record import Finding, Log, Record, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
-from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
+from diffdrive_mpc.models.logs.sampling import RawLog, resample, split_at_pauses, usual_step
 
 
 def read_log(
@@ -77,8 +77,8 @@ def read_log(
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
     # Sampling with a wrong unit of time would be pointless, so this error ends the reading.
     if finding := check_period(raw.name, period, settings):
-        refuse([finding])
-    longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
+        raise_on_error([finding])
+    longest_step = (loaded.gap if loaded else None) or settings.max_step(period)
     records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
     source = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
     unused = [Finding("unused value", "note", source, message) for message in (loaded.unused() if loaded else ())]
@@ -115,33 +115,33 @@ def _records(
     """Build records of stretches of sufficient length, with findings about gaps and shorter stretches."""
     records: list[Record] = []
     findings: list[Finding] = []
-    max_count, end, remaining = 0, np.inf, settings.most_samples
+    max_count, end, remaining = 0, np.inf, settings.max_samples
     for stretch in raw.stretches:
-        for first, last in pieces(stretch, longest_step, times):
+        for first, last in split_at_pauses(stretch, longest_step, times):
             if not times and first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
-            remaining -= int(min((last - first) / dt + 1, 2 * settings.most_samples))
+            remaining -= int(min((last - first) / dt + 1, 2 * settings.max_samples))
             if remaining < 0:
                 raise ConfigError(
                     f"{raw.name}, {first:.1f} to {last:.1f} s: sampled every {dt:.3g} s, the log is more than "
-                    f"{settings.most_samples:,} samples; give a shorter 'gap' in the mapping "
+                    f"{settings.max_samples:,} samples; give a shorter 'gap' in the mapping "
                     f"(now {longest_step:.3g} s), other 'times', or a longer sample time"
                 )
             record = resample(raw.name, stretch, first, last, dt, settings)
             count = 0 if record is None else len(record.command)
             max_count = max(max_count, count)
-            if record is not None and count >= settings.fewest_samples:
+            if record is not None and count >= settings.min_samples:
                 records.append(record)
             else:
-                words = f"{count} samples, fewer than {settings.fewest_samples}; the stretch is left out"
+                message = f"{count} samples, fewer than {settings.min_samples}; the stretch is left out"
                 place = f"{raw.name}, {first:.1f} to {last:.1f} s"
-                findings.append(Finding("short stretch", "note", place, words, (first, last)))
+                findings.append(Finding("short stretch", "note", place, message, (first, last)))
     if not records:
-        bursts = [finding.words for finding in raw.findings if finding.kind == "silent commands"]
+        bursts = [finding.message for finding in raw.findings if finding.kind == "silent commands"]
         silent = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
         raise ConfigError(
-            f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
+            f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.min_samples} are needed; "
             f"record for longer, or give a longer 'gap' in the mapping (now {longest_step:.3g} s){silent}"
         )
     return records, findings

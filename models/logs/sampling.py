@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record, Topics
 
-ABSURD = 1e20
+MAX_VALUE = 1e20
 """Limit of plausible readings in any unit, tick counts included; the square of much larger values overflows."""
 
 
@@ -97,12 +97,12 @@ class RawLog:
     topics: Topics = field(default_factory=dict)
 
 
-def unwrapped(pose: FloatArray) -> FloatArray:
+def unwrap(pose: FloatArray) -> FloatArray:
     """Unwrap the third column [rad] of poses (n, 3), or (n, 2) without headings."""
     return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2:], axis=0)])
 
 
-def increasing(time: FloatArray) -> BoolArray:
+def is_increasing(time: FloatArray) -> BoolArray:
     """Mark times (n,) that are later than all times before them."""
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
     return np.asarray(time > before)
@@ -180,7 +180,7 @@ def sample(
     return values, fresh & np.isfinite(values).all(axis=1)
 
 
-def pieces(
+def split_at_pauses(
     stretch: RawStretch, longest_step: float, times: Sequence[tuple[float, float]] = ()
 ) -> Iterator[tuple[float, float]]:
     """Yield start and end [s] of the parts of a stretch between long pauses, within `times` [s]."""
@@ -214,7 +214,7 @@ def resample(
     if stretch.wheel_commands is not None:
         sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, dt, tolerance)
     for key, signal in stretch.measured.items():
-        max_gap = settings.longest_step(usual_step([signal.time]))
+        max_gap = settings.max_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, max_gap)
         if key == "pose" and values.shape[1] == len("xy"):

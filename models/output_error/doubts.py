@@ -111,7 +111,7 @@ def poorly_determined(fit: OutputErrorFit, label: str) -> list[Doubt]:
     if condition < estimator_settings().warn.condition:
         return []
     message = f"condition number {condition:.1e}: some parameters cannot be identified separately; lower the order"
-    return [Doubt("told together", message).about(label)]
+    return [Doubt("inseparable", message).about(label)]
 
 
 def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:

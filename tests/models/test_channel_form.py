@@ -139,6 +139,8 @@ def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
     noisy = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))
-    doubts = [doubt for doubt in identify_sm([noisy], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.words]
+    doubts = [
+        doubt for doubt in identify_sm([noisy], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.message
+    ]
     assert doubts
-    assert not [doubt for doubt in doubts if "zero = " in doubt.words]
+    assert not [doubt for doubt in doubts if "zero = " in doubt.message]

@@ -21,8 +21,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.logs import read_log, sqlite_file
-from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpacked
-from diffdrive_mpc.models.logs.bag_topics import opened
+from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpack
+from diffdrive_mpc.models.logs.bag_topics import open_bag
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
 from refusals import one_line_error
@@ -367,7 +367,7 @@ def test_overlapping_chunks_are_not_all_in_memory(tmp_path: Path) -> None:
 def test_chunk_that_is_indexed_repeatedly_is_read_once(tmp_path: Path) -> None:
     content = mcap_message(b"")
     chunk = mcap_chunk(zstandard.ZstdCompressor().compress(content), "zstd", len(content))
-    with opened(_write_indexed(tmp_path / "again.mcap", [chunk], repeats=3)) as reader:
+    with open_bag(_write_indexed(tmp_path / "again.mcap", [chunk], repeats=3)) as reader:
         assert reader.connections == [("/cmd_vel", "geometry_msgs/msg/Twist", 1)]
 
 
@@ -395,12 +395,12 @@ def test_unpacked_data_equal_the_original_data() -> None:
     data = os.urandom(1000) * 3
     frames = zstandard.ZstdCompressor().compress(data[:1000]) + zstandard.ZstdCompressor().compress(data[1000:])
     for packed, compression in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
-        assert unpacked(Path("x"), packed, compression, len(data)) == data
+        assert unpack(Path("x"), packed, compression, len(data)) == data
         for size in (len(data) - 1, len(data) + 1):
             with pytest.raises(ConfigError, match="declared"):
-                unpacked(Path("x"), packed, compression, size)
+                unpack(Path("x"), packed, compression, size)
     with pytest.raises(ConfigError, match="compression 'rar' is not supported"):
-        unpacked(Path("x"), data, "rar")
+        unpack(Path("x"), data, "rar")
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3", "pipe.bag", "bag/metadata.yaml", "bag/bag.mcap"])

@@ -32,7 +32,7 @@ from diffdrive_mpc.models.identification.fit.slip import SlipPrior
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.record import Finding, counted
+from diffdrive_mpc.models.logs.record import Finding, format_findings
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.stated_robot import MakersRobot
 from diffdrive_mpc.models.table import TextTable, plain_line, plain_text
@@ -92,7 +92,7 @@ class IdentificationReport:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user, one line each: findings in the logs and `doubts` about the model."""
-        return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
+        return tuple(dict.fromkeys([*format_findings(self._findings), *lines(self.doubts)]))
 
     @property
     def _parameter_tables(self) -> list[TextTable]:

@@ -127,7 +127,7 @@ def slip_table(poses: PoseResults) -> TextTable:
 def finding_table(findings: Sequence[Finding]) -> TextTable:
     """Tabulate the findings in the logs."""
     rows = tuple(
-        (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
+        (finding.severity, finding.kind, finding.place, finding.message, str(finding.verdict or ""))
         for finding in findings
     )
     return TextTable(

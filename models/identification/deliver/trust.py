@@ -76,7 +76,7 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
 def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
     """List the reasons, one clause each, for which no controller should use the model."""
     limits = identification_settings().warn
-    reasons = [finding.words for finding in findings if finding.severity == "error"]
+    reasons = [finding.message for finding in findings if finding.severity == "error"]
     fit = fitted.validation.fit_percent
     if not min(fit) >= limits.refused_fit:
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))

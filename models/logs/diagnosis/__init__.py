@@ -70,7 +70,7 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
 def _is_long_enough(streams: Streams, settings: CheckSettings) -> bool:
     """Return True if the commands cover enough time to distinguish responses from chance."""
     samples = int(np.isfinite(streams.command[:, 0]).sum())
-    return samples * streams.dt >= settings.shortest_drive
+    return samples * streams.dt >= settings.min_duration
 
 
 def compare_logs(logs: Sequence[Log]) -> list[Finding]:

@@ -78,16 +78,16 @@ def _gains_by_part(
     both = np.column_stack([u, streams.time])
     left, right = finite_pairs(both, y, shift)
     u, time, y = left[:, 0], left[:, 1], right
-    if len(u) < 2 * settings.parts or u @ u == 0:
+    if len(u) < 2 * settings.part_count or u @ u == 0:
         return np.empty(0), np.empty(0)
     u, y = u - u.mean(), y - y.mean()
     # Parts of equal excitation instead of equal time, so that their gains are equally certain.
     energy = np.cumsum(u**2) / (u @ u)
-    edges = np.searchsorted(energy, np.linspace(0, 1, settings.parts + 1)[1:-1])
+    edges = np.searchsorted(energy, np.linspace(0, 1, settings.part_count + 1)[1:-1])
     gains, times = [], []
     for part in np.split(np.arange(len(u)), edges):
         # A part with an almost constant stream does not determine a gain.
-        if len(part) > 2 and np.var(u[part]) > settings.least_part_change * np.var(u):
+        if len(part) > 2 and np.var(u[part]) > settings.min_part_variance * np.var(u):
             slope = np.cov(u[part], y[part])[0, 1] / np.var(u[part], ddof=1)
             if slope > 0:
                 gains.append(slope)
@@ -98,9 +98,9 @@ def _gains_by_part(
 def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: the magnitude of a stream changes implausibly within the log."""
     known = np.flatnonzero(np.isfinite(streams.time))
-    parts = np.array_split(known, settings.parts)
+    parts = np.array_split(known, settings.part_count)
     times = np.array([streams.time[part[0]] for part in parts if len(part)])
-    if len(times) < settings.parts:
+    if len(times) < settings.part_count:
         return []
     pairs = []
     for channel in (0, 1):
@@ -111,7 +111,7 @@ def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         for first, second in combinations(sizes, 2):
             a, b = sizes[first], sizes[second]
             is_moving = (a > 0) & (b > 0)
-            if is_moving.sum() > settings.parts // 2:
+            if is_moving.sum() > settings.part_count // 2:
                 # If both magnitudes are small, the robot is at rest.
                 is_moving &= (a > 0.3 * np.median(a[is_moving])) | (b > 0.3 * np.median(b[is_moving]))
                 pairs.append(Relation(first, second, channel, b[is_moving] / a[is_moving], times[is_moving], np.nan))
@@ -135,7 +135,7 @@ def _drift_finding(log: str, pairs: Sequence[Relation], settings: CheckSettings)
     """Return the finding if the gain of a command increases or decreases over the whole log."""
     drifts = []
     for relation in pairs:
-        if relation.first != COMMAND or relation.second == POSE or len(relation.gains) < settings.parts // 2:
+        if relation.first != COMMAND or relation.second == POSE or len(relation.gains) < settings.part_count // 2:
             continue
         gains, times = np.log(relation.gains), relation.times
         slope, threshold = _trend(gains, times, settings)
@@ -163,17 +163,17 @@ def check_turning(log: str, streams: Streams, settings: CheckSettings) -> list[F
     bodies = [name for name in (GYRO, POSE) if name in streams.sensors(1)]
     if ENCODERS not in streams.sensors(1) or not bodies:
         return []
-    parts = np.array_split(np.flatnonzero(np.isfinite(streams.time)), settings.parts)
+    parts = np.array_split(np.flatnonzero(np.isfinite(streams.time)), settings.part_count)
     v, yaw_rate = (streams.smooth(np.asarray(streams.channel(ENCODERS, channel))) for channel in (0, 1))
     body = np.asarray(streams.channel(bodies[0], 1))
     body = body if bodies[0] == POSE else streams.smooth(body)
     rows = np.column_stack([yaw_rate, v, np.ones(len(v)), body])
     part_rows = [rows[part][np.isfinite(rows[part]).all(axis=1)] for part in parts]
-    if any(len(part) < settings.fewest_samples or not np.ptp(part[:, :2], axis=0).all() for part in part_rows):
+    if any(len(part) < settings.min_samples or not np.ptp(part[:, :2], axis=0).all() for part in part_rows):
         return []
     coefficients = np.array([np.linalg.lstsq(part[:, :3], part[:, 3], rcond=None)[0] for part in part_rows])
     times = np.array([streams.time[part[0]] for part in parts])
-    change = _detect_change(coefficients[:, 1], settings.certain)
+    change = _detect_change(coefficients[:, 1], settings.significance)
     effect = np.sqrt(np.nanmean(v**2) / max(float(np.nanmean((coefficients[:, 0].mean() * yaw_rate) ** 2)), 1e-12))
     if change and abs(change[1]) > max(change[2], settings.tyre_change / effect):
         index, size, _ = change
@@ -209,7 +209,7 @@ def _trend(values: FloatArray, times: FloatArray, settings: CheckSettings) -> tu
     coefficients = np.linalg.lstsq(rows, values, rcond=None)[0]
     residual, freedom = values - rows @ coefficients, len(values) - 2
     deviation = float(np.sqrt(residual @ residual / freedom / (rows[:, 1] @ rows[:, 1])))
-    return float(coefficients[1]), deviation * float(-special.stdtrit(freedom, special.ndtr(-settings.certain)))
+    return float(coefficients[1]), deviation * float(-special.stdtrit(freedom, special.ndtr(-settings.significance)))
 
 
 def _scale_finding(log: str, pairs: Sequence[Relation], min_ratio: float, settings: CheckSettings) -> list[Finding]:
@@ -217,7 +217,7 @@ def _scale_finding(log: str, pairs: Sequence[Relation], min_ratio: float, settin
     changes: list[tuple[Relation, int, float]] = []
     steady: list[Relation] = []
     for relation in pairs:
-        change = _detect_change(np.log(relation.gains), settings.certain)
+        change = _detect_change(np.log(relation.gains), settings.significance)
         if change and abs(change[1]) > max(np.log(min_ratio), change[2]):
             changes.append((relation, change[0], change[1]))
         else:
@@ -294,8 +294,8 @@ def compare(
         difference = float(high.mean() - low.mean())
         deviation = float(np.hypot(*(part.std() / np.sqrt(len(part)) for part in (low, high))))
         delay = abs(a.response - b.response)
-        gain_differs = abs(difference) > max(np.log(settings.same_gain), settings.certain * deviation)
-        if not gain_differs and not delay > settings.same_response:
+        gain_differs = abs(difference) > max(np.log(settings.gain_tolerance), settings.significance * deviation)
+        if not gain_differs and not delay > settings.response_tolerance:
             continue
         means = [float(np.exp(part.mean())) for part in (low, high)]
         message = (

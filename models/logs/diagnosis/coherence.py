@@ -34,7 +34,7 @@ def _pair_fit(streams: Streams, first: str, second: str, channel: int, settings:
     skids = channel == 1 and first in (COMMAND, ENCODERS)
     gains = settings.gain_of_omega if skids else settings.gain_of_v
     lags = settings.lags if first == COMMAND or skids else (0.0,)
-    max_shift = round(settings.longest_lag / streams.dt) if first == COMMAND else 0
+    max_shift = round(settings.max_dead_time / streams.dt) if first == COMMAND else 0
     fits = [
         _fit(*finite_pairs(lagged_input, y, shift), gains)
         for lagged_input in (streams.low_pass(u, lag) for lag in lags)

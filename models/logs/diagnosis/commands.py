@@ -31,9 +31,9 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         if shift is None or lag is None or not is_changed.any():
             return []
         shift_residual, lag_residual = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
-        is_echo = shift.correlation[0] > settings.echo and shift.dead_time < 0.2 * streams.dt
+        is_echo = shift.correlation[0] > settings.echo_correlation and shift.dead_time < 0.2 * streams.dt
         # Set-points stay constant for some time, readings do not; for real commands a lag explains more.
-        lag_explains = settings.shape * shift_residual > lag_residual + settings.echo_noise
+        lag_explains = settings.shape_ratio * shift_residual > lag_residual + settings.echo_noise
         if not is_echo or is_changed.mean() < settings.echo_changes or lag_explains:
             return []
         delays.append(-shift.dead_time)
@@ -77,7 +77,7 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
     sign = np.sign(np.corrcoef(command[is_finite], values[is_finite])[0, 1])
     response = values * sign * np.std(command[is_finite]) / np.std(values[is_finite])
     min_step = 0.3 * float(np.ptp(np.percentile(command[is_finite], [5, 95])))
-    reach, after = (round(seconds / streams.dt) for seconds in (settings.longest_latch, settings.longest_lag))
+    reach, after = (round(seconds / streams.dt) for seconds in (settings.max_latch_lead, settings.max_dead_time))
     steps = np.diff(command, prepend=np.nan)
     changes = np.flatnonzero(np.abs(np.nan_to_num(steps)) > min_step)
     times = []
@@ -87,7 +87,7 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
         crossings = np.flatnonzero(~is_past[:-1] & is_past[1:])
         if len(crossings):
             times.append((first + 1 + crossings[-1] - index) * streams.dt)
-    return np.array(times) if len(times) >= settings.refused_changes + settings.fewest_changes else np.empty(0)
+    return np.array(times) if len(times) >= settings.min_total_changes + settings.min_changes else np.empty(0)
 
 
 def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -96,13 +96,13 @@ def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     for channel in (0, 1):
         for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
-            share = command / max(float(np.nanmax(np.abs(command))), settings.least_command)
+            share = command / max(float(np.nanmax(np.abs(command))), settings.zero_command)
             # Expo curve of remote controls: a share `expo` of the command is replaced by its cube.
             trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
             responses = [fit_response(streams, trial, values, settings) for trial in trials]
             residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
-            best = int(np.argmin(residuals))
-            if best and settings.curve_least < residuals[0] < 1.0 and residuals[best] < settings.shape * residuals[0]:
+            linear, best = residuals[0], int(np.argmin(residuals))
+            if best and settings.min_curve < linear < 1.0 and residuals[best] < settings.shape_ratio * linear:
                 # At a third of the maximum, the cube is a ninth of the linear command.
                 curved.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
     if not curved:
@@ -126,7 +126,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
         response = None if step is None else fit_response(streams, command, values, settings)
         if step is None or response is None or response.correlation[0] < settings.clear_correlation:
             continue
-        threshold = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
+        threshold = settings.rounding_scatter * step * abs(float(response.gain[0, 0]))
         scatter = _scatter_of_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
         if scatter > threshold:
             message = (
@@ -163,7 +163,7 @@ def _scatter_of_holds(
         if len(part) and np.isfinite(part).all() and np.isfinite(command[before] + command[start]):
             noise = np.sum(np.diff(part) ** 2), len(part) - 1
             rows.append((command[start], command[before], part.mean(), 1 / len(part), *noise))
-    if len(rows) < settings.fewest_samples:
+    if len(rows) < settings.min_samples:
         return 0.0
     level, previous, mean, share, squares, count = np.array(rows).T
     regressors = np.column_stack([np.ones(len(level)), level, previous])
@@ -171,7 +171,7 @@ def _scatter_of_holds(
     # Differences of adjacent readings have twice the variance of the noise.
     noise = squares.sum() / max(2 * count.sum(), 1)
     scatter = [
-        np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
+        np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.min_changes else 0.0
         for part in (level == 0, np.isfinite(level))
     ]
     return float(np.sqrt(max(0.0, min(scatter))))

@@ -38,7 +38,7 @@ def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list
 
 def _has_one_sign(values: FloatArray, settings: CheckSettings) -> bool:
     low, high = np.nanpercentile(values, [1, 99], axis=0)
-    return bool((np.minimum(np.abs(low), np.abs(high)) < settings.never_negative * np.maximum(-low, high)).all())
+    return bool((np.minimum(np.abs(low), np.abs(high)) < settings.negative_share * np.maximum(-low, high)).all())
 
 
 def _has_both_signs(values: FloatArray, settings: CheckSettings) -> bool:
@@ -59,7 +59,7 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
     share = np.nanmean(is_maximum, axis=0) / max(float(np.isfinite(sizes[:, 0]).mean()), 1e-9)
     side = int(np.argmax(share))
     # If both sides rest at their maximum, the cause is not one encoder.
-    if share[side] < settings.clipped_readings or share[1 - side] > 0.3 * share[side]:
+    if share[side] < settings.clipped_share or share[1 - side] > 0.3 * share[side]:
         return []
     response = fit_response(streams, sides[:, side], streams.wheels[:, side], settings)
     if response is None:
@@ -68,7 +68,7 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
     # The gain without clipping, from the side that does not saturate.
     unclipped = fit_response(streams, sides[:, 1 - side], streams.wheels[:, 1 - side], settings)
     scale = abs(float((unclipped or response).gain[0, 0]))
-    if float(np.nanmedian(commanded[is_maximum[:, side]])) * scale < settings.beyond_clip * maximum[side]:
+    if float(np.nanmedian(commanded[is_maximum[:, side]])) * scale < settings.clip_ratio * maximum[side]:
         return []
     message = (
         f"the encoder of the {SIDES[side]} side is clipped at {maximum[side]:.3g} rad/s in "

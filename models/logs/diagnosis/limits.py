@@ -33,7 +33,7 @@ def within_limits(streams: Streams, channel: int, settings: CheckSettings) -> St
             (_residual_share(_with_limit(streams, channel, limit), channel, settings), limit) for limit in candidates
         ]
         best = min([best, *trials], key=lambda trial: trial[0])
-    return _with_limit(streams, channel, best[1]) if best[0] < settings.clipped_rest * before else streams
+    return _with_limit(streams, channel, best[1]) if best[0] < settings.clipped_residual * before else streams
 
 
 def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:

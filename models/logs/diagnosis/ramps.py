@@ -33,7 +33,7 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     if linear is None or linear.correlation.min() < settings.weak_correlation:
         return []
     residual = 1 - float(np.mean(linear.correlation**2))
-    if residual < settings.ramp_least:
+    if residual < settings.ramp_threshold:
         return []
     rates = np.abs(np.diff(wheels, axis=0)).max(axis=1) / streams.dt
     rates = rates[np.isfinite(rates)]
@@ -45,7 +45,7 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         _best_ramp(streams, sides @ transform.T, np.linalg.inv(transform).T, bounds, settings)
         for transform in (np.eye(2), half)
     )
-    if by_side[0] > settings.ramp_rest * residual or by_side[0] > settings.shape * by_twist[0]:
+    if by_side[0] > settings.ramp_residual * residual or by_side[0] > settings.shape_ratio * by_twist[0]:
         return []
     message = (
         f"each wheel changes its speed by at most about {by_side[1]:.2g} rad/s per second, independently of the other: "

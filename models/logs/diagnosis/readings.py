@@ -34,7 +34,7 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
         ]
         count = sum(len(times) for times in spike_times)
         total = sum(max(len(stretch.measured[name].time) for name in fields) for stretch in stretches)
-        if not count or count > settings.most_spikes * total:
+        if not count or count > settings.max_spike_share * total:
             continue
         first = next(times[0] for times in spike_times if len(times))
         message = (
@@ -87,12 +87,12 @@ def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     sizes = [np.abs(np.concatenate([stretch.measured[name].value for stretch in raw.stretches])) for name in names[:1]]
     for size in (column for table in sizes for column in table.T):
         levels, zero_share = np.unique(size[size > 0]), float(np.mean(size == 0))
-        if len(levels) < _MIN_READINGS or zero_share < settings.clipped_readings:
+        if len(levels) < _MIN_READINGS or zero_share < settings.clipped_share:
             continue
         # The levels must be finer than the minimum speed (no coarse quantisation), and many must be close to it.
-        bound = settings.dead_resolution * np.array([levels[0], levels[-1]])
+        bound = settings.dead_zone_resolution * np.array([levels[0], levels[-1]])
         slow_count = np.count_nonzero(levels < 2.0 * levels[0])
-        if np.median(np.diff(levels)) < bound[0] and levels[0] > bound[1] and slow_count >= settings.fewest_samples:
+        if np.median(np.diff(levels)) < bound[0] and levels[0] > bound[1] and slow_count >= settings.min_samples:
             unit = "rad/s" if names[0] != "twist" else "m/s or rad/s"
             message = (
                 f"the encoders read 0 below {levels[0]:.3g} {unit}, in {100 * zero_share:.0f} % of the readings: the "
@@ -109,13 +109,13 @@ def check_publishers(raw: RawLog, settings: CheckSettings) -> list[Finding]:
         size, nonzero = np.linalg.norm(command.value, axis=1), np.flatnonzero(command.value.any(axis=1))
         before, after = nonzero[:-1], nonzero[1:]
         change = np.linalg.norm(command.value[after] - command.value[before], axis=1)
-        is_short = command.time[after] - command.time[before] < settings.longest_moment
-        zero_count += int(np.sum((after - before > 1) & (change < settings.same_command * size[before]) & is_short))
+        is_short = command.time[after] - command.time[before] < settings.zero_duration
+        zero_count += int(np.sum((after - before > 1) & (change < settings.command_change * size[before]) & is_short))
         total += len(nonzero)
-    if zero_count < max(settings.fewest_samples, settings.publisher_share * total):
+    if zero_count < max(settings.min_samples, settings.publisher_share * total):
         return []
     message = (
-        f"the command falls to zero {zero_count} times for less than {settings.longest_moment:g} s and returns to its "
+        f"the command falls to zero {zero_count} times for less than {settings.zero_duration:g} s and returns to its "
         "value: a second publisher sends zeros; stop it (`ros2 topic info -v` lists the publishers), and record again"
     )
     return [Finding("second publisher", "error", raw.name, message)]
@@ -131,7 +131,7 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
     readings = readings[np.isfinite(readings).all(axis=1)]
     changes = 1 + np.flatnonzero((np.diff(readings, axis=0) != 0).any(axis=1))
     gaps = np.diff(changes)
-    if len(readings) < _MIN_READINGS or len(gaps) < settings.fewest_samples:
+    if len(readings) < _MIN_READINGS or len(gaps) < settings.min_samples:
         return None
     half_window = 4
     padded = np.pad(readings, ((half_window, half_window), (0, 0)), mode="edge")
@@ -165,10 +165,10 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         The thresholds.
     """
     steps = np.diff(time)
-    if len(steps) < settings.fewest_samples:
+    if len(steps) < settings.min_samples:
         return None
     backward_count = int((steps < 0).sum())
-    if backward_count > max(3.0, settings.disordered * len(steps)):
+    if backward_count > max(3.0, settings.backward_share * len(steps)):
         # Readings are smooth in their true order.
         order = np.argsort(time, kind="stable")
         as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))

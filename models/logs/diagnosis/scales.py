@@ -103,7 +103,7 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     is_used = np.isfinite(velocity) & np.isfinite(v) & np.isfinite(step[:, 2])
     rows, velocity = np.column_stack([v, step[:, 2]])[is_used].astype(complex), velocity[is_used]
     commands = streams.command[is_used]
-    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinear:
+    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinearity:
         return []  # the effects of v and omega cannot be separated
     coefficients, *_ = np.linalg.lstsq(rows, velocity, rcond=None)
     explained = 1 - np.sum(np.abs(velocity - rows @ coefficients) ** 2) / max(
@@ -111,7 +111,7 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     )
     offset = -float(np.angle(coefficients[0]))
     # Half a turn indicates a wrong sign.
-    if explained < settings.clear_correlation**2 or not settings.turned_pose < abs(offset) < np.pi - 0.5:
+    if explained < settings.clear_correlation**2 or not settings.pose_rotation < abs(offset) < np.pi - 0.5:
         return []
     streams.pose = streams.pose - [0.0, 0.0, offset]
     message = (
@@ -272,7 +272,7 @@ def _unit_finding(
     if wheels and radius is not None:
         factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
     # With skidding wheels the body turns less than the wheels indicate.
-    skid = settings.usual_skid if skids else 1.0
+    skid = settings.typical_skid if skids else 1.0
     deviation = {unit: abs(math.log(ratio / (skid * factor))) for unit, factor in factors.items()}
     # If SI data are declared in that unit, the effect is inverse.
     deviation |= {
@@ -293,7 +293,7 @@ def _unit_finding(
         else:
             units = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
             remedy = f"its column has {units}; the log does not distinguish them"
-    elif (name == ENCODERS or wheels) and ratio > settings.most_unit_gain:
+    elif (name == ENCODERS or wheels) and ratio > settings.max_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no supported unit explains this; check its column, its unit and the lengths under 'wheels'"

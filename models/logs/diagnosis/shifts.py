@@ -102,7 +102,7 @@ def _lag_finding(
         lags.append(2 * lagged_fit.lag)
         late_sensors.add(late)
     lag_residual, shift_residual = np.mean(residuals, axis=0)
-    if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape) * shift_residual):
+    if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape_ratio) * shift_residual):
         return None
     lag = float(np.mean(lags))
     if (
@@ -136,7 +136,7 @@ def _shifted_sensor(
     early, late = (first, second) if shift > 0 else (second, first)
     responses = _clear_responses(streams, settings)
     dead_times = [response.dead_time for (name, _), response in responses.items() if name == early]
-    return early if dead_times and min(dead_times) < -settings.earliest_response else late
+    return early if dead_times and min(dead_times) < -settings.response_lead else late
 
 
 def _shift(streams: Streams, name: str, seconds: float) -> None:
@@ -161,14 +161,14 @@ def _check_command_times(
     )
     # The lead must be significant, because sensors differ in a short drive.
     is_early = median + 2 * deviation < 0
-    if is_early and median < -settings.earliest_response and _precedes_commands(streams, responses, settings):
+    if is_early and median < -settings.response_lead and _precedes_commands(streams, responses, settings):
         message = (
             f"every sensor responds {-median:.2f} +- {2 * deviation:.2f} s before its command, which is impossible: "
             "the commands are stamped late"
         )
-        delay = MappingChange(COMMAND, "delay", round(settings.usual_response - median, 2))
+        delay = MappingChange(COMMAND, "delay", round(settings.default_dead_time - median, 2))
         return [Finding("time shift", "error", log, message, changes=(delay,))]
-    if median > settings.late_response:
+    if median > settings.long_dead_time:
         message = (
             f"all sensors respond to the command only after {median:.2f} +- {2 * deviation:.2f} s; if the robot is "
             "faster, the commands are stamped early and need a negative `delay`"
@@ -187,4 +187,4 @@ def _precedes_commands(
         assert command is not None and values is not None
         if name != POSE:
             shares.append(explained_by_future(streams, command, values, settings))
-    return bool(shares) and float(np.median(shares)) > settings.foresight
+    return bool(shares) and float(np.median(shares)) > settings.future_share

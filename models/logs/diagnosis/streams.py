@@ -165,11 +165,11 @@ def _interpolate_missing(values: FloatArray) -> FloatArray:
 
 def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     """Build the streams of all records."""
-    stride = max(1, round(settings.compared_every / records[0].dt))
+    stride = max(1, round(settings.comparison_step / records[0].dt))
     dt = stride * records[0].dt
     counts = [-(-len(record.command) // stride) for record in records]
     # The gap between stretches is longer than any shift, so no pair of samples crosses it.
-    padding = round((settings.longest_lag + settings.longest_lead) / dt) + 1
+    padding = round((settings.max_dead_time + settings.max_lead) / dt) + 1
     ends = padding + np.cumsum([count + padding for count in counts])
     total = int(ends[-1])
     slices = tuple(
@@ -191,7 +191,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     time = gather("time")
     assert command is not None and time is not None
     # Values below the threshold are rounding residues, not commands.
-    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.least_command, command, 0.0 * command)
+    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.zero_command, command, 0.0 * command)
     four = gather("wheel_speeds")
     return Streams(
         dt=dt,
@@ -270,16 +270,16 @@ def fit_response(
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
-        lags, span = lags or [0.0], (-settings.longest_shift, settings.longest_shift)
+        lags, span = lags or [0.0], (-settings.max_shift, settings.max_shift)
     else:
-        lags, span = lags or settings.lags, (-settings.longest_lead, settings.longest_lag)
+        lags, span = lags or settings.lags, (-settings.max_lead, settings.max_dead_time)
         if not (np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)).any():
             return None
         u, streams = _with_initial_commands(streams, u, y, settings)
 
     def filtered_input(lag: float) -> FloatArray:
         values = streams.low_pass(u, lag)
-        return streams.crop(values, settings.longest_shift) if both_measured else values
+        return streams.crop(values, settings.max_shift) if both_measured else values
 
     low, high = (round(seconds / streams.dt) for seconds in span)
     best: tuple[float, float, FloatArray] | None = None
@@ -312,8 +312,8 @@ def _with_initial_commands(
 
     This is needed if each stretch has one step of the command, because only the start then determines the dead time.
     """
-    padding = round(settings.longest_lag / streams.dt)
-    gain, _ = _regress(u, y, round(0.5 * settings.longest_lag / streams.dt))
+    padding = round(settings.max_dead_time / streams.dt)
+    gain, _ = _regress(u, y, round(0.5 * settings.max_dead_time / streams.dt))
     inverse = np.linalg.pinv(gain)
     u = u.copy()
     low, high = np.nanmin(u, axis=0), np.nanmax(u, axis=0)
@@ -401,7 +401,7 @@ def explained_by_future(streams: Streams, inputs: FloatArray, outputs: FloatArra
 
     Past commands enter through lags and dead times that cover all bases; no robot can react to the future.
     """
-    cropped = streams.crop(outputs, settings.longest_shift)
+    cropped = streams.crop(outputs, settings.max_shift)
     past = [streams.delay(streams.low_pass(inputs, lag), delay) for lag in settings.lags for delay in (0.0, 0.1, 0.3)]
     future = [streams.delay(inputs, -lead) for lead in (0.1, 0.2, 0.3)]
     rows = np.column_stack([cropped, np.ones(len(cropped)), *past, *future])

@@ -32,7 +32,7 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     if original is None or abs(original.correlation[0]) > settings.clear_correlation:
         return []
     known = np.flatnonzero(np.isfinite(streams.time))
-    starts = known[np.linspace(0, len(known) - 1, 4 * settings.parts + 1).astype(int)[1:-1]]
+    starts = known[np.linspace(0, len(known) - 1, 4 * settings.part_count + 1).astype(int)[1:-1]]
 
     def correlation(start: int) -> float:
         exchanged = np.where(np.arange(len(omega)) < start, omega, -omega)
@@ -153,7 +153,7 @@ def _late_wheel(log: str, streams: Streams, sides: FloatArray, lag: float, setti
     fits = [fit_response(streams, sides, wheel, settings, intervals=True, lags=[lag]) for wheel in streams.wheels.T]
     left, right = ((np.nan, np.nan) if fit is None else (fit.dead_time, fit.deviation) for fit in fits)
     delay, deviation = right[0] - left[0], float(np.hypot(*np.nan_to_num([left[1], right[1]])))
-    if not abs(delay) > max(settings.late_wheel, 3 * deviation):
+    if not abs(delay) > max(settings.wheel_delay, 3 * deviation):
         return None
     streams.twist = streams.wheels = None
     message = (
@@ -171,7 +171,7 @@ def _single_gain(streams: Streams, side: FloatArray, wheel: int, settings: Check
 
 def _are_collinear(sides: FloatArray, settings: CheckSettings) -> bool:
     present = sides[np.isfinite(sides).all(axis=1)]
-    return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinear)
+    return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinearity)
 
 
 def _outlier_side(response: StreamResponse) -> int:
@@ -206,7 +206,7 @@ def _dead_side_of_twist(log: str, streams: Streams, settings: CheckSettings) -> 
     if len(twist) < 2 or np.ptp(command, axis=0).min() == 0 or np.ptp(twist, axis=0).min() == 0:
         return None
     measured_correlation, commanded_correlation = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
-    if abs(measured_correlation) < settings.collinear or abs(commanded_correlation) > settings.clear_correlation:
+    if abs(measured_correlation) < settings.collinearity or abs(commanded_correlation) > settings.clear_correlation:
         return None
     side = "left" if measured_correlation > 0 else "right"
     streams.twist = None

@@ -182,13 +182,13 @@ def _reason(error: Exception) -> str:
 # Drive files as logs for identification: the rows are those of the CSV log of the same drive.
 
 
-OWN_FORMAT = "drive_log"
+DRIVE_MAPPING = "drive_log"
 """Mapping of drive files."""
 _IDLE = ("IDLE", "FAULT")
 
 
 def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
-    """Read a drive file with a mapping or `OWN_FORMAT`; raise models.checked_yaml.ConfigError on failure."""
+    """Read a drive file with a mapping or `DRIVE_MAPPING`; raise models.checked_yaml.ConfigError on failure."""
     log = read_drive_log(path)
     columns = log.columns
     # While idle the controller did not run or measure, and the robot may have been pushed.
@@ -203,7 +203,7 @@ def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
 
 def _columns(log: DriveLog, mapping: LogMapping | None, names: set[str]) -> Columns:
     """Remove from the mapping sensors without readings and sensors that are derived from others."""
-    columns = (mapping or load_mapping(OWN_FORMAT)).columns
+    columns = (mapping or load_mapping(DRIVE_MAPPING)).columns
     assert columns is not None
     encoders = columns.encoders
     if encoders is not None and "wheel_fl_rad_s" not in names:

@@ -99,7 +99,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             facts=[
                 f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {source} Initial curves: "
                 f"terrain '{PRIOR}'; {results.slip_source}.",
-                *(f"{finding.place}: {finding.words}." for finding in results.log.findings),
+                *(f"{finding.place}: {finding.message}." for finding in results.log.findings),
             ],
             notes=[
                 "Energy at rest and in turns of at least the minimum radius. The prediction uses turn costs learned "
