@@ -1,4 +1,4 @@
-"""Reader of ROS 2 bags as logs: topics on a common clock."""
+"""Reader of ROS 2 bags as logs: conversion of topics to signals on a common clock."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         topics = mapping.topics if mapping else Topics()
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
-        topics = topics.named(recorded)
+        topics = topics.resolve(recorded)
         requested = _requested_topics(path, topics, recorded)
         readers = dict(_DECODERS)
-        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, sign: -1 replaces the transforms
+        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, sign -1 is used instead of transforms
             readers["imu"] = imu_decoders(reader)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
@@ -95,7 +95,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         for role, topic in requested.items():
             types = [known.msgtype for known in connections_of(reader, topic, readers[role])]
             if len(types) > 1:
-                message = f"of {', '.join(sorted(types))} only {types[-1]}, with the most messages, is read"
+                message = (
+                    f"the topic has types {', '.join(sorted(types))}; only {types[-1]}, the most frequent, is read"
+                )
                 findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", message))
         requests = {
             role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))
@@ -114,11 +116,11 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     if topics.command.on_change:
         command = _repeat_commands(command, response.time)
     stretch = _stretch(path, command, measured)
-    # Commands on change are irregular; the sensor shows whether the clock is even.
+    # Commands that are sent on change are irregular, so the clock of the sensor is checked for gaps instead.
     clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock
     stretch = RawStretch(clock, stretch.command, {**stretch.measured, **power})
     stretches = _most_driven_parts(path, stretch, findings)
-    # The shorter step preserves the times of both commands and readings.
+    # The shorter of both steps preserves the times of commands and readings.
     sample_time = usual_step([response.time])
     silence = None if topics.command.on_change else silences(stretch.command, check_settings())
     if silence is not None:
@@ -130,7 +132,13 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
 
 
 def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topic]:
-    """Select topics of command and sensors by role; raise ConfigError for missing or miscounted fields."""
+    """Select the topics of command and sensors by role.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If no sensor is available, or a topic has the wrong number of fields.
+    """
     requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
     if not set(requested) & set(_FIELDS):
         missing = "" if topics.command.topic in recorded else f", nor is the command {topics.command.topic}"
@@ -146,7 +154,7 @@ def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[st
 
 
 def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:
-    """Return signals of battery and motors and, with either, wheel speeds from the odometry; {} without both."""
+    """Return signals of battery and motors, and with them wheel speeds from the odometry; {} if both are missing."""
     power_signals: dict[str, Signal] = {}
     if "battery" in signals:
         power_signals["battery"] = signals["battery"]
@@ -176,7 +184,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
 
 
 def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
-    """Return n to read every n-th message of a topic; 1 for commands."""
+    """Return the stride n to read every n-th message of a topic; 1 for commands."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:
         return 1
@@ -199,13 +207,13 @@ def _most_driven_parts(path: Path, stretch: RawStretch, findings: list[Finding])
 
 
 def _repeat_commands(command: Signal, clock: FloatArray) -> Signal:
-    """Repeat commands that are sent on change at the times `clock` (n,) [s], from the first command on."""
+    """Repeat the last command at each of the times `clock` (n,) [s] for commands that are sent on change."""
     time = np.union1d(command.time, clock[clock >= command.time[0]])
     return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
 
 
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
-    """Return the times of each topic's messages [ns]: stamps if available, else times of receipt."""
+    """Return the times of each topic's messages [ns]: header stamps if available, else times of receipt."""
     if topics.clock == "receive":
         return {role: topic.received for role, topic in rows.items()}
     delays = {

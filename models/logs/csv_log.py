@@ -37,7 +37,7 @@ from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
 SIMULATION_MAPPING = "simulate"
-"""Mapping of logs written by `diffdrive-mpc simulate --log`, which are recognised by their columns."""
+"""Mapping of logs from `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class RowSignal:
     time
         (n,) times of the values [s].
     value
-        (n, width) in SI units; NaN where the row has no reading.
+        (n, width) values in SI units; NaN in rows without a reading.
     fresh
-        (n,) False where the row repeats the reading of the previous row.
+        (n,) False for rows that repeat the reading of the previous row.
     counts
         True if the values are running counts; the signal is their rate.
     """
@@ -89,13 +89,12 @@ class RowReader:
         self.findings: list[Finding] = []
 
     def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
-        """Return values (n,) in SI units, NaN for missing ones, and (n,) True for cells with NaN or infinity."""
+        """Return values (n,) in SI units with NaN for empty cells, and (n,) True for cells with NaN or infinity."""
         values, empty = self.table.numbers(column.column)
         if empty.all():
             raise ConfigError(
                 f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, "
-                "or leave it "
-                "out of the mapping"
+                "or leave it out of the mapping"
             )
         # Squares of larger values would overflow.
         values = np.where(np.abs(values) < MAX_VALUE, values, np.nan)
@@ -112,7 +111,7 @@ class RowReader:
         return column.sign * self._factor(column) * values, bad
 
     def command(self, command: CommandColumns) -> tuple[FloatArray, FloatArray | None, BoolArray]:
-        """Return commands (n, 2) as v, omega; (n, 2) as left, right, or None; and (n,) True for non-finite commands."""
+        """Return twist commands (n, 2), wheel commands (n, 2) or None, and a mask (n,) of non-finite commands."""
         names = ("v", "omega") if command.has("v") else SIDES
         values, bad = self._columns(command, names)
         if command.has("v"):
@@ -120,7 +119,7 @@ class RowReader:
         return self._twist(values, "command"), values, bad
 
     def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
-        """Return the fields of a record from the encoders, and True if they are running counts."""
+        """Return the fields of a record from the encoders, and True if the columns are running counts."""
         fields: dict[str, FloatArray] = {}
         if encoders.has(*FOUR_WHEELS):
             fields["wheel_speeds"] = self._columns(encoders, FOUR_WHEELS)[0]
@@ -133,7 +132,7 @@ class RowReader:
             fields["twist"] = self._twist(fields["wheels"], "encoders")
         units = {column.unit for name in (*SIDES, *FOUR_WHEELS) if (column := getattr(encoders, name)) is not None}
         if "ticks" in units and (len(units) > 1 or encoders.has("v")):
-            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or no column in ticks")
+            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or none")
         return fields, "ticks" in units
 
     def _columns(self, group: CommandColumns | EncoderColumns, names: tuple[str, ...]) -> tuple[FloatArray, BoolArray]:
@@ -162,10 +161,10 @@ class RowReader:
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
-    """Mark rows (n,) of held values (n, width) that contain a new reading: one per period, even if it is equal.
+    """Mark rows (n,) of held values (n, width) that contain a new reading, one per hold period.
 
-    A changed value is a new reading. A value that stays the same counts as a new reading after each period. Without a
-    clear period, the 95th percentile of the hold times replaces it. Repeated values occur at rest or constant speed.
+    A changed value is a new reading. An unchanged value, at rest or at constant speed, counts as a new reading after
+    each period. If the period is unclear, the 95th percentile of the hold times replaces it.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
@@ -197,9 +196,9 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
     header = read_header(path)
-    columns = columns.found_in(header)
-    table = read_table(path, columns.names())
-    require_columns(path, header, columns.names())
+    columns = columns.without_absent_sensors(header)
+    table = read_table(path, columns.column_names())
+    require_columns(path, header, columns.column_names())
     return log_of_table(_selected_rows(table, columns), columns, wheels)
 
 
@@ -229,7 +228,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     measured = _measured(reader, columns, time)
     findings += reader.findings
     is_timed = np.isfinite(time)
-    # Any measured signal serves: its smoothness shows the true order of the rows.
+    # The smoothness of any measured signal indicates the true order of the rows.
     reference = next(iter(measured.values())).value[is_timed, -1]
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
         raise_on_error([finding])
@@ -250,17 +249,17 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
 def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(SIMULATION_MAPPING), read_header(path)
     assert mapping.columns is not None
-    if header and not mapping.columns.found_in(header).names() <= set(header):
+    if header and not mapping.columns.without_absent_sensors(header).column_names() <= set(header):
         remedy = f"Give a mapping file, {draft_command(path)}"
         raise ConfigError(f"{path}: the columns {', '.join(header)} are unknown without a mapping. {remedy}")
     return mapping
 
 
 def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
-    """Select the rows that satisfy 'where' of the mapping."""
+    """Select the rows that satisfy `where` of the mapping."""
     keep = np.ones(len(table.row), dtype=bool)
-    for name, wanted in columns.where.items():
-        values = wanted if isinstance(wanted, tuple) else (wanted,)
+    for name, required in columns.where.items():
+        values = required if isinstance(required, tuple) else (required,)
         keep &= np.isin(table.cells(name), [table.cell(value) for value in values])
     if not keep.any():
         raise ConfigError(f"{table.path}: no row satisfies 'where' in the mapping: {columns.where}")
@@ -331,14 +330,11 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
 
 
 def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """Return a finding if rows clearly hold each of the readings (n, width) for a period."""
+    """Return a finding if each of the readings (n, width) is clearly repeated over several rows."""
     period = hold_period(readings, check_settings())
     if period is None or period == 1:
         return []
-    message = (
-        f"the readings of the {sensor} change only every {period} rows or a multiple of that: rows repeat the last "
-        "reading"
-    )
+    message = f"the readings of the {sensor} change only after multiples of {period} rows: rows repeat the last reading"
     change = MappingChange(sensor, "held", True)
     return [Finding("held readings", "note", table.path.name, message, changes=(change,))]
 
@@ -346,7 +342,7 @@ def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Fi
 def _split_stretches(
     table: CsvTable, columns: Columns, time: FloatArray, is_invalid: BoolArray, findings: list[Finding]
 ) -> list[Rows]:
-    """Split the rows into parts of one segment with increasing times and finite commands."""
+    """Split the rows at changes of the segment, steps back in time, omitted rows and commands that are not finite."""
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
         lines = format_ranges(table.lines[np.isnan(time)])
@@ -364,7 +360,7 @@ def _split_stretches(
     if columns.segment is not None:
         segment = table.cells(columns.segment)[rows]
         is_cut |= segment[1:] != segment[:-1]
-    # Rows were omitted: a gap in the row numbers that exceeds the stride ends a stretch.
+    # After an omission of rows, a gap in the row numbers that exceeds the stride ends a stretch.
     if table.row[-1] - table.row[0] >= len(table.row):
         steps_of_rows = np.diff(table.row)
         is_after_omission = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
@@ -372,5 +368,5 @@ def _split_stretches(
     is_cut |= is_invalid[rows[1:]]
     parts = np.split(rows, np.flatnonzero(is_cut) + 1)
     parts = [part[~is_invalid[part]] for part in parts]
-    # Of rows with equal times the last one is used.
+    # Use the last of the rows with equal times.
     return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]

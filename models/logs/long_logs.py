@@ -12,11 +12,11 @@ from diffdrive_mpc.models.logs.mapping import FACTORS, Column, Columns
 from diffdrive_mpc.models.logs.record import Finding
 
 _PART = 20_000
-"""Number of rows that are selected together."""
+"""Number of rows of a part; parts are selected or omitted as a whole."""
 
 
 def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
-    """Reduce a table to the rate that the fastest base needs, and to its most informative parts.
+    """Reduce a table to the sample rate that the fastest base needs, and to its most informative parts.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> 
     if len(table.row) <= settings.max_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]
-    # Cells with words need conversion; otherwise a copy is avoided, because the columns are long.
+    # Convert cells only if some contain words; conversion copies the long columns.
     commands = [table.numbers(name)[0] if table.words else table.cells(name) for name in names]
     selected = most_excited_rows(commands, settings.max_rows)
     findings.append(subset_finding(table.path.name, "rows", len(selected), len(table.row)))
@@ -49,14 +49,14 @@ def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> 
 
 
 def required_stride(period: float, settings: CheckSettings) -> int:
-    """Return the maximum stride of readings `period` [s] apart that is short enough for all bases."""
-    # A shorter step than that of any robot is a wrong unit or a burst, which is reported separately.
+    """Return the maximum stride that is short enough for all bases; readings are `period` [s] apart."""
+    # A step shorter than that of any robot indicates a wrong unit or a burst, which is reported separately.
     is_too_fast = settings.sample_times[0] <= period < settings.min_step
     return round(settings.decimated_step / period) if is_too_fast else 1
 
 
 def decimation_finding(place: str, noun: str, stride: int, period: float) -> Finding:
-    """Return the note that only one `noun` in `stride` is used; all are `period` [s] apart."""
+    """Return the note that one row or message (`noun`) in `stride` is used; their distance is `period` [s]."""
     message = (
         f"one {noun} in {stride} is used, every {stride * period:.3g} s: no base responds faster, and no controller "
         "runs faster"
@@ -65,7 +65,7 @@ def decimation_finding(place: str, noun: str, stride: int, period: float) -> Fin
 
 
 def subset_finding(place: str, noun: str, selected: int, count: int) -> Finding:
-    """Return the note that `selected` of `count` rows or commands are used."""
+    """Return the note that `selected` of `count` rows or commands (`noun`) are used."""
     message = (
         f"{selected} of {count} {noun} are used, the parts with the largest changes of commands; to select other "
         "parts, set 'times' or 'where' in the mapping"

@@ -221,7 +221,7 @@ def test_commands_in_bursts_give_a_finding_with_the_mapping_that_uses_the_whole_
     path = write_bag(tmp_path / "bag", teleoperated(seconds=40.0, seed=seed, sensor_dt=sensor_dt))
     log = read_log(path)
     (finding,) = [finding for finding in log.findings if finding.kind == "silent commands"]
-    assert "bag, /cmd_vel: commands come in bursts with 23 silences" in str(finding)
+    assert "bag, /cmd_vel: commands arrive in bursts; 23 silences" in str(finding)
     assert finding.changes == (MappingChange("command", "on_change", True),)
     assert log.records[0].dt == pytest.approx(sensor_dt, rel=1e-4)
     assert sum(record.end - record.start for record in log.records) < 20.0

@@ -149,7 +149,7 @@ def test_resting_wheels_are_stuck_only_for_a_large_command(tmp_path, fraction, c
 def test_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read_modified(tmp_path, {name: -COLUMNS[name]})
     (message,) = texts(log, "wrong sign")
-    assert message.startswith(f"log.csv: {reading} has the opposite sign of the command (correlation -")
+    assert message.startswith(f"log.csv: {reading} has the opposite sign to the command (correlation -")
     with pytest.raises(ConfigError, match="sign: -1"):
         log.require_sound()
 

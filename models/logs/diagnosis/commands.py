@@ -1,4 +1,4 @@
-"""Detection of logged commands that differ from those of the robot: odometry, skipped, curved and rounded commands."""
+"""Detection of logged commands that the robot did not receive: odometry, latched, curved and rounded commands."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
             return []
         shift_residual, lag_residual = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
         is_echo = shift.correlation[0] > settings.echo_correlation and shift.dead_time < 0.2 * streams.dt
-        # Set-points stay constant for some time, readings do not; for real commands a lag explains more.
+        # Set-points stay constant for some time, readings do not. For true commands, a lag explains more than a shift.
         lag_explains = settings.shape_ratio * shift_residual > lag_residual + settings.echo_noise
         if not is_echo or is_changed.mean() < settings.echo_changes or lag_explains:
             return []
@@ -46,12 +46,12 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 
 
 def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: the log has only some of the commands that the robot received."""
+    """Return at most one finding: the log contains only some of the commands that the robot received."""
     leads = [part for part in (_crossings(streams, channel, settings) for channel in (0, 1)) if len(part)]
     if not leads:
         return []
     ends = np.array([np.percentile(part, [10, 90]) for part in leads])
-    # A shift has the same lead at each change; with a latch the lead varies up to its period.
+    # For a time shift, the lead is the same at each change; for a latch it varies between zero and the latch period.
     if ends[:, 0].max() > -settings.sensor_shift or np.ptp(ends, axis=1).min() < settings.latch_spread:
         return []
     message = (
@@ -62,9 +62,10 @@ def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 
 def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> FloatArray:
-    """Return times [s], relative to clear changes of the command, of the last crossing of the response's midpoint.
+    """Return the time (n,) [s] from each clear change of the command to the response.
 
-    The result is empty if there are too few changes.
+    The response is timed by its last crossing of the midpoint of the change. The result is empty if there are too few
+    changes.
     """
     names = streams.speed_sensors(channel)
     if not names:
@@ -92,30 +93,30 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
 
 def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: the gain is lower for small commands, as with an expo curve."""
-    curved = []
+    effects = []
     for channel in (0, 1):
         for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
             share = command / max(float(np.nanmax(np.abs(command))), settings.zero_command)
-            # Expo curve of remote controls: a share `expo` of the command is replaced by its cube.
+            # Expo curve of a remote control: a share `expo` of the command is replaced by its cube.
             trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
             responses = [fit_response(streams, trial, values, settings) for trial in trials]
             residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
             linear, best = residuals[0], int(np.argmin(residuals))
             if best and settings.min_curve < linear < 1.0 and residuals[best] < settings.shape_ratio * linear:
-                # At a third of the maximum, the cube is a ninth of the linear command.
-                curved.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
-    if not curved:
+                # At a third of the maximum, the cubic term is a ninth of the linear term, so 8/9 of the share is lost.
+                effects.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
+    if not effects:
         return []
     message = (
-        f"the gain is lower for small commands ({', '.join(curved)}): there is an expo curve between the logged "
+        f"the gain is lower for small commands ({', '.join(effects)}): there is an expo curve between the logged "
         "command and the base; switch it off, or log the command after it"
     )
     return [Finding("curved command", "warning", log, message)]
 
 
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about channels with rounded commands, while the robot moves at speeds between them."""
+    """Return findings about channels with rounded commands: the robot moves at speeds between the logged levels."""
     findings = []
     for channel in (0, 1):
         names = streams.speed_sensors(channel)
@@ -139,7 +140,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
 
 
 def _rounding_step(command: FloatArray, settings: CheckSettings) -> float | None:
-    """Return the step of which all commands (n,) are multiples; None if there is none or it is fine."""
+    """Return the step if all commands (n,) are multiples of one coarse step; otherwise None."""
     levels = np.unique(np.round(np.abs(command), 9))
     if len(levels) < 2 or len(levels) > settings.rounded_levels:
         return None
@@ -151,12 +152,12 @@ def _rounding_step(command: FloatArray, settings: CheckSettings) -> float | None
 def _scatter_of_holds(
     streams: Streams, command: FloatArray, values: FloatArray, seconds: float, settings: CheckSettings
 ) -> float:
-    """Compute the standard deviation of the mean motion under equal commands, or under zero if that is smaller.
+    """Compute the standard deviation of the mean motion under equal commands, or under zero commands if it is smaller.
 
-    The mean of each hold starts `seconds` after its start. The effect of the previous command is removed, because the
-    response may not have settled.
+    The mean of each held command starts `seconds` after its start. The effect of the previous command is removed,
+    because the response may not have settled.
     """
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # NaN also starts a hold
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # NaN is unequal to all values
     rows = []
     for before, start, stop in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
         part = values[start + round(seconds / streams.dt) : stop]

@@ -1,4 +1,4 @@
-"""Commands after the limits of a base; without them a limit on one side appears as a wrong unit."""
+"""Estimation of the limits of a base, because a limit of a command otherwise appears as a wrong unit."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 
 _SHARES = np.geomspace(0.03, 0.8, 10)
-"""Candidate limits: levels as shares of the maximum command, rates as shares of twice that per second."""
+"""Candidate limits: levels as shares of the maximum command, rates as shares of twice the maximum per second."""
 _GROUPS = np.array([[1, 1, 0, 0], [0, 0, 1, 1], *np.eye(len(KINDS))], dtype=bool)
-"""Groups of limits that are varied together, in this order."""
+"""Groups of `KINDS` of limits that are varied together, in the order of the search."""
 
 
-def within_limits(streams: Streams, channel: int, settings: CheckSettings) -> Streams:
-    """Return the streams with the limited command that best explains the sensors of a channel.
+def apply_best_limits(streams: Streams, channel: int, settings: CheckSettings) -> Streams:
+    """Apply the limits to the command of a channel that explain its sensors best.
 
-    The streams are unchanged if limits do not clearly reduce the residual variance.
+    The streams are returned unchanged if limits do not clearly reduce the residual variance.
     """
     command = streams.command[:, channel]
     above, below = (np.maximum([np.nanmax(command), -np.nanmin(command)], 1e-9)).tolist()

@@ -215,7 +215,7 @@ def _columns(log: DriveLog, mapping: LogMapping | None, names: set[str]) -> Colu
     }
     if not any(by_name.values()):
         raise ConfigError(f"{log.path}: no sensor has a reading")
-    return columns.model_copy(update=by_name).found_in(names)
+    return columns.model_copy(update=by_name).without_absent_sensors(names)
 
 
 def _truncation_finding(log: DriveLog) -> tuple[Finding, ...]:
