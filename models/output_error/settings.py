@@ -24,7 +24,7 @@ class LimitSettings(StrictModel):
     evaluations: int = Field(ge=2, description="model evaluations per candidate")
     share: Positive = Field(lt=1, description="minimum share of samples that a limit changes [-]")
     evidence: Positive = Field(description="minimum decrease of the information criterion [-]")
-    strong_evidence: Positive = Field(description="decrease above which held-out blocks only need to agree [-]")
+    strong_evidence: Positive = Field(description="decrease above which held-out blocks must only not get worse [-]")
     held_out_evidence: Positive = Field(
         description="minimum decrease of the log mean square error on held-out blocks, times effective samples [-]"
     )
@@ -34,7 +34,7 @@ class ScatterSettings(StrictModel):
     """Settings of the test for differences between parts of a log."""
 
     blocks: tuple[Annotated[int, Field(ge=3)], ...] = Field(description="numbers of blocks of equal length")
-    certain: Positive = Field(lt=1, description="quantile of a variance between blocks, below which it is chance [-]")
+    certain: Positive = Field(lt=1, description="quantile below which a variance between blocks counts as chance [-]")
 
 
 class HeldOutSettings(StrictModel):
@@ -49,7 +49,9 @@ class WarningSettings(StrictModel):
 
     relative_deviation: Positive = Field(description="maximum ratio of standard deviation to value [-]")
     delay_deviation: Positive = Field(description="maximum relative standard deviation of dead time plus lag [-]")
-    least_delay_deviation: Positive = Field(description="standard deviation of dead time plus lag without warning [s]")
+    least_delay_deviation: Positive = Field(
+        description="maximum standard deviation of dead time plus lag without a warning [s]"
+    )
     condition: Positive = Field(description="maximum condition number of the scaled information matrix [-]")
 
 
