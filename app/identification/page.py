@@ -1,4 +1,4 @@
-"""HTML page of `identify`: results, measurements and simulation, trial drives, and warnings with remedies."""
+"""HTML page of `identify` with results, measurement and simulation, trial drives, and warnings with remedies."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
 
 
 def _drive_views(drives: Sequence[TrialDrive]) -> list[View]:
-    """Return the trial drives as linked views."""
+    """Return linked views of the trial drives."""
     if not drives:
         return []
     plants = list(dict.fromkeys(drive.plant for drive in drives))
@@ -124,7 +124,7 @@ def _pictures(folder: Path) -> list[View]:
 
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
-    """Return the warnings about log, estimate and drives, starting with those that matter for driving."""
+    """Return the warnings about log, estimate and drives; warnings that matter for driving come first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
     rows = [(finding.verdict, str(finding), finding.kind) for finding in findings]
     rows += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]

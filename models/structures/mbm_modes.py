@@ -1,4 +1,4 @@
-"""Identification of MBM by modes: all motors share the response to v_ref and that to omega_ref, each has its gain."""
+"""Identification of MBM by modes: all motors share one response to v_ref and one to omega_ref, but not their gain."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
 @dataclass(frozen=True)
 class ModesParametrisation:
-    """Rim speeds of motors that follow v and omega of a known linear system, with a gain each.
+    """Rim speeds of motors that follow v and omega of a known linear system, with one gain for each motor.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ModesParametrisation:
         return A, B, np.array(rims) @ C
 
     def recentred(self, parameters: FloatArray) -> tuple[ModesParametrisation, FloatArray]:
-        """Return the parametrisation unchanged, as logarithms suit all values."""
+        """Return the parametrisation unchanged, because logarithms are well scaled for all values."""
         return self, parameters
 
 
@@ -87,7 +87,7 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
         schema=MbmModesFile,
         content={**sm.content, "motors": rounded(gains), "effective_track": rounded(motors.value("effective_track"))},
         parameters=join_estimates([sm.parameters, motors]),
-        method=METHOD.format(TWO_POLES.words) + "; then a gain for each motor and the track, from wheel speeds",
+        method=METHOD.format(TWO_POLES.description) + "; then a gain for each motor and the track, from wheel speeds",
         warnings=(*sm.warnings, *(doubt.about("motors") for doubt in doubts.uncertain_parameters(motors))),
     )
     return StructureFit(identified)

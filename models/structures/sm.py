@@ -42,11 +42,11 @@ def identify_sm(
     yaw
         Sensor whose omega the model predicts.
     limits
-        Whether to search for limits of the base.
+        True to search for limits of the base.
     robust
-        Whether to reduce the weight of single outliers.
+        True to reduce the weight of single outliers.
     form, schema
-        Kind of transfer function, and schema of the file with this kind in `channels`.
+        Form of the transfer functions, and schema of a file with this form in `channels`.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def identify_sm(
         parameters=join_estimates([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
         yaw=yaw,
-        method=METHOD.format(form.words),
+        method=METHOD.format(form.description),
         fits=tuple(fit.fit for fit in channels),
         warnings=tuple(warning for fit in channels for warning in fit.warnings),
     )

@@ -37,5 +37,5 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
         "dead_time": {channel: rounded(parameters.value(f"{channel}.dead_time")) for channel in CHANNELS},
         "channels": {channel: {"gain": rounded(parameters.value(f"{channel}.gain"))} for channel in CHANNELS},
     }
-    method = METHOD.format(TWO_POLES.words) + FROM_SM
+    method = METHOD.format(TWO_POLES.description) + FROM_SM
     return StructureFit(replace(sm, schema=TwoDelaysFile, content=content, parameters=parameters, method=method))

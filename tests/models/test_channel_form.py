@@ -59,7 +59,7 @@ class ZeroForm:
     """Form with the logarithms of `TwoPolesForm`, and the time constant of the zero."""
 
     file = TwoPolesAndZero
-    words = "two poles, a zero"
+    description = "two poles, a zero"
     kinds: ClassVar = {**TWO_POLES.kinds, "zero": "effect"}
     names = tuple(kinds)
     may_be_zero = ("zero",)
@@ -72,8 +72,8 @@ class ZeroForm:
     def values(self, parameters):
         return np.append(TWO_POLES.values(parameters[:3]), parameters[3])
 
-    def first_guesses(self, gain, frequency):
-        (poles,) = TWO_POLES.first_guesses(gain, frequency)
+    def initial_guesses(self, gain, frequency):
+        (poles,) = TWO_POLES.initial_guesses(gain, frequency)
         return [np.append(poles, zero) for zero in (0.0, -0.5 / frequency, 0.5 / frequency)]
 
     def matrices(self, parameters):

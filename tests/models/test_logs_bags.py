@@ -429,7 +429,7 @@ def _write_database(path: Path, change: str) -> Path:
 
 
 _ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
-_NO_MESSAGES, _ONLY_TABLES = "DROP TABLE messages; ", "not just the tables of a bag"
+_NO_MESSAGES, _ONLY_TABLES = "DROP TABLE messages; ", "not only the tables of a bag"
 _COMPUTED = (
     "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
     "data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (1, 10)"
