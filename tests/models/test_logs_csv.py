@@ -204,7 +204,7 @@ def test_kilohertz_log_is_decimated_with_a_finding(tmp_path):
     assert ["one row in 10" in str(finding) for finding in log.findings] == [True]
 
 
-def test_long_log_is_reduced_to_its_most_driven_parts():
+def test_long_log_is_reduced_to_its_most_excited_parts():
     speed = np.zeros(1000)
     speed[200:300] = speed[700:800] = np.tile([1.0, -1.0], 50)
     assert list(most_excited_rows([speed], 200, part=100)) == [*range(200, 300), *range(700, 800)]
