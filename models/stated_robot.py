@@ -74,7 +74,7 @@ class StatedKey(NamedTuple):
     """Unit and derivation."""
 
 
-class MakersRobot(StrictModel):
+class ManufacturerRobot(StrictModel):
     """Data of one robot, stated by the manufacturer. SI units; the manufacturer does not state omitted values."""
 
     name: str
@@ -175,7 +175,7 @@ def stated_robots() -> tuple[str, ...]:
     return STATED_ROBOTS.names
 
 
-def load_stated_robot(name: str | Path) -> MakersRobot:
+def load_stated_robot(name: str | Path) -> ManufacturerRobot:
     """Read the manufacturer's data of a robot.
 
     Parameters
@@ -188,7 +188,7 @@ def load_stated_robot(name: str | Path) -> MakersRobot:
     models.checked_yaml.ConfigError
         If there is no such robot, with a list of the names, or its file is invalid.
     """
-    robot = STATED_ROBOTS.load(MakersRobot, name)
+    robot = STATED_ROBOTS.load(ManufacturerRobot, name)
     if robot.footprint is not None and robot.footprint_radius is not None:
         raise ConfigError(f"{name}: give 'footprint' or 'footprint_radius', not both")
     return robot

@@ -1,13 +1,14 @@
 """Trial of mapping changes proposed by findings; only changes that improve the prediction become advice.
 
 For each proposal, the mapping is changed, the log is read again, an SM is fitted to the thinned training rows, and the
-SM predicts the held-out rows. The rows before and after the change are identical. FIT is invariant to units and signs,
+SM predicts the held-out rows. The same rows are used before and after the change. FIT is invariant to units and signs,
 and a free dead time absorbs time shifts. Therefore the coherence of the streams, under gains and delays of a plausible
 robot, is also scored. A proposal is accepted if FIT or coherence improves significantly, FIT decreases in no channel,
 and coherence does not decrease on average. FIT and coherence do not depend on rate and direction of the clock, so poses
 must confirm a change of the clock. A proposal that only states the reader's default is accepted if it removes an error
-of the reader. The best proposal is applied, and the remaining proposals are then tried with it, until none is accepted.
-A cut of the log is scored on the held-out rows of the remaining part; the previous model is not fitted to these rows.
+of the reader. The best proposal is applied, and the remaining proposals are then tried in addition to it, until no
+proposal is accepted. A cut of the log is scored on the held-out rows of the remaining part; the model without the cut
+is not fitted to these rows.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ class Advice:
 
     @property
     def file(self) -> str:
-        """File name of the mapping; different from the name of the original mapping file."""
+        """File name of the mapping, which differs from the name of the original mapping file."""
         mapping = self.selection.mapping
         return FIXED_AGAIN if isinstance(mapping, str | Path) and Path(mapping).name == FIXED_FILE else FIXED_FILE
 
@@ -227,7 +228,7 @@ def _is_cut(changes: Changes) -> bool:
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
-    """List the distinct proposals of the findings; of several values for one key of the mapping, keep the first."""
+    """List the distinct proposals of the findings; only the first of several values for one key is included."""
     distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
     for finding in findings:
         if finding.changes:
@@ -344,7 +345,7 @@ def _subtract(spans: Spans, removed: Spans) -> Spans:
 
 
 def _cut(record: Record, spans: Spans) -> list[Record]:
-    """Cut a record into spans [s]; time grids with slightly different starts result in the same rows."""
+    """Extract the parts of a record within `spans` [s]; rows do not depend on small differences of the start time."""
     pieces = []
     for span in spans:
         first, last = (round((time - record.start) / record.dt) for time in span)

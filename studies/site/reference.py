@@ -13,7 +13,7 @@ from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.logs.mapping import LogMapping
-from diffdrive_mpc.models.stated_robot import MakersRobot
+from diffdrive_mpc.models.stated_robot import ManufacturerRobot
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
 from diffdrive_mpc.sim.plants.surface import Surface
@@ -38,7 +38,7 @@ _FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
     "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
     "model": ("velocity model", "--model", lambda: json.loads(json_schema("model"))),
     "mapping": ("columns or topics of a log", "--mapping", LogMapping.model_json_schema),
-    "stated-robot": ("data sheet of a robot", "identify --robot", MakersRobot.model_json_schema),
+    "stated-robot": ("data sheet of a robot", "identify --robot", ManufacturerRobot.model_json_schema),
     "robot": ("simulated robot", "--plant mujoco:FILE", SimulatedRobot.model_json_schema),
     "surface": ("driving surface", "--surface", Surface.model_json_schema),
     "sensors": ("sensor set", "--sensors", SensorSet.model_json_schema),

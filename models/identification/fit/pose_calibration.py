@@ -25,7 +25,7 @@ from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual
 
 _MIN_WINDOWS = 20
 _ROUNDS = 6
-# Window for the estimation of lags, as a share of the configured window; lags affect speed changes over a window.
+# Window for the estimation of lags, as a share of the configured window; short windows have larger speed changes.
 _LAG_WINDOW = 0.4
 _SHIFTS = 3
 
@@ -44,7 +44,7 @@ class SlipLaw(Protocol):
         ...
 
     @property
-    def holds_lever_arm(self) -> bool:
+    def includes_lever_arm(self) -> bool:
         """True if the coefficients include the lever arm of the pose point."""
         ...
 
@@ -68,7 +68,7 @@ class ConstantTrack:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = ("wheel_radius", "track", "side_slip")
-    holds_lever_arm: bool = False
+    includes_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
@@ -120,7 +120,7 @@ class SlipPolynomial:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = POLYNOMIAL
-    holds_lever_arm: bool = True
+    includes_lever_arm: bool = True
 
     @property
     def start(self) -> FloatArray:
@@ -252,7 +252,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     count = len(law.names)
 
     def errors(parameters: FloatArray) -> FloatArray:
-        lever_arm = np.zeros(2) if law.holds_lever_arm else parameters[count:]
+        lever_arm = np.zeros(2) if law.includes_lever_arm else parameters[count:]
         parts = []
         for part in windows:
             predicted = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
@@ -261,7 +261,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
             parts.append(error)
         return np.concatenate(parts)
 
-    arm = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
+    arm = () if law.includes_lever_arm else ("lever_arm_ahead", "lever_arm_left")
     return _solve(errors, np.append(law.start, np.zeros(len(arm))), (*law.names, *arm))
 
 
@@ -384,7 +384,7 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Solve for the least squares of the window errors (n, r), with iterative weights from their scale and spikes."""
+    """Minimise the squared window errors (n, r), with iterative weights from their scale and spikes."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
@@ -403,5 +403,5 @@ def _apply_weight(errors: Callable[[FloatArray], FloatArray], weight: FloatArray
 
 
 def _nonzero_names(names: tuple[str, ...]) -> list[str]:
-    """List the parameters whose true value is not zero."""
+    """List the parameters whose true value cannot be zero."""
     return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]
