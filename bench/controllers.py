@@ -20,7 +20,7 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.models.plug_ins import known_packages, missing_part
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.features.registry import prepare_config
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
@@ -201,7 +201,7 @@ def make_controller(case: Case) -> TrackingController:
     if case.controller != "mpc":
         if case.controller in known_packages().get("peers", {}):
             raise MissingPackageError(missing_part("peers", case.controller))
-        raise ConfigError(f"unknown controller {not_among(case.controller, CONTROLLERS)}")
+        raise ConfigError(f"unknown controller {format_unknown_name(case.controller, CONTROLLERS)}")
     return Controller(case_config(case))
 
 

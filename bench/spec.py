@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, load_checked
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.sim import Run
 
 VARIANT = "variant"
@@ -52,7 +52,7 @@ class Experiment(ExperimentFile):
     def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)
         if variant is not None and variant not in self.variants:
-            raise ConfigError(f"variants: there is no {not_among(str(variant), self.variants)}")
+            raise ConfigError(f"variants: there is no {format_unknown_name(str(variant), self.variants)}")
         overrides = {} if variant is None else dict(self.variants[str(variant)])
         overrides |= {name: value for name, value in values.items() if name not in _DIMENSIONS}
         dimensions = {name: value for name, value in values.items() if name in _DIMENSIONS}

@@ -26,7 +26,7 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 P = TypeVar("P")
 R = TypeVar("R")
@@ -247,4 +247,4 @@ def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:
     """Raise ConfigError if `only` contains an unknown part of a study."""
     unknown = [name for name in only if name not in parts]
     if unknown:
-        raise ConfigError(f"--only: unknown part {not_among(unknown[0], parts)}")
+        raise ConfigError(f"--only: unknown part {format_unknown_name(unknown[0], parts)}")

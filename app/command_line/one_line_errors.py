@@ -15,7 +15,7 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import FullHelp
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc.models.typed_command import typed
+from diffdrive_mpc.models.typed_command import set_command_line
 
 BAD_INPUT = 2
 """Exit code for invalid input."""
@@ -60,7 +60,10 @@ class OneLineErrors(FullHelp):
         kwargs["standalone_mode"] = False
         arguments = args[0] if args else kwargs.get("args")
         try:
-            with typed(sys.argv[1:] if arguments is None else arguments, self.program), warnings.catch_warnings():
+            with (
+                set_command_line(sys.argv[1:] if arguments is None else arguments, self.program),
+                warnings.catch_warnings(),
+            ):
                 _SHOWN_NOTES.clear()
                 warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)

@@ -28,7 +28,7 @@ from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_mod
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 
 class ComparisonSettings(StrictModel):
@@ -193,7 +193,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     controllers, models = settings.values("controllers"), settings.values("models")
     unknown = [name for name in controllers if name not in CONTROLLERS]
     if unknown:
-        raise ConfigError(f"unknown controller {not_among(unknown[0], CONTROLLERS)}")
+        raise ConfigError(f"unknown controller {format_unknown_name(unknown[0], CONTROLLERS)}")
     _check_labels(settings)
     mpc_cases = (
         [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models]

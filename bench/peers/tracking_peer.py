@@ -18,7 +18,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, r
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
-from diffdrive_mpc.models.two_sided import reached
+from diffdrive_mpc.models.two_sided import limit_step
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimate import Estimate
@@ -37,7 +37,7 @@ def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatA
     """Return the nearest command (2,) within the range that can be reached from `last` (2,) within the slew limits."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     max_rise, max_fall = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
-    return reached(last, np.clip(command, -lower, upper), max_rise, max_fall)
+    return limit_step(last, np.clip(command, -lower, upper), max_rise, max_fall)
 
 
 STANDING = 0.01

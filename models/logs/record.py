@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import VERDICTS, DoubtRelevance
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.diagnosis.streams import Streams
@@ -230,7 +230,7 @@ class Finding:
     def __str__(self) -> str:
         """Format the finding as one line."""
         remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
-        return escaped(f"{self.place}: {self.message}{remedy}")
+        return escape(f"{self.place}: {self.message}{remedy}")
 
 
 @dataclass(frozen=True)

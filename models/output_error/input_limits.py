@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import KINDS, BaseEffects, TwistRange, TwistSlew, limited
+from diffdrive_mpc.models.base_effects import KINDS, BaseEffects, TwistRange, TwistSlew, apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, steady_start
@@ -25,9 +25,9 @@ def side_name(channel: str, kind: int) -> str:
     return ((YawRateLimit if channel == "omega" else VelocityLimit).names + SlewLimit.names)[kind]
 
 
-def limit_names(limited: Sequence[Sequence[bool]]) -> list[str]:
+def limit_names(apply_limits: Sequence[Sequence[bool]]) -> list[str]:
     """Return the names of the limits that are True in `limited` (2, 4), such as "v.forward"."""
-    pairs = zip(CHANNELS, limited, strict=True)
+    pairs = zip(CHANNELS, apply_limits, strict=True)
     return [f"{channel}.{side_name(channel, int(kind))}" for channel, row in pairs for kind in np.flatnonzero(row)]
 
 
@@ -52,18 +52,18 @@ def limits_in(effects: BaseEffects) -> FloatArray:
 
 def limit_derivatives(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
     """Return the derivatives (4, K, m) of `limited` with respect to each kind of limit; zero for infinite limits."""
-    values, derivatives = limited(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
+    values, derivatives = apply_limits(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
     for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
         # An infinite limit needs a finite step, because a relative step would be infinite and its derivative NaN.
         step = np.where(np.isfinite(limit[:, kind]), _RELATIVE_STEP * limit[:, kind], 1.0)
         stepped = limit.copy()
         stepped[:, kind] += step
-        derivatives[kind] = (limited(inputs, stepped, dt, start) - values) / step
+        derivatives[kind] = (apply_limits(inputs, stepped, dt, start) - values) / step
     return derivatives
 
 
 def limited_inputs(
-    system: LinearSystem, experiment: SampledExperiment, function: Callable[..., FloatArray] = limited
+    system: LinearSystem, experiment: SampledExperiment, function: Callable[..., FloatArray] = apply_limits
 ) -> FloatArray:
     """Return the inputs (K, m) after the limits of the base; with `limit_derivatives` as `function`, derivatives."""
     start = steady_start(system, experiment.first_readings)[1]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import limited
+from diffdrive_mpc.models.base_effects import apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import (
@@ -227,7 +227,7 @@ def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> 
     """Simulate outputs (K, p) from the inputs, starting in the steady state of the first readings."""
     sampled = sample(system, experiment.dt)
     start, before = steady_start(system, experiment.first_readings)
-    limited_inputs = limited(experiment.inputs, system.limit, experiment.dt, before)
+    limited_inputs = apply_limits(experiment.inputs, system.limit, experiment.dt, before)
     recent, older = delay_inputs(limited_inputs, sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
     states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]

@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 
@@ -205,7 +205,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         selected = trial if self._only is None else list(self._only)
         for name in selected:
             if name not in trial:
-                raise ConfigError(f"--peers: unknown peer {not_among(name, trial)}")
+                raise ConfigError(f"--peers: unknown peer {format_unknown_name(name, trial)}")
         return sorted(selected, key=lambda name: not name.startswith("mppi"))
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:

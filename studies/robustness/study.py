@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc_extras.campaign.campaign_file import Condition
@@ -88,7 +88,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         check_count(math.prod(map(len, factors)))
         unknown = [name for name in self._controllers if name not in CONTROLLERS]
         if unknown:
-            raise ConfigError(f"--controllers: unknown controller {not_among(unknown[0], CONTROLLERS)}")
+            raise ConfigError(f"--controllers: unknown controller {format_unknown_name(unknown[0], CONTROLLERS)}")
         plan = [
             (name, condition.case(controller, model, trajectory, seed))
             for name, condition in self._conditions.items()

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -68,6 +68,6 @@ def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> Spe
     for name in names:
         members = {key: subject for key, subject in settings.subjects.items() if f"{key}/".startswith(f"{name}/")}
         if not members:
-            raise ConfigError(f"--peers: unknown subject {not_among(name, settings.subjects)}")
+            raise ConfigError(f"--peers: unknown subject {format_unknown_name(name, settings.subjects)}")
         subjects |= members
     return settings.model_copy(update={"subjects": subjects})

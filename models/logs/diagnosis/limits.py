@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import KINDS, limited
+from diffdrive_mpc.models.base_effects import KINDS, apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
@@ -41,7 +41,7 @@ def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:
     for part in streams.slices:
         rows = command[part, channel : channel + 1]
         if np.isfinite(rows).all():
-            command[part, channel : channel + 1] = limited(rows, limit[None], streams.dt, rows[0])
+            command[part, channel : channel + 1] = apply_limits(rows, limit[None], streams.dt, rows[0])
     return replace(streams, command=command)
 
 
