@@ -1,4 +1,4 @@
-"""`diffdrive_mpc.simulate`: the closed loop of `sim`, which also accepts names and files in place of objects."""
+"""`diffdrive_mpc.simulate`: closed loop that also accepts names and files instead of objects."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def simulate(
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     """Return the sample time and the limits of a controller's plant as arguments of `make_plant`."""
     standard = load_robot().limits
-    # A robot with higher limits than the papers' robot must not be limited to the range of that robot's serial link.
+    # A robot with higher limits than the papers' robot must not be limited to the range of the latter's serial link.
     bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(standard, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 

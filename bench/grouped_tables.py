@@ -109,7 +109,7 @@ class TableSpec(TableFile):
 
 
 def _cell_of_rows(column_cell: Cell, index: pd.Index, rows: DataFrame) -> str:
-    """Return the cell for those rows of a group whose index is in `index`."""
+    """Return the cell for the rows of a group whose index is in `index`."""
     part = rows[rows.index.isin(index)]
     return column_cell(part) if len(part) else "-"
 

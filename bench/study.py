@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import other_robots, reference_remarks
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
-from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, EmbeddedPicture, GridMap, Page, Shown
+from diffdrive_mpc.bench.html_report.page import NO_CONTENTS, Chart, EmbeddedPicture, GridMap, Page, PageContents
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -74,7 +74,7 @@ class Report:
     figures: Mapping[str, Charts | Draw] = field(default_factory=dict)
     notes: Sequence[str] = ()
     figures_first: int | None = None
-    shown: Shown = NOTHING
+    shown: PageContents = NO_CONTENTS
     files: Mapping[str, str] = field(default_factory=dict)
     screen: Sequence[Table] = ()
 

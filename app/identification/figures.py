@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.chart_drawing import draw_chart, draw_charts
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, round_digits
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
@@ -104,7 +104,9 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
             time, values = rows[envelope(rows[:, 1], points)].T
             times = [round(float(value), 3) for value in time]
             series.append(
-                Series(name, times, [rounded(value) for value in values], style, "points" if style == 0 else "line")
+                Series(
+                    name, times, [round_digits(value) for value in values], style, "points" if style == 0 else "line"
+                )
             )
         fit = number(float(fitted.validation.fit_percent[i]), 1)
         note = f"All validation data, simulated from the commands only. FIT {fit} %."
@@ -147,7 +149,7 @@ def step_charts(report: IdentificationReport) -> list[Chart]:
     x, charts = [round(float(value), 4) for value in time], []
     for j, command in enumerate(CHANNELS):
         series = [
-            Series(f"{channel} [{UNITS[channel]}]", x, [rounded(value) for value in responses[j][:, i]], i, "line")
+            Series(f"{channel} [{UNITS[channel]}]", x, [round_digits(value) for value in responses[j][:, i]], i, "line")
             for i, channel in enumerate(CHANNELS)
         ]
         gains = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
@@ -166,7 +168,7 @@ def order_charts(report: IdentificationReport) -> list[Chart]:
     for i, channel in enumerate(CHANNELS):
         attributes = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
         series = [
-            Series(label, orders, [rounded(getattr(row, name)[i]) for row in choice.rows], k)
+            Series(label, orders, [round_digits(getattr(row, name)[i]) for row in choice.rows], k)
             for k, (label, name) in enumerate(attributes.items())
         ]
         marks = [Mark(choice.order, "selected", upright=True)]
@@ -179,8 +181,8 @@ def drift_charts(report: IdentificationReport) -> list[Chart]:
     drift = report.poses.drift
     x = [row.horizon for row in drift]
     series = [
-        Series("RMSE", x, [rounded(row.position_rmse) for row in drift], 0),
-        Series("mean", x, [rounded(row.position_mean) for row in drift], 1),
+        Series("RMSE", x, [round_digits(row.position_rmse) for row in drift], 0),
+        Series("mean", x, [round_digits(row.position_mean) for row in drift], 1),
     ]
     axes = Axis("time since the start of the prediction [s]"), Axis("position error [m]")
     return [Chart("Drift of the pose", *axes, series)]

@@ -1,4 +1,4 @@
-"""Plan of the cases of the comparison."""
+"""Selection of the cases of a comparison."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from diffdrive_mpc.bench.case import (
     split_numbers,
 )
 from diffdrive_mpc.bench.comparison.other_robots import dynamics_cases, population_cases
-from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model, controller_config
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, controller_config, select_model
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
@@ -124,7 +124,7 @@ def read_options(
     elif sweeps:
         options["horizons"] = HORIZONS
     if config is not None:
-        options = {"config": str(config), "models": (chosen_model(None, config),)} | options
+        options = {"config": str(config), "models": (select_model(None, config),)} | options
     options["beyond"] = sweeps
     options["robots"] = not (quick or scaled or settings or set(options) - {"osqp", "beyond", "horizons"})
     if quick:
@@ -244,7 +244,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_cases((*plan.all, *plan.beyond))
     if not settings.robots:
         return plan
-    # Cases of other robots are not checked, since their files are built-in and the check takes several seconds.
+    # Cases of other robots are not checked, because their files are built-in and the check takes several seconds.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
@@ -253,7 +253,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
 
 
 def _with_excess_delay(case: Case, ticks: int) -> Case:
-    """Return the case with `ticks` additional dead time in the plant, or, if negative, in the configuration."""
+    """Return the case with `ticks` of additional dead time in the plant or, if negative, in the configuration."""
     if ticks >= 0:
         return replace(case, late=ticks)
     config = controller_config(case.model, case.config, case.overrides)
@@ -269,9 +269,9 @@ def _at_horizon(case: Case, steps: int) -> Case:
 
 
 def _check_labels(settings: ComparisonSettings) -> None:
-    """Raise ConfigError if two files of a dimension have the same stem, since tables and figures would merge them.
+    """Raise ConfigError if two files of a dimension have the same stem, because tables and figures would merge them.
 
-    Models and peers share a set of names. The comparison ignores case, since figure files use these names.
+    Models and peers must not share a name. The comparison ignores case, because figure files use these names.
     """
     dimensions = {dimension.plural: settings.values(dimension.plural) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)

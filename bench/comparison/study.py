@@ -16,8 +16,8 @@ from diffdrive_mpc.bench.comparison.results import (
     ROW_PARTS,
     TIMING,
     ComparisonResults,
-    chosen_configuration,
     describe,
+    describe_configuration,
     labels_of,
 )
 from diffdrive_mpc.bench.comparison.tables import other_robot_tables, report_tables, scenario_table, screen_table
@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
 
 class ComparisonStudy(Study[CasePlan, ComparisonResults]):
-    """Comparison with the given `settings`."""
+    """Comparison of controllers with `settings`."""
 
     name = "bench"
     title = "Controllers compared: tracking error and step time"
@@ -71,12 +71,12 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **row_parts)
         if not self.settings.beyond:
             return results
-        # Starting another process pool would take longer than this computation.
+        # One process is used, because starting a process pool would take longer than the computation.
         return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
-        """Report with the overview figures above and the runs of the first seed below the tables."""
-        from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
+        """Build the report, with overview figures above the tables and the runs of the first seed below."""
+        from diffdrive_mpc.bench.comparison.figures import report_figures  # noqa: PLC0415 - matplotlib loads slowly
 
         named = [
             dimension
@@ -88,7 +88,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             for entry in named
             if (values := labels_of(self.settings, entry.plural))
         ]
-        chosen = chosen_configuration(self.settings)
+        chosen = describe_configuration(self.settings)
         return Report(
             counted=f"{len(results.all)} runs",
             meta=describe(self.settings, results.timing),
@@ -102,7 +102,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
                 f"Times: {TIMING}. {_timing_note(results.timing)}",
             ],
             tables=report_tables(results),
-            figures=drawings(results),
+            figures=report_figures(results),
             figures_first=3 if len(results.speed) else 1,
             shown=page_contents(results),
             screen=[

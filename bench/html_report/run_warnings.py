@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.html_report.page import Warned
+from diffdrive_mpc.bench.html_report.page import PageWarning
 from diffdrive_mpc.bench.run_row import SolverShares
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.two_sided import sides_at
@@ -43,7 +43,7 @@ def remedies() -> Remedies:
     return load_checked(Remedies, Path(__file__).parent / "remedies.yaml")
 
 
-def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[Warned]:
+def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[PageWarning]:
     """List the warnings about a run in descending order of severity.
 
     Parameters
@@ -67,7 +67,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         (_messages(run), remedies_of_kinds.messages),
     ]
     prefix = f"{name}: " if name else ""
-    return [Warned(prefix + sentence, remedy) for sentence, remedy in sentences if sentence]
+    return [PageWarning(prefix + sentence, remedy) for sentence, remedy in sentences if sentence]
 
 
 def _incomplete(run: Run) -> str:

@@ -160,12 +160,12 @@ class IdentifiedModel:
         )
 
 
-def rounded(value: object) -> Any:  # noqa: ANN401 - nested numbers for YAML
+def round_values(value: object) -> Any:  # noqa: ANN401 - nested numbers for YAML
     """Round numbers, and nested arrays or mappings of numbers, to the digits of a file; return Python floats."""
     if isinstance(value, Mapping):
-        return {key: rounded(entry) for key, entry in value.items()}
+        return {key: round_values(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [rounded(entry) for entry in value]
+        return [round_values(entry) for entry in value]
     return float(f"{float(value):.{_DIGITS}g}")  # type: ignore[arg-type]
 
 
@@ -243,7 +243,7 @@ def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
     correlation = np.clip(estimate.covariance / np.outer(scale, scale), -1.0, 1.0)
     return {
         "parameters": list(estimate.names),
-        "value": rounded(estimate.values),
+        "value": round_values(estimate.values),
         "standard_deviation": [float(f"{value:.4g}") for value in deviation],
         "correlation": [[round(float(value), _CORRELATION_DIGITS) for value in row] for row in correlation],
     }

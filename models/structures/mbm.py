@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstima
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -121,12 +121,12 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     return IdentifiedModel(
         schema=MbmFile,
         content={
-            "dead_time": rounded({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
-            "motors": rounded(motors),
+            "dead_time": round_values({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
+            "motors": round_values(motors),
             "wheel_radius": wheel_radius,
-            "firmware_track": rounded(parameters.value("firmware_track")),
-            "effective_track": rounded(parameters.value("effective_track")),
-            "base_effects": rounded(effects_of(fit.system.limit)),
+            "firmware_track": round_values(parameters.value("firmware_track")),
+            "effective_track": round_values(parameters.value("effective_track")),
+            "base_effects": round_values(effects_of(fit.system.limit)),
         },
         parameters=parameters,
         offset=np.array([0.0, yaw.parameters.value("offset")]),

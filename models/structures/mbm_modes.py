@@ -14,7 +14,7 @@ from diffdrive_mpc.models.output_error.experiment import wheel_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, join_estimates
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import fit_output_error
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc.models.structures.mbm import MOTORS, SIDES, required_radius
 from diffdrive_mpc.models.structures.model_file import MbmModesFile
 from diffdrive_mpc.models.structures.sm import METHOD, identify_sm
@@ -85,7 +85,11 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     identified = replace(
         sm,
         schema=MbmModesFile,
-        content={**sm.content, "motors": rounded(gains), "effective_track": rounded(motors.value("effective_track"))},
+        content={
+            **sm.content,
+            "motors": round_values(gains),
+            "effective_track": round_values(motors.value("effective_track")),
+        },
         parameters=join_estimates([sm.parameters, motors]),
         method=METHOD.format(TWO_POLES.description) + "; then a gain for each motor and the track, from wheel speeds",
         warnings=(*sm.warnings, *(doubt.about("motors") for doubt in doubts.uncertain_parameters(motors))),

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experi
 from diffdrive_mpc.models.output_error.input_limits import effects_of
 from diffdrive_mpc.models.output_error.parameters import join_estimates
 from diffdrive_mpc.models.structures.channel import ChannelForm, IdentifiedChannel, identify_channel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import ModelFile, SmFile
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
@@ -58,9 +58,9 @@ def identify_sm(
     return IdentifiedModel(
         schema=schema,
         content={
-            "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
-            "channels": rounded({name: fit.content for name, fit in fits.items()}),
-            "base_effects": rounded(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
+            "dead_time": round_values({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
+            "channels": round_values({name: fit.content for name, fit in fits.items()}),
+            "base_effects": round_values(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
         },
         parameters=join_estimates([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),

@@ -36,7 +36,7 @@ from diffdrive_mpc.models.output_error.state_space import (
 )
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, block_fit, compare_orders, is_behind
 from diffdrive_mpc.models.structures.registry import MAX_ORDER
@@ -269,11 +269,11 @@ def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     return IdentifiedModel(
         schema=SsmFile,
         content={
-            "dead_time": rounded(dict(zip(CHANNELS, system.dead_time, strict=True))),
-            "A": rounded(A),
-            "B": rounded(B),
-            "C": rounded(C),
-            "base_effects": rounded(effects_of(system.limit)),
+            "dead_time": round_values(dict(zip(CHANNELS, system.dead_time, strict=True))),
+            "A": round_values(A),
+            "B": round_values(B),
+            "C": round_values(C),
+            "base_effects": round_values(effects_of(system.limit)),
         },
         parameters=parameters,
         offset=np.asarray(system.offset),

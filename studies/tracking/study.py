@@ -19,13 +19,13 @@ from diffdrive_mpc.bench.html_report.page import (
     Chart,
     KeyFigure,
     Mark,
+    PageContents,
+    PageWarning,
     RunViews,
     Series,
-    Shown,
     Toggle,
     View,
-    Warned,
-    rounded,
+    round_digits,
 )
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
@@ -181,7 +181,7 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
     }
 
 
-def page_contents(rows: DataFrame) -> Shown:
+def page_contents(rows: DataFrame) -> PageContents:
     """Build the contents of the page except tables and figures."""
     targets = rows[rows["part"] == "targets"]
     verdicts = evaluate_targets(targets) if len(targets) else []
@@ -193,7 +193,7 @@ def page_contents(rows: DataFrame) -> Shown:
     runs = [RunViews(series, f"{HOW_TO_READ}. Default surface and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
-    return Shown(
+    return PageContents(
         summary=[f"{met} of {len(verdicts)} targets are reached by all models."] if verdicts else [],
         key_figures=_key_figures(unique_rows, verdicts, first),
         toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if models else [],
@@ -224,7 +224,7 @@ def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Ch
     names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
     series = []
     for model in dict.fromkeys(model for entry in charted for model in entry.reached):
-        shares = [rounded(entry.reached.get(model, np.nan) / entry.limit) for entry in charted]
+        shares = [round_digits(entry.reached.get(model, np.nan) / entry.limit) for entry in charted]
         style = models.index(model) if model in models else len(models)
         series.append(Series(model, shares, names, style, "rows", labels={"model": model} if model in models else {}))
     axes = Axis("share of the limit"), Axis("", "category")
@@ -232,17 +232,19 @@ def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Ch
     return Chart("Targets", *axes, series, note, [Mark(1.0, "limit", upright=True)], broad=True, height=560)
 
 
-def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]:
+def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[PageWarning]:
     warnings = []
     for verdict in verdicts:
         excesses = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
         if excesses:
             values = f"{', '.join(excesses)} instead of at most {verdict.limit:g}"
-            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _ADVICE))
+            warnings.append(PageWarning(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _ADVICE))
     incomplete = rows[~rows["completed"].astype(bool)]
     if len(incomplete):
         names = ("controller", "model", "trajectory", "surface", "scenario")
         where = ", ".join(str(incomplete[name].iloc[0]) for name in names)
         problem = f"{len(incomplete)} runs did not complete, the first: {where}, seed {incomplete['seed'].iloc[0]}."
-        warnings.append(Warned(problem, "run this case alone with `simulate` and these options, and read its report"))
+        warnings.append(
+            PageWarning(problem, "run this case alone with `simulate` and these options, and read its report")
+        )
     return warnings

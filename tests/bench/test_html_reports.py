@@ -23,11 +23,11 @@ from diffdrive_mpc.bench.html_report.page import (
     Mark,
     Origin,
     Page,
+    PageContents,
+    PageWarning,
     RunViews,
     Series,
-    Shown,
     Toggle,
-    Warned,
 )
 from diffdrive_mpc.bench.html_report.run_series import ERROR, kept_ticks, rounded_list, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
@@ -91,9 +91,9 @@ def page_of_all_views(name: str, outcome: RunOutcome) -> Page:
         Chart(name, Axis(name), Axis(name, "log", (0.0, 1.0)), series, name, marks),
         GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
-    content = Shown(
+    content = PageContents(
         [name], [name], [KeyFigure(name, name, name)], [Toggle("controller", (name,), (name,), styled=True)], views,
-        [Warned(name, name)], [ConfigurationView(name, name)],
+        [PageWarning(name, name)], [ConfigurationView(name, name)],
     )  # fmt: skip
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
     return Page(name, name, content, [table], Origin(name, [(name, name)]))

@@ -11,7 +11,7 @@ import yaml
 from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
+from diffdrive_mpc.bench.html_report.page import KeyFigure, PageContents
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
@@ -107,7 +107,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             ],
             tables=_tables(results),
             figures={"learned.png": partial(draw_log, results)},
-            shown=Shown(
+            shown=PageContents(
                 key_figures=[KeyFigure("minimum radius", radius_text, f"at {results.costs.curve.speed:g} m/s", "good")]
             ),
             files={

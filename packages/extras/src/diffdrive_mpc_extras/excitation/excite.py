@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.app.run_log import holds_plans, run_log
+from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, controller_config, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -193,7 +193,7 @@ def excite_into(
             excitation.write(out)
             if log is not None:
                 bar.start_stage("driving", 1)
-                run = driven(drive, out, bar.show, keep_plans=holds_plans(log))
+                run = driven(drive, out, bar.show, keep_plans=includes_plans(log))
                 check_drive(run, room)
                 write_log(run, drive)
     console.print(excitation.table().rich())
