@@ -219,7 +219,7 @@ class RunViews:
 
 
 def _references_once(series: Iterable[Series]) -> list[Series]:
-    """Omit references with the name and labels of an earlier reference, because runs on one path share it."""
+    """Remove references with the name and labels of an earlier reference, because runs on one path share it."""
     entries: dict[object, Series] = {}
     for entry in series:
         is_reference = entry.kind == "reference"

@@ -73,7 +73,7 @@ class Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Do nothing, because no file stays open."""
+        """End the context; no file is open between calls."""
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time of receipt [ns] and bytes of the messages of `connections`, in the order of the files."""

@@ -279,9 +279,9 @@ def _neighbours_table(peer: TunedPeer) -> Table:
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
     """Format the file of gains for the peers in `bench/peers` and in `packages/extras`."""
     header = (
-        "# Gains of the peers; the fields of each law state the units. Written by `python -m studies peers`: a\n"
-        f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. The comment of a\n"
-        "# peer is its mean position RMSE on the tuning runs.\n"
+        "# Gains of the peers; the fields of each law state the units. `python -m studies peers` writes this file\n"
+        f"# after a search of {settings.evaluations} settings for each peer, see studies/peers/settings.yaml. The\n"
+        "# comment of a peer is the mean position RMSE of its tuning runs.\n"
     )
     lines: list[str] = []
     for result in sorted(results, key=lambda result: TUNED_PEERS.index(result.peer)):

@@ -29,7 +29,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Series,
     Toggle,
 )
-from diffdrive_mpc.bench.html_report.run_series import ERROR, kept_ticks, rounded_list, run_series
+from diffdrive_mpc.bench.html_report.run_series import ERROR, rounded_list, run_series, select_ticks
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
@@ -119,7 +119,7 @@ def test_content_cannot_end_its_script() -> None:
 
 def test_thinned_runs_preserve_peaks_and_series_preserve_values(outcome: RunOutcome) -> None:
     run = outcome.run
-    ticks = kept_ticks(run, 60)
+    ticks = select_ticks(run, 60)
     assert len(ticks) == 60
     assert (np.diff(ticks) > 0).all()
     assert run.errors.position[ticks].max() == run.errors.position.max()

@@ -26,14 +26,14 @@ from diffdrive_mpc.bench.peers.estimator import DelayPredictor, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import Delayed, LawInput, law_kind, load_gains, make_tracking_peer
+from diffdrive_mpc.bench.peers.tracking_peer import LawInput, RobotParameters, law_kind, load_gains, make_tracking_peer
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")
-ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
+ROBOT = RobotParameters(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
 PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
@@ -52,7 +52,7 @@ def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
         (recent,), (previous,) = sampled.effective_inputs(command[None], past)
         state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ previous
         past = np.vstack([past[1:], command])
-        predictor.sent(command)
+        predictor.record_command(command)
         plant.advance(command)
     expected = predictor.predict(plant.true_pose, state, known_slip)
     for _ in range(ticks):
@@ -113,13 +113,13 @@ def test_arc_of_pursuit_passes_through_the_look_ahead_point(v: float, x: float, 
     forward = np.array([v, 0.5])
     view = LawInput(2.0, PredictedMotion(pose + [x, y, turn], forward), pose, forward)
     speed, turn = law.decide(view)
-    carrot = law.carrot(view)
+    look_ahead_point = law.look_ahead_point(view)
     # The pose after a drive along the arc until the chord equals the distance to the point.
     if abs(turn) > 1e-6:
         radius = speed / turn
-        angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
+        angle = 2 * np.arcsin(np.hypot(*look_ahead_point) / (2 * abs(radius))) * np.sign(turn)
         end_point = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
-        assert np.hypot(*(end_point - carrot)) < 1e-6 or carrot[0] * v < 0
+        assert np.hypot(*(end_point - look_ahead_point)) < 1e-6 or look_ahead_point[0] * v < 0
 
 
 # The tests of the laws use moderate gains: some tuned gains without slip are too high for a displaced start.
