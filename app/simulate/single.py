@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.run_row import RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
-from diffdrive_mpc.mpc.problem.build import select_model as predicting_model
+from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
 from diffdrive_mpc.sim import simulate

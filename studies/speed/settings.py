@@ -18,7 +18,7 @@ MAX_STEPS = 200
 
 
 class SubjectSettings(StrictModel):
-    """Solver of the problem with its settings."""
+    """Kind and settings of a solver."""
 
     kind: Literal["ours", "acados", "do-mpc", "nlpsol"]
     settings: dict[str, Any] = Field(description="configuration values for our controller, solver settings for a peer")
@@ -58,9 +58,9 @@ def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> Spe
 
 
 def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
-    """Select the named subjects; the name of a group selects its members (`ours` selects `ours/auto` etc.).
+    """Select subjects by name; the name of a group selects all its members, as `ours` selects `ours/auto`.
 
-    Raises ConfigError if a name is unknown.
+    Raise ConfigError if a name is unknown.
     """
     if names is None:
         return settings

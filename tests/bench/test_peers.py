@@ -82,7 +82,7 @@ def test_lyapunov_function_of_kanayama_decreases_for_an_ideal_robot(x: float, y:
 def test_lqr_gains_at_constant_speed_solve_the_algebraic_riccati_equation(twist: tuple[float, float]) -> None:
     law = LqrLaw(load_gains("lqr"), ROBOT)
     law.start(Arc(*twist, duration=20.0))
-    A, B = law.linearised(*twist)
+    A, B = law._linearise(*twist)
     P = solve_discrete_are(A, B, law._Q, law._R)
     K = np.linalg.solve(law._R + B.T @ P @ B, B.T @ P @ A)
     np.testing.assert_allclose(law._K[0], K, rtol=1e-4, atol=1e-6)
@@ -94,7 +94,7 @@ def test_lqr_linearises_the_motion_of_the_robot() -> None:
     law, dt = LqrLaw(load_gains("lqr"), ROBOT), 1e-3
     law._dt = dt
     v, omega = 0.7, 0.4
-    A, _ = law.linearised(v, omega)
+    A, _ = law._linearise(v, omega)
     error = 1e-4 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, -1.0])
     end_pose = integrate_pose(error[:3], v + error[4], omega + error[5], dt)
     reference = integrate_pose(np.zeros(3), v, omega, dt)

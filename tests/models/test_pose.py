@@ -132,9 +132,9 @@ LAWS = [
 
 @pytest.mark.parametrize(("law", "truth"), LAWS, ids=lambda x: type(x).__name__)
 def test_each_law_is_recovered(law, truth):
-    lever_arm = (0.0, 0.0) if law.holds_lever_arm else (0.146, -0.03)
+    lever_arm = (0.0, 0.0) if law.includes_lever_arm else (0.146, -0.03)
     exact = calibrate_wheels([drive(law, truth, lever_arm)], law).parameters
-    expected = truth if law.holds_lever_arm else [*truth, *lever_arm]
+    expected = truth if law.includes_lever_arm else [*truth, *lever_arm]
     assert exact.values == pytest.approx(expected, abs=1e-6)
     noisy = calibrate_wheels([drive(law, truth, lever_arm, noise=(0.005, 0.005))], law).parameters
     assert np.all(np.abs(noisy.values - expected) < 4 * noisy.standard_deviation)

@@ -301,14 +301,14 @@ def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Bound
 
 
 def _key_figures(driven: Sequence[CampaignRun], rates: Outcomes) -> list[KeyFigure]:
-    tail_shares = error_estimates(driven)[f"{CVAR}, completed runs"]
+    tail = error_estimates(driven)[f"{CVAR}, completed runs"]
     bound = f"with 95 % confidence below {percent(rates.unsafe.bound)} %"
     return [
         KeyFigure("completed", f"{100 * rates.completed.share:.1f} %", _interval(rates.completed)),
         KeyFigure("completed within the band", f"{100 * rates.in_band.share:.1f} %", _interval(rates.in_band)),
         KeyFigure("stopped by the controller", f"{100 * rates.stopped.share:.1f} %", _interval(rates.stopped)),
         KeyFigure("unsafe commands", f"{rates.unsafe.count} runs", bound, "bad" if rates.unsafe.count else "good"),
-        KeyFigure("position error, worst 5 %", f"{millis(tail_shares.value)} mm", "CVaR 95 % of completed runs, RMSE"),
+        KeyFigure("position error, worst 5 %", f"{millis(tail.value)} mm", "CVaR 95 % of completed runs, RMSE"),
     ]
 
 
