@@ -194,7 +194,7 @@ def _config_of_robot(case: Case) -> ControllerConfig:
 def make_controller(case: Case) -> TrackingController:
     """Create a controller for a case.
 
-    Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
+    Raise ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
         return make_peer(case.controller, dict(settings_of(case)), dict(case.gains))
@@ -217,7 +217,7 @@ def settings_of(case: Case) -> Overrides:
 def case_config(case: Case) -> ControllerConfig:
     """Return the configuration of the predictive controller of a case, with the settings that the plant requires.
 
-    Raises ConfigError as `controller_config`.
+    Raise ConfigError as `controller_config`.
     """
     wrapper = split_plant(case.plant)
     required = {} if wrapper is None else dict(wrapper[0].settings(wrapper[1], wrapper[2]))
@@ -231,7 +231,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     Without `config`, return the built-in configuration of `model`. For a user's model file, return the built-in
     configuration of the SSM without its extra dead time, which was identified together with the SSM.
 
-    Raises ConfigError if the model is unknown or the configuration is invalid.
+    Raise ConfigError if the model is unknown or the configuration is invalid.
     """
     if config is not None:
         loaded = load_config(config, {"model": _model_reference(model), **dict(overrides)})
@@ -246,7 +246,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
 def select_model(model: str | None, config: Path | None) -> str:
     """Return `model`; if it is None, the model of the configuration file, or without a file the default model.
 
-    Raises ConfigError if the name is empty or the file cannot be used.
+    Raise ConfigError if the name is empty or the file cannot be used.
     """
     if model is None:
         return Case().model if config is None else load_config(config).model

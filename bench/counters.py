@@ -39,7 +39,7 @@ class Effort(NamedTuple):
     switches: int
     pace: float
 
-    def undisturbed(self, best_pace: float) -> bool:
+    def is_undisturbed(self, best_pace: float) -> bool:
         """Return True if the work was undisturbed; `best_pace` is the minimum time of the yardstick [s]."""
         away = self.elapsed - self.processor
         return (

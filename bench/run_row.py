@@ -65,7 +65,7 @@ class RunOutcome:
     clean_share: float = 1.0
 
     @property
-    def untimed(self) -> RunOutcome:
+    def without_times(self) -> RunOutcome:
         """Outcome without step times, for runs that were disturbed by parallel runs."""
         no_times = np.full(len(self.run.time), np.nan)
         return replace(self, run=self.run.with_step_time(no_times, no_times), clean_share=math.nan)

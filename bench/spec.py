@@ -97,10 +97,10 @@ class SpecStudy(Study[Drives, DataFrame]):
     def plan(self) -> Drives:
         """Plan the runs of each part; raise ConfigError or ValueError if a run is not possible."""
         plan = self.experiment.drives(self._only)
-        check_cases(self.driven(plan))
+        check_cases(self.reference_cases(plan))
         return plan
 
-    def driven(self, plan: Drives) -> Iterable[Case]:
+    def reference_cases(self, plan: Drives) -> Iterable[Case]:
         """Return the cases whose controller is in `CONTROLLERS`."""
         return (drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
 
@@ -128,7 +128,7 @@ class SpecStudy(Study[Drives, DataFrame]):
         """Build the report with the tables and every row."""
         rows = results.drop_duplicates("case")
         return Report(
-            counted=f"{len(rows)} runs",
+            size=f"{len(rows)} runs",
             meta={"statistics": STATISTICS, "experiment": self.experiment},
             content={"runs": json_rows(rows.drop(columns="part"))},
             facts=[f"{len(rows)} runs in {seconds} s."],

@@ -44,8 +44,8 @@ class Report:
 
     Attributes
     ----------
-    counted
-        Number of runs, such as "12 runs".
+    size
+        Number of runs as text, such as "12 runs".
     meta
         Entries of `meta` in addition to computer, versions and duration: definitions and requested settings.
     content
@@ -67,7 +67,7 @@ class Report:
         Tables that the terminal shows instead of `tables`; empty for `tables`.
     """
 
-    counted: str
+    size: str
     meta: dict[str, object]
     content: dict[str, object]
     facts: Sequence[str]
@@ -115,7 +115,7 @@ class Study(ABC, Generic[P, R]):
         """List the cases for which a note reports that plant and configuration describe different robots."""
         return ()
 
-    def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
+    def reference_cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
         """List the cases for which notes report the differences between the references and their files."""
         return ()
 
@@ -150,7 +150,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
         ProgressBar("preparing", lines=True) as bar,
     ):
-        for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
+        for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.reference_cases(plan))):
             output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - start)
@@ -168,7 +168,7 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
         console.print(f"warning: {warning.text} {warning.remedy}", highlight=False)
     for table in report.screen or report.tables:
         console.print(table.rich())
-    console.print(f"{report.counted} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
+    console.print(f"{report.size} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
 
 
 def write_report(

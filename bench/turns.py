@@ -120,7 +120,7 @@ class _ReplayResults:
 
     def clean(self, first: int, best: float) -> list[_Measurement]:
         """Return the undisturbed measurements of the stretch that starts at tick `first`."""
-        return [entry for entry in self.measurements.get(first, []) if entry.effort.undisturbed(best)]
+        return [entry for entry in self.measurements.get(first, []) if entry.effort.is_undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
         """Return the end of the last turn that lacks undisturbed measurements; 0 if there is no such turn."""
@@ -139,7 +139,7 @@ class _ReplayResults:
         for first, measurements in self.measurements.items():
             # If undisturbed measurements are missing, disturbed ones are used, but not marked as clean.
             undisturbed = self.clean(first, best)
-            disturbed = [entry for entry in measurements if not entry.effort.undisturbed(best)]
+            disturbed = [entry for entry in measurements if not entry.effort.is_undisturbed(best)]
             selected = (undisturbed + disturbed)[: self.repetitions]
             for row, measurement in enumerate(selected):
                 stretch = slice(first, first + len(measurement.times))

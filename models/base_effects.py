@@ -163,13 +163,13 @@ class WheelCommand(StrictModel):
 
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return the twists (..., 2) commanded to the motors, in the units of the command."""
-        speeds = self._quantised(self.sides(twist))
+        speeds = self._quantise(self.sides(twist))
         coasting = np.clip(speeds[..., ::-1], -self.coasting_speed, self.coasting_speed)
         return self.twist(np.where(self.coasts(twist), coasting, speeds))
 
     def coasts(self, twist: ArrayLike) -> NDArray[np.bool_]:
         """Return True for each side (..., 2) whose command is below one step while the opposite side is driven."""
-        speeds = self._quantised(self.sides(twist))
+        speeds = self._quantise(self.sides(twist))
         return np.asarray((speeds == 0.0) & (speeds[..., ::-1] != 0.0), dtype=np.bool_)
 
     def slope(self, twist: ArrayLike) -> FloatArray:
@@ -177,7 +177,7 @@ class WheelCommand(StrictModel):
         speeds = self.sides(twist)
         free = np.ones(speeds.shape) if self.top_speed is None else (np.abs(speeds) < self.top_speed).astype(float)
         coasts = self.coasts(twist)
-        follows = coasts * free[..., ::-1] * (np.abs(self._quantised(speeds)[..., ::-1]) < self.coasting_speed)
+        follows = coasts * free[..., ::-1] * (np.abs(self._quantise(speeds)[..., ::-1]) < self.coasting_speed)
         by_side = np.zeros((*speeds.shape, 2))
         for side, opposite in ((0, 1), (1, 0)):
             by_side[..., side, side] = np.where(coasts[..., side], 0.0, free[..., side])
@@ -186,12 +186,12 @@ class WheelCommand(StrictModel):
         into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
         return np.asarray(out @ by_side @ into)
 
-    def _clipped(self, sides: FloatArray) -> FloatArray:
+    def _clip(self, sides: FloatArray) -> FloatArray:
         return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
 
-    def _quantised(self, sides: FloatArray) -> FloatArray:
+    def _quantise(self, sides: FloatArray) -> FloatArray:
         """Clip rim speeds to the top speed and truncate them to whole steps."""
-        clipped = self._clipped(sides)
+        clipped = self._clip(sides)
         if self.resolution == 0.0:
             return clipped
         return np.sign(clipped) * np.floor(np.abs(clipped) / self.resolution + _ROUNDING) * self.resolution
@@ -300,15 +300,15 @@ class PoseMount(StrictModel):
         """Return poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
         pose = np.asarray(sensor, dtype=float)
         theta = pose[..., 2]
-        return self._shifted(pose, theta, -1.0, theta + self.heading)
+        return self._shift_pose(pose, theta, -1.0, theta + self.heading)
 
     def sensor(self, centre: ArrayLike) -> FloatArray:
         """Return poses (..., 3) of the sensor for poses (..., 3) of the centre, the exact inverse of `centre`."""
         pose = np.asarray(centre, dtype=float)
         theta = pose[..., 2] - self.heading
-        return self._shifted(pose, theta, 1.0, theta)
+        return self._shift_pose(pose, theta, 1.0, theta)
 
-    def _shifted(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
+    def _shift_pose(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
         """Shift `pose` by the lever arm along the sensor's `axes` [rad]; set its heading to `theta`."""
         dx = np.cos(axes) * self.ahead - np.sin(axes) * self.left
         dy = np.sin(axes) * self.ahead + np.cos(axes) * self.left

@@ -98,11 +98,11 @@ def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
         If `text` is invalid YAML, repeats a key, is nested deeper than `MAX_DEPTH`, contains more than `MAX_VALUES`
         values, refers to itself, or contains a value that does not match its tag.
     """
-    return pickle.loads(_parse_pickled(text))
+    return pickle.loads(_pickle_yaml(text))
 
 
 @lru_cache(maxsize=32)
-def _parse_pickled(text: str) -> bytes:
+def _pickle_yaml(text: str) -> bytes:
     """Parse a text and pickle its values, so that each caller gets a copy; many drives read the same files."""
     _check_bounds(text)
     try:

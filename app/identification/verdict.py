@@ -78,7 +78,7 @@ class TrialVerdict:
     unexplained
         Drives on curved paths with the unexplained motion of the validation data.
     robot
-        Robot with unexplained motion; None without such drives.
+        Robot with unexplained motion; None if there are no such drives.
     """
 
     identification: Identification

@@ -99,7 +99,7 @@ def read_options(
     horizons, config, settings, quick, scaled, sweeps
         Other options of the command.
 
-    Raises ConfigError or ValueError if an option cannot be used.
+    Raise ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
     requested = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.plural)) is not None}
@@ -173,12 +173,12 @@ class CasePlan:
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
 
     @property
-    def timed(self) -> tuple[Case, ...]:
+    def timed_cases(self) -> tuple[Case, ...]:
         """Cases whose steps are timed; only the first seed, since step times do not depend on the seed."""
         return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
-    def beyond(self) -> tuple[Case, ...]:
+    def sweep_cases(self) -> tuple[Case, ...]:
         """Cases of which only rows are stored, without repetition, in order."""
         cases = (*self.speed, *self.dead_time, *self.other_seeds, *self.population, *self.dynamics)
         return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
@@ -187,7 +187,7 @@ class CasePlan:
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
     """List the cases, and check that their values exist and can be used.
 
-    Raises ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
+    Raise ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
     would have the same name in tables and figures.
     """
     controllers, models = settings.values("controllers"), settings.values("models")
@@ -241,7 +241,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
                 dict.fromkeys(replace(case, seed=seed) for case, seed in itertools.product(main, OTHER_SEEDS))
             ),
         )
-    check_cases((*plan.all, *plan.beyond))
+    check_cases((*plan.all, *plan.sweep_cases))
     if not settings.robots:
         return plan
     # Cases of other robots are not checked, because their files are built-in and the check takes several seconds.

@@ -47,22 +47,24 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Select the cases whose configuration is checked against the robot."""
         return [case for case in plan.all if case.config is not None]
 
-    def driven(self, plan: CasePlan) -> Iterable[Case]:
+    def reference_cases(self, plan: CasePlan) -> Iterable[Case]:
         """Return the cases of the tables."""
         return plan.all
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run all cases and time the steps of the controllers; raise NotReproducibleError if a replay differs."""
-        cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
+        cases, whole, timed_cases = (*plan.all, *plan.sweep_cases), set(plan.all), plan.timed_cases
         bar.start_stage(f"running, {jobs} at a time", len(cases))
         # Whole runs are stored only for cases of tables and figures.
-        driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
-        recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
+        outcomes = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
+        recorded = {run.case: run for run in outcomes if isinstance(run, RunOutcome)}
         bar.start_stage("timing, in turns", len(timed_cases))
         timed, timing = time_outcomes([recorded[case] for case in timed_cases], bar.advance)
-        recorded = {case: outcome.untimed for case, outcome in recorded.items()} | {run.case: run for run in timed}
+        recorded = {case: outcome.without_times for case, outcome in recorded.items()} | {
+            run.case: run for run in timed
+        }
         rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
-        rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
+        rows |= {run["case"]: run for run in outcomes if not isinstance(run, RunOutcome)}
 
         def rows_of(part: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in part)
@@ -90,7 +92,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         ]
         chosen = describe_configuration(self.settings)
         return Report(
-            counted=f"{len(results.all)} runs",
+            size=f"{len(results.all)} runs",
             meta=describe(self.settings, results.timing),
             content=results.content(),
             facts=[

@@ -422,7 +422,7 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
 def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | None]:
     """Return the structure `name` and None; for a predictor, return the accompanying structure and `name`.
 
-    Raises OptionError if the options are incompatible, and MissingPackageError if the predictor's package is missing.
+    Raise OptionError if the options are incompatible, and MissingPackageError if the predictor's package is missing.
     """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:

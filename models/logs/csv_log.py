@@ -225,7 +225,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     sent = time - columns.command.delay
     command = RowSignal(sent, commands, all_rows)
     wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, all_rows)
-    measured = _measured(reader, columns, time)
+    measured = _measured_signals(reader, columns, time)
     findings += reader.findings
     is_timed = np.isfinite(time)
     # The smoothness of any measured signal indicates the true order of the rows.
@@ -280,7 +280,7 @@ def _seconds(table: CsvTable, time: TimeColumn) -> FloatArray:
     return seconds if time.nanosec is None else seconds + 1e-9 * table.numbers(time.nanosec)[0]
 
 
-def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
+def _measured_signals(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
     """Return the measured signals, keyed by field of `Record`."""
     signals: dict[str, RowSignal] = {}
 

@@ -37,7 +37,7 @@ _MASKS = {
 class Record:
     """One contiguous, evenly sampled stretch of a log with K samples. Sample k is at time `start + k dt`.
 
-    Measured signals are interpolated between readings, and NaN if the log has no reading nearby. The `fresh` masks are
+    Measured signals are interpolated between readings, and NaN far from readings. The `fresh` masks are
     True for samples at a reading and False for interpolated samples. A missing mask is True for every finite sample.
 
     Attributes
@@ -51,11 +51,11 @@ class Record:
     command
         (K, 2) commanded v [m/s], omega [rad/s]; row k is held from sample k to sample k + 1.
     twist
-        (K, 2) v [m/s], omega [rad/s] from the encoders; None without encoders.
+        (K, 2) v [m/s], omega [rad/s] from the encoders; None if not logged.
     yaw_rate
-        (K,) yaw rate of the gyro [rad/s]; None without a gyro.
+        (K,) yaw rate of the gyro [rad/s]; None if not logged.
     pose
-        (K, 3) x [m], y [m], theta [rad, unwrapped] in one fixed frame; None without poses.
+        (K, 3) x [m], y [m], theta [rad, unwrapped] in one fixed frame; None if not logged.
     wheels
         (K, 2) measured wheel speeds left, right [rad/s], averaged per side for four wheels; None if not logged.
     wheel_speeds
@@ -63,9 +63,9 @@ class Record:
     wheel_commands
         (K, 2) commanded wheel speeds left, right [rad/s]; None if the log commands (v, omega).
     battery
-        (K, 2) voltage [V], current [A] of the battery, NaN without a nearby reading; None if not logged.
+        (K, 2) voltage [V], current [A] of the battery; NaN far from readings, None if not logged.
     motor_current
-        (K, 2) total motor current left, right [A], NaN without a nearby reading; None if not logged.
+        (K, 2) total motor current left, right [A]; NaN far from readings, None if not logged.
     motor_currents
         (K, 4) motor currents front left, front right, rear left, rear right [A]; None unless all four are logged.
     fresh_twist, fresh_yaw_rate, fresh_pose

@@ -94,7 +94,9 @@ class TickRecord:
                 int(data["number"]),
                 float(data["time"]),
                 int(data["drive"]),
-                Measurement(_stamped(data["pose"]), _stamped(data["wheel_twist"]), _stamped(data["yaw_rate"])),
+                Measurement(
+                    _parse_stamped(data["pose"]), _parse_stamped(data["wheel_twist"]), _parse_stamped(data["yaw_rate"])
+                ),
                 None if hold is None else (str(hold[0]), bool(hold[1])),
                 np.array(data["command"], dtype=float).reshape(2),
                 str(data["mode"]),
@@ -174,7 +176,7 @@ def _stamped_fields(stamped: Stamped | None) -> dict[str, Any] | None:
     return {"time": stamped.time, "value": np.asarray(stamped.value, dtype=float).tolist(), "covariance": covariance}
 
 
-def _stamped(data: Mapping[str, Any] | None) -> Stamped | None:
+def _parse_stamped(data: Mapping[str, Any] | None) -> Stamped | None:
     if data is None:
         return None
     value, covariance = np.asarray(data["value"], dtype=float), data["covariance"]

@@ -71,7 +71,7 @@ class SampledExperiment:
 
     @property
     def readings(self) -> FloatArray:
-        """(K, p) outputs; NaN without a reading."""
+        """(K, p) outputs; NaN at missing readings."""
         return np.where(self.counts, self.outputs, np.nan)
 
     @property

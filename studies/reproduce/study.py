@@ -128,7 +128,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         repetitions = ", ".join(map(str, self.settings.repetitions))
         setup = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted="one part" if len(parts) == 1 else f"{len(parts)} parts",
+            size="one part" if len(parts) == 1 else f"{len(parts)} parts",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],

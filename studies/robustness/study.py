@@ -144,7 +144,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
         has_comparison = len(by(results, "driver")) > 1
         return Report(
-            counted=f"{len(results)} runs",
+            size=f"{len(results)} runs",
             meta={"statistics": STATISTICS, "settled_s": self._settled},
             content={"runs": json_rows(results)},
             facts=[

@@ -347,7 +347,7 @@ def _replay(running: Sequence[_RunningSubject], settings: SpeedSettings) -> None
         subject.times = times
     best = min([best, *(effort.pace for subject in running for effort in subject.drive.efforts)])
     for subject in running:
-        undisturbed = np.array([[effort.undisturbed(best) for effort in subject.drive.efforts]])
+        undisturbed = np.array([[effort.is_undisturbed(best) for effort in subject.drive.efforts]])
         subject.times = subject.times or TurnTimes(_times(subject.drive.steps)[None], undisturbed)
 
 

@@ -83,7 +83,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         undisturbed = float(np.mean([record.clean_share for record in results.records]))
         load = {"before": before, "after": after}
         return Report(
-            counted=f"{len(results.records)} records",
+            size=f"{len(results.records)} records",
             meta={"load": load, "core": results.core, "peers": peers, "settings": s},
             content=results.as_json(),
             facts=[

@@ -46,7 +46,7 @@ def test_bench_compares_the_declared_pairs() -> None:
     peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
     assert mpc == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
-    assert not set(plan.beyond) & set(plan.all)
+    assert not set(plan.sweep_cases) & set(plan.all)
 
 
 def test_top_speed_changes_the_timing_but_not_the_path() -> None:

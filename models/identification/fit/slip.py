@@ -60,7 +60,7 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
 
 
 def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
-    """Estimate the parameters `NAMES`; None without encoders, or with too few poses or turns."""
+    """Estimate the parameters `NAMES`; return None if encoders are missing or if there are too few poses or turns."""
     table = np.array([window for record in records for window in _window_means(record)])
     if len(table) < _MIN_WINDOWS:
         return None

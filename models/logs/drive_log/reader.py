@@ -171,7 +171,7 @@ def _add_record(path: Path, record: McapContent, content: _Content, *, plans: bo
             raise ConfigError(f"{path}: more than {content.max_rows:,} ticks; shorten it (`mcap filter`)")
         content.rows.append((record.log_time, row))
     elif isinstance(record, McapMessage) and plans and record.channel.topic == topic.PLAN:
-        plan = ros.decoded(topic.KINDS[topic.PLAN], bytes(record.data))
+        plan = ros.decode(topic.KINDS[topic.PLAN], bytes(record.data))
         content.plans[record.log_time] = np.array([ros.planar(place.pose) for place in plan.poses])
 
 

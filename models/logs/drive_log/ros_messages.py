@@ -35,12 +35,12 @@ def definition(kind: str) -> bytes:
     return str(_store().generate_msgdef(kind, ros_version=2)[0]).encode()
 
 
-def serialized(kind: str, message: Message) -> bytes:
+def serialize(kind: str, message: Message) -> bytes:
     """Serialise a message as CDR."""
     return bytes(_store().serialize_cdr(message, kind))
 
 
-def decoded(kind: str, data: bytes) -> Message:
+def decode(kind: str, data: bytes) -> Message:
     """Deserialise a message from CDR."""
     return _store().deserialize_cdr(data, kind)
 

@@ -161,7 +161,7 @@ class DriveWriter:
             self._message(topic.MODE, now, ros.text(f"{mode}: {message}" if message else mode))
 
     def _message(self, name: str, now: int, message: ros.Message) -> None:
-        self._write(name, now, ros.serialized(topic.KINDS[name], message))
+        self._write(name, now, ros.serialize(topic.KINDS[name], message))
 
     def _write(self, name: str, now: int, data: bytes) -> None:
         channel = self._channels.get(name)

@@ -86,7 +86,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
         source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
         drive = results.drive.model_dump(mode="json")
         return Report(
-            counted=f"{len(results.samples)} samples of steady turns",
+            size=f"{len(results.samples)} samples of steady turns",
             meta={"log": results.log.name, "vehicle": results.vehicle.name},
             content={
                 "constants": {name: getattr(results.drive, name) for name, _, _ in _CONSTANTS},

@@ -123,7 +123,7 @@ class PlanStudy(Study[PlanRequest, Plans]):
         """Return the report with tables, figures and the trajectory."""
         request, selected = self._request, results[self._request.minimise]
         return Report(
-            counted=f"{len(results)} plans",
+            size=f"{len(results)} plans",
             meta={
                 "costs": request.costs.name,
                 "provenance": request.costs.provenance,

@@ -233,7 +233,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
             PageWarning(f"{_name(search)}: no speed is proven.", remedy) for search in searches if search.speed is None
         ]
         return Report(
-            counted=f"{len(results.driven)} runs",
+            size=f"{len(results.driven)} runs",
             meta={"controller": Path(self._config).name, "campaign": self._proof.description},
             content={"speeds": [_row(search) for search in searches]},
             facts=[

@@ -165,7 +165,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
         learned, plain = results
         table = lap_table(learned, plain)
         return Report(
-            counted=f"{2 * self._laps} laps",
+            size=f"{2 * self._laps} laps",
             meta={"case": self._case.labels, "laps": self._laps},
             content={"laps": [dict(zip(table.columns, row, strict=True)) for row in table.rows]},
             facts=[f"{self._case.labels['trajectory']}, {self._laps} laps with rehearsal and the same number without."],

@@ -166,7 +166,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         change = results.comparison.change()
         advice = f"{CONFIG} contains the start configuration; use more points (--points) or other ranges (--plan)"
         return Report(
-            counted=f"{len(results.points)} points",
+            size=f"{len(results.points)} points",
             meta={"statistics": STATISTICS, "tuning": plan.description, "sentence": sentence, "is_better": better},
             content={
                 "change": plain(change),

@@ -202,7 +202,7 @@ class TwinStudy(Study[None, FittedTwin]):
         undetermined = [parameter.name for parameter in results.fit.parameters if not parameter.told]
         note = f"The log does not determine {', '.join(undetermined)}: prior kept." if undetermined else ""
         return Report(
-            counted=f"{results.fit.drives} drives of the plant",
+            size=f"{results.fit.drives} drives of the plant",
             meta={"logs": list(results.data.logs), "robot": results.name, "model": results.model_name},
             content=scores_and_parameters(results),
             facts=[
