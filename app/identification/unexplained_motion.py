@@ -109,7 +109,7 @@ def _subtract_slip(
 ) -> tuple[BodySlip, float | None]:
     """Estimate the slip of the surface from poses, and subtract it from `motion`, so that only random motion remains.
 
-    Return the slip, and the standard deviation of the forward gain from the scatter of blocks; None if poses are missing.
+    Return the slip and the standard deviation of the forward gain over blocks, which is None if there are no poses.
 
     Slip is estimated from poses, because encoders measure neither wheel radius nor side-slip. Records without poses are
     not changed. The gain is computed from means over long blocks, in which responses to commands average out.
