@@ -53,7 +53,7 @@ def uncertain_delays(delays: ParameterEstimate) -> list[Doubt]:
     """Return a doubt for each delay with a large standard deviation; `delays` are named by channels or motors."""
     limits, uncertain = estimator_settings().warn, []
     for name, value, deviation in delays.rows:
-        if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
+        if not deviation <= max(limits.delay_deviation * value, limits.min_delay_deviation):
             message = f"dead time and lag, {value:.2g} s in total, are uncertain: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", message)
             uncertain.append(doubt.about(name) if name else doubt)

@@ -40,7 +40,7 @@ def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Piece
             count = experiment.samples
             start, end_of_block = np.clip([low - end + count, high - end + count], 0, count).tolist()
             for first, stop, pieces in ((0, start, rest), (start, end_of_block, block), (end_of_block, count, rest)):
-                if (experiment.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
+                if (experiment.counts[first:stop].sum(axis=0) >= settings.min_readings).all():
                     pieces.append((i, first, stop))
         if not (rest and block):
             raise ValueError(f"the records are too short for {settings.blocks} held-out blocks; give a longer log")

@@ -173,7 +173,7 @@ class Layout:
         """(q,) lower and upper bounds."""
         _, dead_times, offsets, limits = self.counts
         low, high = self.parametrisation.bounds
-        max_dead_time = estimator_settings().longest_dead_time
+        max_dead_time = estimator_settings().max_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
             np.concatenate(

@@ -41,7 +41,7 @@ class HeldOutSettings(StrictModel):
     """Settings of the held-out blocks of the records."""
 
     blocks: int = Field(ge=2, description="number of blocks of equal length")
-    fewest_readings: int = Field(ge=5, description="minimum readings of each output in a part of a record")
+    min_readings: int = Field(ge=5, description="minimum number of readings of each output in a part of a record")
 
 
 class WarningSettings(StrictModel):
@@ -49,7 +49,7 @@ class WarningSettings(StrictModel):
 
     relative_deviation: Positive = Field(description="maximum ratio of standard deviation to value [-]")
     delay_deviation: Positive = Field(description="maximum relative standard deviation of dead time plus lag [-]")
-    least_delay_deviation: Positive = Field(
+    min_delay_deviation: Positive = Field(
         description="maximum standard deviation of dead time plus lag without a warning [s]"
     )
     condition: Positive = Field(description="maximum condition number of the scaled information matrix [-]")
@@ -58,7 +58,7 @@ class WarningSettings(StrictModel):
 class EstimatorSettings(StrictModel):
     """Bounds, initial guesses and thresholds of the estimator."""
 
-    longest_dead_time: Positive = Field(description="maximum dead time [s]")
+    max_dead_time: Positive = Field(description="maximum dead time [s]")
     lag: Range = Field(description="sum of both time constants [s]")
     short: Range = Field(description="product of both time constants over their sum [s]")
     gain: Range = Field(description="steady-state gain [-]")

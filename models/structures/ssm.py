@@ -70,12 +70,12 @@ def choose_order(
     train: Sequence[Record],
     validation: Sequence[Record] = (),
     *,
-    largest: int = MAX_ORDER,
+    max_order: int = MAX_ORDER,
     yaw: YawSource = "gyro",
     limits: bool = True,
     requested: int | None = None,
 ) -> OrderChoice:
-    """Identify every order up to `largest` and select one by `compare_orders`.
+    """Identify every order up to `max_order` and select one by `compare_orders`.
 
     SM as a state-space model replaces order 4 and is selected if its delays are well determined and it predicts
     held-out blocks or training records (see `is_behind`) better than the selected order.
@@ -86,7 +86,7 @@ def choose_order(
         Training records.
     validation
         Validation records, which are not used for the selection.
-    largest
+    max_order
         Maximum order, 2 to 5.
     yaw, limits
         As for `identify_ssm`.
@@ -99,12 +99,12 @@ def choose_order(
         As for `identify_ssm_orders`, or if no order gives a usable model.
     """
     channels = identify_channels(train, yaw=yaw, limits=limits)
-    models = _identify_orders(train, channels, largest, yaw)
+    models = _identify_orders(train, channels, max_order, yaw)
     floor = validate(_sm_as_state_space(channels), train, yaw).fit_percent
     choice = compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
     selected = choice.rows[choice.order - 1]
     blocks = selected.block_fit_percent
-    if blocks is None or largest < _SM_ORDER:
+    if blocks is None or max_order < _SM_ORDER:
         return choice
     experiments = twist_experiments(train, yaw)
     parts = [[part.channel(row, row) for part in join_experiments(experiments)] for row in range(len(channels))]
@@ -124,12 +124,12 @@ def choose_order(
 
 def identify_ssm_orders(
     records: Sequence[Record],
-    largest: int = MAX_ORDER,
+    max_order: int = MAX_ORDER,
     *,
     yaw: YawSource = "gyro",
     limits: bool = True,
 ) -> list[IdentifiedModel]:
-    """Identify SSM of every order from 1 to `largest`; the next lower order provides an initial guess.
+    """Identify SSM of every order from 1 to `max_order`; the next lower order provides an initial guess.
 
     SM also provides an initial guess for order 4. SM is the result if the search ends with a lower FIT (see
     `is_behind`).
@@ -138,7 +138,7 @@ def identify_ssm_orders(
     ----------
     records
         Records with encoders and, if `yaw` is "gyro", a gyro, whose bias is also identified.
-    largest
+    max_order
         Maximum order, 1 to 5.
     yaw
         Sensor whose omega the model predicts.
@@ -150,21 +150,21 @@ def identify_ssm_orders(
     ValueError
         If the order is out of range, a record lacks a signal, or the readings or commands never change.
     """
-    if not 1 <= largest <= MAX_ORDER:
-        raise ValueError(f"order {largest}: give 1 to {MAX_ORDER}")
-    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), largest, yaw)
+    if not 1 <= max_order <= MAX_ORDER:
+        raise ValueError(f"order {max_order}: give 1 to {MAX_ORDER}")
+    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), max_order, yaw)
 
 
 def _identify_orders(
-    records: Sequence[Record], channels: _Channels, largest: int, yaw: YawSource
+    records: Sequence[Record], channels: _Channels, max_order: int, yaw: YawSource
 ) -> list[IdentifiedModel]:
     experiments = twist_experiments(records, yaw)
     fits: list[OutputErrorFit] = []
-    for order in range(1, largest + 1):
+    for order in range(1, max_order + 1):
         fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
     models = [_build_model(fit, yaw) for fit in fits]
     # Order 4 contains SM, so its FIT must not be lower than that of SM.
-    if largest >= _SM_ORDER:
+    if max_order >= _SM_ORDER:
         floor, row = validate(_sm_as_state_space(channels), records, yaw).fit_percent, _SM_ORDER - 1
         if is_behind(validate(models[row].system, records, yaw).fit_percent, floor):
             fit = _fit(experiments, channels, _SM_ORDER, None, yaw == "gyro", evaluations=1)
@@ -295,6 +295,6 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
-    largest = max(order or MAX_ORDER, 2)
-    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
+    max_order = max(order or MAX_ORDER, 2)
+    choice = choose_order(records, conditions.validation, max_order=max_order, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

@@ -21,12 +21,12 @@ class TwoPolesForm:
 
     Attributes
     ----------
-    shortest
+    min_short
         Minimum of `short` [s]: the product of both time constants over their sum, which approximates the shorter
         constant. By default from the settings.
     """
 
-    shortest: float | None = None
+    min_short: float | None = None
     file: ClassVar[type[TransferFunction]] = TwoPoles
     kinds: ClassVar[Mapping[str, str]] = {"log_gain": "gain", "log_lag": "lag", "log_short": "second lag"}
     description: ClassVar[str] = "two poles, no zeros"
@@ -37,7 +37,7 @@ class TwoPolesForm:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (3,) from the settings."""
         settings = estimator_settings()
-        short = (self.shortest or settings.short[0], settings.short[1])
+        short = (self.min_short or settings.short[0], settings.short[1])
         ranges = np.log([settings.gain, settings.lag, short])
         return ranges[:, 0], ranges[:, 1]
 

@@ -98,7 +98,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
     logs = RobotLogs(repetition)
     train = logs.free(1, study.train_duration)
     test = logs.free(study.test_drives, study.free_duration)
-    choice = choose_order(train, test, largest=study.max_order, limits=False)
+    choice = choose_order(train, test, max_order=study.max_order, limits=False)
     drives = logs.free(study.free_drives, study.free_duration)
     identified = choice.rows[PAPERS_ORDER - 1].identified
     fast = identify_ssm(logs.free(1, study.train_duration, study.paper_range), PAPERS_ORDER, limits=False)

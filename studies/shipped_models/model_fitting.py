@@ -102,7 +102,7 @@ class FittingSettings(StrictModel):
     random_seeds: tuple[int, ...]
     validation_seeds: tuple[int, ...]
     settling_time: Positive
-    shortest: Positive
+    min_short: Positive
 
 
 @cache
@@ -193,7 +193,7 @@ def fit_models(
     count = itertools.count(1)
 
     def identify(label: str, experiments: list[SampledExperiment], dead_time: float | None) -> IdentifiedChannel:
-        form = TwoPolesForm(shortest=fitting_settings().shortest)
+        form = TwoPolesForm(min_short=fitting_settings().min_short)
         # The simulated sensors have no outliers, and the experiments are below all limits of the robot.
         channel = identify_channel(experiments, label, form=form, limit=False, robust=False, dead_time=dead_time)
         announce(next(count), IDENTIFICATIONS)
