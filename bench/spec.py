@@ -47,8 +47,7 @@ class Experiment(ExperimentFile):
         factors = {name: values for name, values in block.items() if name not in self.vary}
         factors |= {name: block.get(name, values) for name, values in self.vary.items()}
         check_count(math.prod(map(len, factors.values())))
-        combinations = itertools.product(*factors.values())
-        return [self._drive(dict(zip(factors, combination, strict=True))) for combination in combinations]
+        return [self._drive(dict(zip(factors, values, strict=True))) for values in itertools.product(*factors.values())]
 
     def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)

@@ -115,8 +115,9 @@ class _ReplayResults:
             measurement = _Measurement(*result)
             self.measurements.setdefault(start, []).append(measurement)
             if not self.stretch_ticks:
-                step_time = measurement.effort.elapsed / (end - start)
-                self.stretch_ticks = max(1, int(MAX_STRETCH_TIME / max(step_time, 1e-9)))
+                self.stretch_ticks = max(
+                    1, int(MAX_STRETCH_TIME / max(measurement.effort.elapsed / (end - start), 1e-9))
+                )
 
     def clean(self, first: int, best: float) -> list[_Measurement]:
         """Return the undisturbed measurements of the stretch that starts at tick `first`."""

@@ -67,8 +67,7 @@ class PursuitLaw:
         is_moving = direction * path.twist[:, 0] > REST_SPEED
         start = int(np.argmax(is_moving))
         stops = np.flatnonzero(~is_moving[start:])
-        moving_end = start + int(stops[0]) if stops.size else len(_SAMPLE_TIMES) - 1
-        last = moving_end if is_moving.any() else 0
+        last = (start + int(stops[0]) if stops.size else len(_SAMPLE_TIMES) - 1) if is_moving.any() else 0
         distances = path.arc_length[: last + 1] - path.arc_length[0]
         point = np.array([np.interp(distance, distances, path.pose[: last + 1, i]) for i in (0, 1)])
         extension = direction * max(0.0, distance - distances[-1])

@@ -211,8 +211,8 @@ def _paper_rmse(published: Published, model: str, names: Sequence[str], quantity
 def _comparison(mbm: FloatArray, sm: FloatArray, unit: str) -> str:
     """Format the number of trajectories on which MBM is better than SM, and the mean errors of both models."""
     mean, sm_mean = float(mbm.mean()), float(sm.mean())
-    change = f"{100 * (mean / sm_mean - 1):+.0f} %"
-    return f"{np.sum(mbm < sm)} of {len(mbm)}; mean {mean:.3f} against {sm_mean:.3f} {unit} ({change})"
+    means = f"mean {mean:.3f} against {sm_mean:.3f} {unit}"
+    return f"{np.sum(mbm < sm)} of {len(mbm)}; {means} ({100 * (mean / sm_mean - 1):+.0f} %)"
 
 
 def mbm_sm_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
