@@ -64,8 +64,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     Parameters
     ----------
     words
-        First words of the command line. If the first word is the name of a command, only that command is imported; if
-        it is the name of a group, only the commands of the group are imported.
+        First words of the command line. If the first word is a command, only this command is imported; if it is a
+        group, only the commands of the group are imported.
     """
     app = typer.Typer(
         cls=Commands,
@@ -76,8 +76,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
     app.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
-    added = {name: name.partition(".") for name in plug_in_names("commands")}
-    names = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
+    plugged = {name: name.partition(".") for name in plug_in_names("commands")}
+    names = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in plugged.values()}
     selected = {*words[:1]} & names or names
     for name, entry in _COMMANDS.items():
         if name in selected:
@@ -87,9 +87,9 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         if name in selected:
             groups[name] = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
             app.add_typer(groups[name], name=name, rich_help_panel="Files")
-    for entry_name, (first, _, second) in added.items():
-        is_named = not second or not words[1:] or words[1] == second or words[1].startswith("-")
-        if first in selected and is_named:
+    for entry_name, (first, _, second) in plugged.items():
+        is_needed = not second or not words[1:] or words[1] == second or words[1].startswith("-")
+        if first in selected and is_needed:
             _add_plug_in(groups[first] if second else app, entry_name, second or first)
     return app
 
@@ -105,17 +105,17 @@ def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
 def _add_plug_in(app: typer.Typer, entry_name: str, name: str) -> None:
     """Add the command of a package; if it cannot be imported, add a command that raises an error with the reason."""
     if name in {command.name for command in app.registered_commands}:
-        return  # all command lines of a process share the groups
+        return  # the command lines of a process share their groups
     try:
         plugged: PluggedCommand = plug_in("commands", entry_name)
     except ImportError as error:
         reason = str(error)
 
-        def refuse() -> None:
+        def raise_missing() -> None:
             raise MissingPackageError(reason)
 
-        refuse.__doc__ = f"Not available: {reason}."
-        plugged = PluggedCommand("Not available", refuse, "")
+        raise_missing.__doc__ = f"Not available: {reason}."
+        plugged = PluggedCommand("Not available", raise_missing, "")
     settings = _settings(plugged.passed_on)
     app.command(name, epilog=plugged.example, rich_help_panel=plugged.panel, context_settings=settings)(plugged.run)
 
@@ -154,8 +154,8 @@ def __getattr__(name: str) -> typer.Typer:
 def main() -> None:
     """Run the console command."""
     leave_on_sigterm()
-    # The matrices are small and studies run in several processes, so threads of NumPy take more time than they save;
-    # their number also changes rounding errors. Settings of the user take precedence.
+    # The matrices are small and studies run in several processes, so threads of NumPy take more time than they save.
+    # The number of threads also changes rounding errors. Settings of the user take precedence.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     is_completion = "_DIFFDRIVE_MPC_COMPLETE" in os.environ

@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.trajectories.load import load_trajectory
 
-_OF_THE_ROBOT = {
+_ROBOT_UNITS = {
     "sample_time": "s",
     "limits.v": "m/s",
     "limits.omega": "rad/s",
@@ -36,7 +36,7 @@ def robot_defaults(config: ControllerConfig) -> list[str]:
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
     defaults = []
-    for key, unit in _OF_THE_ROBOT.items():
+    for key, unit in _ROBOT_UNITS.items():
         group, _, name = key.rpartition(".")
         if name not in groups[group].model_fields_set:
             defaults.append(f"{key} {getattr(groups[group], name):g} {unit}")
@@ -53,9 +53,9 @@ def check_term_files(config: ControllerConfig) -> list[str]:
 
 
 def feasibility(controller: Controller, name: str) -> Iterator[str]:
-    """Yield lines on the feasibility of a trajectory within the robot's limits, and on a feasible timing.
+    """Yield lines about the feasibility of a trajectory within the robot's limits, and about a feasible timing.
 
-    Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
+    Raise ConfigError if the trajectory cannot be loaded with the limits of the configuration.
     """
     trajectory = load_trajectory(name, controller.config)
     shortfall = controller.find_shortfall(trajectory)
@@ -70,17 +70,17 @@ def feasibility(controller: Controller, name: str) -> Iterator[str]:
 def print_schema(part: str | None = None) -> None:
     """Print the schema, or only the group or key `part`, as a table; in a pipe, the cells have no line breaks.
 
-    Raises ConfigError if `part` is unknown.
+    Raise ConfigError if `part` is unknown.
     """
-    shown = [row for row in (*schema_rows(), *feature_rows()) if part is None or _is_part(row.key, part)]
-    if part is not None and not shown:
+    selected = [row for row in (*schema_rows(), *feature_rows()) if part is None or _is_part(row.key, part)]
+    if part is not None and not selected:
         *groups, key = plain_key(part).split(".")
         unknown: dict[str, Any] = {key: None}
         for group in reversed(groups):
             unknown = {group: unknown}
         check(ControllerConfig, unknown, "config schema", shown_key)
         raise ConfigError(f"config schema: unknown key '{part}'")
-    rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in shown)
+    rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in selected)
     table = Table("Controller configuration", ("key", "default", "unit", "range", "meaning"), rows, text_columns=5)
     output_console(width_elsewhere=240).print(table.rich())
 

@@ -1,4 +1,4 @@
-"""Checks of this computer for `diffdrive-mpc doctor`."""
+"""Checks of the installation and of this computer for `diffdrive-mpc doctor`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-_SHOWN = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco")
+_REPORTED_PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco")
 _GOVERNORS = "sys/devices/system/cpu"
 _REAL_TIME_PRIORITY = 80
-"""Priority of `chrt -f 80`; with PREEMPT_RT, interrupt threads have the priority 50."""
+"""Priority of `chrt -f 80`, above the priority 50 of interrupt threads with PREEMPT_RT."""
 _PROBE_TIMEOUT = 20.0  # s
 _ROS_PROBE = """
 import rclpy
@@ -78,7 +78,7 @@ def _dependencies() -> Check:
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
     ]
     problems = [problem for requirement in required if (problem := _problem(requirement))]
-    versions = ", ".join(f"{name} {_installed_version(name)}" for name in _SHOWN)
+    versions = ", ".join(f"{name} {_installed_version(name)}" for name in _REPORTED_PACKAGES)
     remedy = "pip install --upgrade diffdrive-mpc"
     return Check("dependencies", not problems, "; ".join(problems) or versions, remedy, is_required=True)
 

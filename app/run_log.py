@@ -21,7 +21,7 @@ from diffdrive_mpc.sim import Run
 WriteLog = Callable[..., None]
 
 
-def holds_plans(log: Path | None) -> bool:
+def includes_plans(log: Path | None) -> bool:
     """Return True if the format of a log contains predicted plans, which the run must then store."""
     return log is not None and log.suffix == ".mcap"
 
@@ -30,7 +30,8 @@ def holds_plans(log: Path | None) -> bool:
 def run_log(log: Path | None) -> Iterator[WriteLog]:
     """Yield a function that writes the log of a run; on exit the complete file is created, or no file after a failure.
 
-    Its arguments are the run, the case, and the arguments of the command that repeats the run, by default `simulate`.
+    The arguments of the function are the run, the case, and the arguments of the command that repeats the run, by
+    default `simulate`.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
     def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
         try:
-            if holds_plans(log):
+            if includes_plans(log):
                 from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
 
                 write_ticks(run, draft, _metadata(case, command or ["simulate", *repeat_arguments(case)]))
@@ -69,10 +70,10 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
 def repeat_arguments(case: Case) -> list[str]:
     """Return the arguments of `simulate` that repeat a case."""
-    changed = [
+    stated = [
         dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
     ]
-    words = [word for option in changed for word in (option.option, str(getattr(case, option.name)))]
+    words = [word for entry in stated for word in (entry.option, str(getattr(case, entry.name)))]
     words += ["--config", case.config] if case.config else []
     words += ["--scale-to-robot"] if case.scaled else []
     return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]

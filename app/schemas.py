@@ -38,7 +38,7 @@ path relative to a built-in file is the same in a clone and in an installed whee
 def json_schema(kind: str) -> str:
     """Return the JSON Schema of a kind of file as text, with the structures of installed packages.
 
-    Raises ConfigError if the kind is unknown.
+    Raise ConfigError if the kind is unknown.
     """
     if kind not in SCHEMAS:
         raise ConfigError(f"--json: there is no schema of '{kind}'; use {', '.join(SCHEMAS)}")

@@ -1,4 +1,4 @@
-"""Definition of a run by a value of each dimension.
+"""Definition of a run by one value for each dimension.
 
 Dimensions are declared only as fields of `Case`. Options, plan, names in tables, figures and JSON, and the introduction
 of a report are derived from these fields; docs/recipes.md describes how to add a dimension.
@@ -26,7 +26,7 @@ NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
 MAX_SEEDS = 10_000
 """Maximum number of seeds of a case; more runs would take days, and their list could fill the memory."""
 MAX_CASES = 100_000
-"""Maximum number of cases of a study, which take several days on two cores and a gigabyte of results."""
+"""Maximum number of cases of a study; this number takes several days on two cores and a gigabyte of results."""
 COMPARED = (
     *((peer, NO_MODEL) for peer in ("lqr+slip", "kanayama+slip", "pursuit+slip")),
     *(("mpc", model) for model in ("kinematic", "two_delays", "mbm", "sm", "ssm")),
@@ -54,7 +54,7 @@ def check_count(count: int, limit: int = MAX_CASES) -> None:
     """Raise ValueError if a study has more runs than the limit, before the cases are listed."""
     if count > limit:
         raise ValueError(
-            f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study"
+            f"{count:,} runs are requested, the limit is {limit:,}; give fewer values or seeds, or split the study"
         )
 
 
@@ -137,7 +137,7 @@ def _dimension(plural: str, default: object, text: str, **more: Any) -> Any:  # 
 
 @dataclass(frozen=True)
 class Case:
-    """Complete definition of a run; equal cases give bit-identical runs.
+    """Complete definition of a run; equal cases result in bit-identical runs.
 
     The following fields are not dimensions. `config` is the configuration file of the controller, None for the built-in
     configuration of the model. `overrides` replace configuration values. `top_speed` scales the trajectory's segments
@@ -249,12 +249,12 @@ def _trajectory_default() -> str:
 def combinations(**values: Iterable[object]) -> list[Case]:
     """Return a case for each combination of the values of fields; the last field varies fastest.
 
-    Other fields have their default values. Raises ValueError if there are more than `MAX_CASES` combinations.
+    Other fields have their default values. Raise ValueError if there are more than `MAX_CASES` combinations.
     """
-    listed = [tuple(options) for options in values.values()]
-    check_count(math.prod(map(len, listed)))
-    fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*listed)]
-    return [Case(**entry) for entry in fixed]  # type: ignore[arg-type]
+    options = [tuple(field_values) for field_values in values.values()]
+    check_count(math.prod(map(len, options)))
+    entries = [dict(zip(values, combination, strict=True)) for combination in itertools.product(*options)]
+    return [Case(**entry) for entry in entries]  # type: ignore[arg-type]
 
 
 _WRITTEN = ("config", "model", "plant", "robot", "surface")
@@ -262,9 +262,9 @@ _WRITTEN = ("config", "model", "plant", "robot", "surface")
 
 
 def label(value: object) -> str:
-    """Return a value as text with paths reduced to their stems, including "model:PATH+SECONDS", "KIND:PATH@PLANT".
+    """Return a value as text with paths reduced to their stems, also in "model:PATH+SECONDS" and "KIND:PATH@PLANT".
 
-    A file with a name that `identify` or `twin` gives, such as my_robot/model.yaml, is reduced to its folder.
+    A file with a name that `identify` or `twin` uses, such as my_robot/model.yaml, is reduced to its folder.
     """
     inner, at_sign, outer = str(value).rpartition("@")
     if at_sign and outer.partition(":")[0] in BUILT_IN:

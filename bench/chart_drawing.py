@@ -19,7 +19,7 @@ _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
 """Width and height of a chart, and height of a legend row [inches]."""
 _NAMES_IN_A_ROW = 3
 _DENSE = 100
-"""Number of points of a series from which markers are small."""
+"""Minimum number of points of a series for small markers."""
 HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
 _BARS = 0.84
 """Total width of the bars of a category as a share of the distance between two categories [-]."""

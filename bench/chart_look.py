@@ -1,8 +1,8 @@
-"""Colours, dashes and markers of series, which are equal in PNG files and on pages."""
+"""Colours, dashes and markers of series in PNG files and on pages."""
 
 from __future__ import annotations
 
-# Palette of Okabe and Ito, which is distinguishable with every kind of colour vision, and by brightness in print.
+# Palette of Okabe and Ito; its colours are distinguishable with any colour vision, and by brightness in print.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 PLOTLY_MARKERS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x")

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.models.plug_ins import known_packages, missing_part
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.features.registry import prepare_config
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
@@ -35,41 +35,41 @@ from diffdrive_mpc.sim.plants.plant import PlantAround
 
 
 class LatePlant(PlantAround):
-    """`plant` behind a line that delays every command by `ticks` samples; see `sim.plants.plant.Plant`."""
+    """Plant behind a delay line that delays every command by `ticks` samples; see `sim.plants.plant.Plant`."""
 
     def __init__(self, plant: Plant, ticks: int) -> None:
         super().__init__(plant)
         self._ticks = ticks
-        self._under_way: deque[FloatArray] = deque()
+        self._delay_line: deque[FloatArray] = deque()
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the plant and fill the delay line with zero commands."""
         self._plant.reset(pose)
-        self._under_way = deque(np.zeros(2) for _ in range(self._ticks))
+        self._delay_line = deque(np.zeros(2) for _ in range(self._ticks))
 
     def measure(self) -> Measurement:
-        """Collect the plant's sensor data; the command reported as sent is the last one that entered the delay line."""
+        """Collect the plant's sensor data; `sent` is the last command that entered the delay line."""
         measurement = self._plant.measure()
-        if measurement.sent is None or not self._under_way:
+        if measurement.sent is None or not self._delay_line:
             return measurement
-        v, omega = self._under_way[-1].tolist()
+        v, omega = self._delay_line[-1].tolist()
         return replace(measurement, sent=(v, omega))
 
     def advance(self, command: ArrayLike) -> None:
         """Append `command` (2,) to the delay line and advance the plant with the output of the line."""
-        self._under_way.append(np.array(command, dtype=float))
-        self._plant.advance(self._under_way.popleft())
+        self._delay_line.append(np.array(command, dtype=float))
+        self._plant.advance(self._delay_line.popleft())
 
 
 CONTROLLERS = ("mpc", *PEERS)
-_SAME_TRACK = 0.05
+_TRACK_TOLERANCE = 0.05
 """Relative difference in track above which plant and configuration count as different robots [-]."""
 
 
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     """Create the controller, the plant and the reference of a case.
 
-    The plant accepts commands at the sample time of the configuration. Raises ConfigError or ValueError if a name is
+    The plant accepts commands at the sample time of the configuration. Raise ConfigError or ValueError if a name is
     unknown or a file is invalid.
     """
     return make_controller(case), build_plant(case), load_reference(case)
@@ -91,18 +91,18 @@ def run_case(case: Case) -> Run:
 
 def check_cases(cases: Iterable[Case]) -> None:
     """Build each distinct configuration once and load every trajectory; raise as `build` does."""
-    every = list(cases)
-    for case in {(case.trajectory, case.timing, case.scaled): case for case in every}.values():
+    case_list = list(cases)
+    for case in {(case.trajectory, case.timing, case.scaled): case for case in case_list}.values():
         load_reference(case)
-    for case in {replace(case, trajectory="", timing="", seed=0): case for case in every}.values():
+    for case in {replace(case, trajectory="", timing="", seed=0): case for case in case_list}.values():
         build(case)
 
 
 def load_reference(case: Case) -> Trajectory:
     """Return the timed trajectory of a case; raise ConfigError if its trajectory or its timing cannot be used.
 
-    With a maximum speed, or scaled to the robot, the trajectory stops at jumps of curvature. A plant may define its
-    own reference.
+    A trajectory with a maximum speed or scaled to the robot stops at jumps of curvature. A plant may define its own
+    reference.
     """
     plant_path = _reference_of_plant(case)
     if plant_path is not None:
@@ -130,9 +130,9 @@ def load_reference(case: Case) -> Trajectory:
 
 
 def _reference_of_plant(case: Case) -> Trajectory | None:
-    """Return the reference that the plant of a case defines; None if it defines none.
+    """Return the reference that the plant of a case defines; None if it does not define a reference.
 
-    Raises ConfigError if the case names another trajectory, or if neither the case nor the plant has a trajectory.
+    Raise ConfigError if the case names another trajectory, or if neither the case nor the plant has a trajectory.
     """
     wrapper = split_plant(case.plant)
     if wrapper is None:
@@ -171,7 +171,7 @@ def _other_robot(case: Case) -> str:
         return ""
     config = controller_config(case.model, case.config, settings_of(case))
     track, differences = config.wheels.encoder_track, []
-    if abs(track / robot.track - 1.0) > _SAME_TRACK:
+    if abs(track / robot.track - 1.0) > _TRACK_TOLERANCE:
         differences.append(f"its track is {robot.track:.3g} m, the configuration's {track:.3g} m")
     for name, unit in (("v", "m/s"), ("omega", "rad/s")):
         robot_limit, limit = getattr(robot.limits, name), getattr(config.limits, name)
@@ -194,14 +194,14 @@ def _config_of_robot(case: Case) -> ControllerConfig:
 def make_controller(case: Case) -> TrackingController:
     """Create a controller for a case.
 
-    Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
+    Raise ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
         return make_peer(case.controller, dict(settings_of(case)), dict(case.gains))
     if case.controller != "mpc":
         if case.controller in known_packages().get("peers", {}):
             raise MissingPackageError(missing_part("peers", case.controller))
-        raise ConfigError(f"unknown controller {not_among(case.controller, CONTROLLERS)}")
+        raise ConfigError(f"unknown controller {format_unknown_name(case.controller, CONTROLLERS)}")
     return Controller(case_config(case))
 
 
@@ -217,7 +217,7 @@ def settings_of(case: Case) -> Overrides:
 def case_config(case: Case) -> ControllerConfig:
     """Return the configuration of the predictive controller of a case, with the settings that the plant requires.
 
-    Raises ConfigError as `controller_config`.
+    Raise ConfigError as `controller_config`.
     """
     wrapper = split_plant(case.plant)
     required = {} if wrapper is None else dict(wrapper[0].settings(wrapper[1], wrapper[2]))
@@ -231,7 +231,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     Without `config`, return the built-in configuration of `model`. For a user's model file, return the built-in
     configuration of the SSM without its extra dead time, which was identified together with the SSM.
 
-    Raises ConfigError if the model is unknown or the configuration is invalid.
+    Raise ConfigError if the model is unknown or the configuration is invalid.
     """
     if config is not None:
         loaded = load_config(config, {"model": _model_reference(model), **dict(overrides)})
@@ -243,10 +243,10 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     return prepare_config(loaded)
 
 
-def chosen_model(model: str | None, config: Path | None) -> str:
+def select_model(model: str | None, config: Path | None) -> str:
     """Return `model`; if it is None, the model of the configuration file, or without a file the default model.
 
-    Raises ConfigError if the name is empty or the file cannot be used.
+    Raise ConfigError if the name is empty or the file cannot be used.
     """
     if model is None:
         return Case().model if config is None else load_config(config).model

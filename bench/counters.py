@@ -1,9 +1,9 @@
-"""Detect by counters whether a timed run was disturbed. Standard library only: processes of peers import this module.
+"""Detection of disturbed timings by counters; processes of peers import it, so it needs only the standard library.
 
-A short piece of work is undisturbed if its thread was never preempted and occupied the processor without interruption,
-and if the computer ran at full speed before and after the work. The speed is measured by a yardstick, a fixed
-computation whose duration increases if the processor is throttled or shares its core with another virtual machine,
-which the operating system cannot detect.
+Work is undisturbed if its thread was never preempted and occupied the processor without interruption, and if the
+computer ran at full speed before and after the work. The speed is measured by a yardstick, a fixed computation whose
+duration increases if the processor is throttled or shares its core with another virtual machine, which the operating
+system cannot detect.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ except ImportError:  # without this module, context switches are not counted
 
 T = TypeVar("T")
 
-AWAY = (2e-5, 0.01)
+IDLE_TOLERANCE = (2e-5, 0.01)
 """Tolerated time without the processor: constant part [s] and share of the elapsed time [-].
 
-The clocks are read one after the other, so a small difference is normal.
+A small difference is normal, because the clocks are read one after the other.
 """
-SLOWER = 1.15
-"""Ratio of the yardstick's time to its minimum time above which the computer counts as slow."""
+SLOW_RATIO = 1.15
+"""Ratio of the yardstick's time to its minimum above which the computer counts as slow."""
 _PROBES, _SUMMANDS = 3, 300
 
 
@@ -39,10 +39,14 @@ class Effort(NamedTuple):
     switches: int
     pace: float
 
-    def undisturbed(self, best_pace: float) -> bool:
+    def is_undisturbed(self, best_pace: float) -> bool:
         """Return True if the work was undisturbed; `best_pace` is the minimum time of the yardstick [s]."""
         away = self.elapsed - self.processor
-        return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
+        return (
+            self.switches == 0
+            and away <= IDLE_TOLERANCE[0] + IDLE_TOLERANCE[1] * self.elapsed
+            and self.pace <= SLOW_RATIO * best_pace
+        )
 
 
 def measure_effort(work: Callable[[], T]) -> tuple[T, Effort]:

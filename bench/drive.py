@@ -1,4 +1,4 @@
-"""`diffdrive_mpc.simulate`: the closed loop of `sim`, which also accepts names and files in place of objects."""
+"""`diffdrive_mpc.simulate`: closed loop that also accepts names and files instead of objects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from diffdrive_mpc.models.errors import ArgumentError, checked_call, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
@@ -84,7 +84,7 @@ def simulate(
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
-        warnings.warn(escaped(str(shortfall)), stacklevel=3)
+        warnings.warn(escape(str(shortfall)), stacklevel=3)
     # The arguments are checked above.
     return loop.simulate(
         controller,
@@ -100,7 +100,7 @@ def simulate(
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     """Return the sample time and the limits of a controller's plant as arguments of `make_plant`."""
     standard = load_robot().limits
-    # A robot with higher limits than the papers' robot must not be limited to the range of that robot's serial link.
+    # A robot with higher limits than the papers' robot must not be limited to the range of the latter's serial link.
     bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(standard, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 

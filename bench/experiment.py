@@ -1,4 +1,4 @@
-"""Run many cases and group their rows in pandas tables; one row per run."""
+"""Runs of many cases, with one row per run in pandas tables, and grouping of rows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Measure = Callable[[Case, Run], Mapping[str, object]]
 PROCESSOR = "processor_s"
 """Column of the processor time of a run [s]."""
 COMPARED = "compared"
-"""Column with the name of the controller and every setting that varies among the rows, see
+"""Column with the name of the controller and all settings that vary among the rows; see
 `bench.run_row.driver_names`."""
 
 
@@ -69,7 +69,7 @@ def _row(drive: ExperimentRun, measure: Measure | None, run_one: Callable[[Case]
 
 
 def frame(rows: Iterable[Row]) -> DataFrame:
-    """Build a table of rows; arrays and cases stay objects."""
+    """Build a table of rows; arrays and cases are stored as objects."""
     return DataFrame(list(rows))
 
 

@@ -25,7 +25,7 @@ class TableFile(StrictModel):
     across: str = Field(
         "", description="column; the cells are repeated for each of its values, which replaces {} in the headings"
     )
-    mean: bool = Field(False, description="whether each block of rows is followed by a row of means")
+    mean: bool = Field(False, description="true to add a row of means after each block of rows")
     note: str = ""
 
 

@@ -49,7 +49,7 @@ def new_figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     with mpl.rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        # Without date and software version, the same run produces the same file.
+        # Omit date and software version, so that equal runs produce equal files.
         figure.savefig(path, metadata={"Software": None})
 
 
@@ -64,7 +64,7 @@ def line_style(index: int) -> str:
 
 
 def file_name(text: str) -> str:
-    """Convert text to a name that every file system accepts: lower case, words joined by hyphens."""
+    """Convert text to a name that is valid on every file system: lower case, with words joined by hyphens."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
 
 

@@ -42,9 +42,9 @@ STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
 
 
 def figure(text: str, where: str = "figure") -> Figure:
-    """Parse "STATISTIC COLUMN"; the function returns the statistic in the unit of the column, or NaN without runs.
+    """Parse "STATISTIC COLUMN"; the function returns the statistic in the unit of the column, NaN if there are no runs.
 
-    Raises ConfigError, whose message starts with `where`, if the text is invalid.
+    Raise ConfigError, whose message starts with `where`, if the text is invalid.
     """
     name, _, column = text.partition(" ")
     statistic = STATISTICS.get(name.removesuffix(KNOWN))
@@ -65,7 +65,7 @@ def cell(text: str, where: str = "column") -> Cell:
     Further statistics are `runs` (number of runs), `share` (share of runs with a true value), and `time` or `longest`
     (mean and maximum of a time that is infinite if the event did not occur).
 
-    Raises ConfigError, whose message starts with `where`, if the text is invalid.
+    Raise ConfigError, whose message starts with `where`, if the text is invalid.
     """
     statistic, *words = text.split()
     column = " ".join(words[:1])
@@ -109,7 +109,7 @@ class TableSpec(TableFile):
 
 
 def _cell_of_rows(column_cell: Cell, index: pd.Index, rows: DataFrame) -> str:
-    """Return the cell for those rows of a group whose index is in `index`."""
+    """Return the cell for the rows of a group whose index is in `index`."""
     part = rows[rows.index.isin(index)]
     return column_cell(part) if len(part) else "-"
 

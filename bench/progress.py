@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 _REFRESH_PERIOD = 0.2
+"""Minimum time between two drawings of the bar [s]."""
 _LINE_PERIOD = 10.0
 """Time between two lines of progress if stderr is not a terminal, but for example a pipe or a build log [s]."""
 
@@ -42,7 +43,7 @@ class ProgressBar:
     total
         Number of steps; None if it is not yet known.
     lines
-        Whether to write a line of progress periodically if stderr is not a terminal.
+        True to write a line of progress periodically if stderr is not a terminal.
     """
 
     def __init__(self, text: str, total: int | None = None, *, lines: bool = False) -> None:
@@ -53,7 +54,7 @@ class ProgressBar:
         )
         self._task = self._progress.add_task(text, total=total)
         self._lines = lines and not console.is_terminal
-        self._drawn, self._written = 0.0, time.monotonic()
+        self._last_drawing, self._last_line = 0.0, time.monotonic()
 
     def __enter__(self) -> Self:
         """Show the bar."""
@@ -79,16 +80,16 @@ class ProgressBar:
     def start_stage(self, text: str, total: int, done: int = 0) -> None:
         """Start another stage, of which `done` steps are already finished."""
         self._progress.update(self._task, description=text, completed=done, total=total)
-        self._drawn = 0.0
+        self._last_drawing = 0.0
         self._draw()
 
     def _draw(self) -> None:
         now = time.monotonic()
-        if now - self._drawn >= _REFRESH_PERIOD:
-            self._drawn = now
+        if now - self._last_drawing >= _REFRESH_PERIOD:
+            self._last_drawing = now
             self._progress.refresh()
-        if self._lines and now - self._written >= _LINE_PERIOD:
-            self._written, task = now, self._progress.tasks[0]
+        if self._lines and now - self._last_line >= _LINE_PERIOD:
+            self._last_line, task = now, self._progress.tasks[0]
             total = "" if task.total is None else f" of {task.total:g}"
             sys.stderr.write(f"{plain_text(task.description)}: {task.completed:g}{total}\n")
             sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Replace the results in a folder such that it contains either the old or the new results, never a mixture."""
+"""Replacement of the results in a folder, which contains either all old or all new results at any time."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _MAX_CONTENTS_BYTES = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]
-"""For each file by its path in the folder: the command that wrote it, size [bytes] and time of the last change [ns]."""
+"""Entry of each file by its path in the folder: command that wrote the file, size [bytes], time of last change [ns]."""
 
 
 def _contents(folder: Path) -> Entries:
-    """Return the entries of a folder; empty if the record cannot be read."""
+    """Return the entries of the existing files of a folder; empty if the record cannot be read."""
     try:
         record: Any = parse_json(read_input(folder / CONTENTS, _MAX_CONTENTS_BYTES))
         entries = {
@@ -65,8 +65,8 @@ def _other_owner(entries: Entries, name: str, owner: str) -> str:
     return "" if recorded == owner else recorded
 
 
-def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[str]:
-    """Return earlier files of the command that are not in `new`; omit files that were changed since or are inputs."""
+def _outdated_files(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[str]:
+    """Return former results of the command `owner` that are not in `new`, except changed files and inputs."""
     return sorted(
         name
         for name, entry in entries.items()
@@ -75,17 +75,19 @@ def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[st
 
 
 @contextmanager
-def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iterator[None]:
-    """Lock a folder against other commands within the context; the system releases the lock when this process ends.
+def exclusive_access(folder: Path, name: object, *, wait: bool = False) -> Iterator[None]:
+    """Lock a folder against other commands within the context.
+
+    If this process is killed, the operating system releases the lock.
 
     Parameters
     ----------
     folder
         Existing folder.
-    shown
-        Name of the folder in the message.
+    name
+        Name of the folder in the message of the error.
     wait
-        Whether to wait until another command releases its lock; for short locks of processes that share a folder.
+        True to wait until another command releases its lock; for short locks of processes that share a folder.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iter
         handle = lock_folder(folder, wait=wait)
     except BlockingIOError as error:
         raise ConfigError(
-            f"--out {shown}: another command is writing to this folder; wait until it ends, or choose another folder"
+            f"--out {name}: another command is writing to this folder; wait until it ends, or choose another folder"
         ) from error
     try:
         yield
@@ -114,31 +116,32 @@ def staged(
     owner: str = "",
     shared: bool = False,
 ) -> Iterator[Path]:
-    """Yield a temporary folder for the results; on success its files are moved to `target`, on failure none of them.
+    """Yield a temporary folder for the results, whose files are moved to `target` if the context succeeds.
 
-    Other files in `target` are not changed, except that former results of the same command are removed. New folders
-    that remain empty are removed.
+    If the context or a move fails, `target` is unchanged. Former results of the same command are removed from `target`;
+    other files in `target` are not changed. New folders that remain empty are removed.
 
     Parameters
     ----------
     target
         Folder of the results, which is created if missing.
     files
-        Names of files that will be written, in the order in which they are moved after all other files.
+        Names of files that will be written; they are moved in this order, after all other files.
     folders
         Names of folders that will be written.
     owner
         Command that writes the results and whose former results are replaced. If `report.html` belongs to another
-        command, the page is named after this command. If empty, owners are not checked.
+        command, the new page is named `OWNER.html`. If `owner` is empty, owners are not checked.
     shared
-        Whether several processes may work in `target` at the same time; if not, a second process raises ConfigError.
+        True if several processes may work in `target` at the same time; otherwise, a second process raises ConfigError.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         On entry, if `target` is a file or cannot be written to, if another process writes to `target`, or if one of
-        `files` is a folder in `target` (or the reverse), belongs to another command, or is an input of this command.
-        On exit, if a result file has the name of a folder in `target` or the reverse; then nothing is replaced.
+        `files` is a folder in `target`, belongs to another command, or is an input of this command, or if one of
+        `folders` is a file in `target`. On exit, if a file of the results has the name of a folder in `target`, or a
+        folder that of a file; nothing is replaced in this case.
     """
     with ExitStack() as stack:
         try:
@@ -167,17 +170,17 @@ def staged(
                 within = path.relative_to(results)
                 check_not_read(place / within, f"--out {target / within}")
         new = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
-        stale = _stale(old_entries, place, owner, {*new, *files}) if owner else []
+        outdated = _outdated_files(old_entries, place, owner, {*new, *files}) if owner else []
         if owner:
             entries = {name: entry for name, entry in old_entries.items() if entry["by"] != owner and name not in new}
             entries |= {name: _entry_of(results / name, owner) for name in new}
             text = json.dumps(dict(sorted(entries.items())), indent=0) + "\n"
             (results / CONTENTS).write_text(text, encoding="utf-8")
-        _put_in_place(results, place, old, files, stale)
+        _move_results(results, place, old, files, outdated)
 
 
 def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -> None:
-    """Raise ConfigError if a file of another command would be replaced, unless it is the page, which can be renamed."""
+    """Raise ConfigError if `files` would replace a file of another command, except the page, which can be renamed."""
     recorded = _contents(place)
     for name in files if owner else ():
         former = _other_owner(recorded, name, owner)
@@ -187,7 +190,7 @@ def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -
 
 
 def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
-    """Raise ConfigError for a file in place of a folder or the reverse, and for links, which must not be replaced."""
+    """Raise ConfigError if `name` in `place` is a link or not of the expected kind, a folder or a file."""
     path = place / name
     if not os.path.lexists(path):
         return
@@ -196,14 +199,17 @@ def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
         raise ConfigError(f"--out {target}: '{name}' exists and is not a {kind}; move or remove it")
 
 
-def _put_in_place(results: Path, place: Path, old: Path, last: Sequence[str], stale: Sequence[str]) -> None:
-    """Move every new file to `place` and every stale file away from it; undo all moves if one of them fails."""
+def _move_results(results: Path, place: Path, old: Path, last: Sequence[str], outdated: Sequence[str]) -> None:
+    """Move outdated files from `place` to `old` and new files to `place`; undo all moves if one of them fails.
+
+    The files in `last` are moved after all other files, so that a page never refers to missing files.
+    """
     names = [path.relative_to(results) for path in results.rglob("*") if path.is_file()]
     names.sort(key=lambda name: (last.index(str(name)) if str(name) in last else -1, name))
     moved: list[Path] = []
     with ExitStack() as created:
         try:
-            for name in map(Path, stale):
+            for name in map(Path, outdated):
                 (old / name).parent.mkdir(parents=True, exist_ok=True)
                 (place / name).replace(old / name)
                 moved.append(name)
@@ -221,6 +227,6 @@ def _put_in_place(results: Path, place: Path, old: Path, last: Sequence[str], st
                 else:
                     (place / name).unlink()
             raise
-    for folder in {(place / name).parent for name in stale} - {place}:
+    for folder in {(place / name).parent for name in outdated} - {place}:
         with suppress(OSError):  # not empty
             folder.rmdir()

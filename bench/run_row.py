@@ -1,4 +1,4 @@
-"""Row of a run with all columns for tables, figures, JSON and Parquet."""
+"""Row of a run: all columns of tables, figures, JSON and Parquet files."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ CLOCK = ("step_time", "solve_time", "deadline")
 FORMER_COLUMNS = {f"path_{name}_percent": f"method_{name}_percent" for name in ("unlimited", "active_set", "backend")}
 """Names of columns by deprecated name; both are written for one more release."""
 STATISTICS = "true pose relative to the reference, from t = 0 to the end of the reference without a settling time"
+"""Definition of the errors in reports."""
 
 
 @dataclass(frozen=True)
 class SolverShares:
-    """Shares of the solver's methods in the solved ticks [%], and number of ticks without a solve.
+    """Shares of the solver's methods in the ticks with a solve [%], and number of counted ticks without a solve.
 
-    Unlimited: no limit was active. Active set: the guessed active set was verified. Backend: solved by OSQP or DAQP.
-    NaN if no tick was solved.
+    Unlimited: no limit was active. Active set: the guessed active set was verified. Backend: OSQP or DAQP found the
+    solution. The shares are NaN if no tick has a solve.
     """
 
     method_unlimited_percent: float
@@ -40,8 +41,8 @@ class SolverShares:
     not_solved: int
 
     @classmethod
-    def of_run(cls, run: Run) -> SolverShares:
-        """Compute the shares over the counted ticks of `run`."""
+    def from_run(cls, run: Run) -> SolverShares:
+        """Compute the shares of the counted ticks of `run`."""
         ticks = Counter(method for method, counted in zip(run.solver_methods, run.counted, strict=True) if counted)
         solved = ticks.total() - ticks[NO_SOLVER]
 
@@ -55,8 +56,8 @@ class SolverShares:
 class RunOutcome:
     """Case and its run.
 
-    `clean_share` is the share of ticks that were timed without disturbance, or NaN if the run was not timed. The times
-    of disturbed ticks are NaN, unless `bench.timing.time_outcomes` could not omit them.
+    `clean_share` is the share of ticks that were timed without disturbance, or NaN if the run was not timed. Times of
+    disturbed ticks are NaN, except if all ticks of a controller were disturbed; see `bench.timing.time_outcomes`.
     """
 
     case: Case
@@ -64,14 +65,14 @@ class RunOutcome:
     clean_share: float = 1.0
 
     @property
-    def untimed(self) -> RunOutcome:
+    def without_times(self) -> RunOutcome:
         """Outcome without step times, for runs that were disturbed by parallel runs."""
         no_times = np.full(len(self.run.time), np.nan)
         return replace(self, run=self.run.with_step_time(no_times, no_times), clean_share=math.nan)
 
     @property
     def row(self) -> Row:
-        """Row of the run, with the run itself, the clean share, and the distance from the drawn path [m]."""
+        """Row of the run with the run itself, the clean share, and distances of the reference from the drawn path."""
         times, reference = self.run.time[self.run.counted], self.run.reference
         distance = reference.drawn_distance(times) if isinstance(reference, Trajectory) else np.zeros(times.size)
         return row_of(self.case, self.run) | {
@@ -84,19 +85,19 @@ class RunOutcome:
 
 
 def row_of(case: Case, run: Run) -> Row:
-    """Build the row of a run: the case, the name of its controller, the dimensions of the case, and `run_columns`."""
+    """Build the row of a run: case, name of the controller, dimensions of the case, and `run_columns`."""
     return {"case": case, "driver": driver_name(case)} | case.as_row() | run_columns(run)
 
 
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
-    """Compute the metrics and the shares of the solver; unless `timed`, omit the columns of times."""
-    values = asdict(run.metrics) | asdict(SolverShares.of_run(run))
+    """Compute the metrics and the shares of the solver's methods, without the columns in `CLOCK` if not `timed`."""
+    values = asdict(run.metrics) | asdict(SolverShares.from_run(run))
     values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
 
 
 def run_columns(run: Run) -> Row:
-    """Compute the statistics, the recovery, the columns of the run's parts, its end, and the most frequent message."""
+    """Compute statistics, recovery, duration, end, most frequent message, and the columns of the run's parts."""
     messages = Counter(message for message in run.messages if message)
     return {
         **statistics_of(run),
@@ -130,10 +131,7 @@ def _setting(key: str, value: object) -> str:
 
 
 def driver_names(cases: Sequence[Case]) -> list[str]:
-    """Name the compared controllers by peer or model and by the dimensions and settings that vary.
-
-    Dimensions that do not vary are omitted, as is "mpc" before the name of a model.
-    """
+    """Name the compared controllers by model or peer and by the dimensions and settings that vary between the cases."""
     labels = [case.labels for case in cases]
     varying = [
         dimension

@@ -16,26 +16,26 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
-# Failures of a study other than user errors; every message is a single line.
+# Failures of a study that are not user errors. Every message is a single line.
 
 
 class StudyFailedError(DiffdriveMpcError, RuntimeError):
-    """A study could not be completed."""
+    """Error for a study that could not be completed."""
 
 
 class NotReproducibleError(StudyFailedError):
-    """A replay of the same measurements computed different commands."""
+    """Error for a replay of recorded measurements that computed other commands than the recorded ones."""
 
 
 class WorkerDiedError(StudyFailedError):
-    """A worker process of a study ended without a result."""
+    """Error for a worker process that ended without a result."""
 
 
 T = TypeVar("T")
 OnDone = Callable[[], None]
 _PARENT_CHECK_PERIOD = 1.0
-"""Period of the check for the parent process [s]."""
-_PERSISTENT: ContextVar[bool] = ContextVar("processes last", default=False)
+"""Period at which a worker checks that its parent process exists [s]."""
+_PERSISTENT: ContextVar[bool] = ContextVar("persistent processes", default=False)
 
 
 def available_cores() -> int:
@@ -45,7 +45,7 @@ def available_cores() -> int:
 
 @contextmanager
 def persistent_processes() -> Iterator[None]:
-    """Keep the processes of `run_tasks` alive between calls within the context."""
+    """Keep the worker processes of `run_tasks` alive between calls within the context."""
     token = _PERSISTENT.set(True)
     try:
         yield
@@ -54,15 +54,15 @@ def persistent_processes() -> Iterator[None]:
         _end_processes(immediately=False)
 
 
-def keeps_processes() -> bool:
-    """Return True if processes stay alive between calls of `run_tasks`."""
+def are_processes_persistent() -> bool:
+    """Return True if worker processes stay alive between calls of `run_tasks`."""
     return _PERSISTENT.get()
 
 
 def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
     """Call every task in one of `jobs` processes with one BLAS thread; call `on_done` after each task.
 
-    An exception of a task is raised and ends the other tasks.
+    If a task raises an exception, the other tasks are ended and the exception is raised.
 
     Returns
     -------
@@ -99,8 +99,8 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
     except BrokenProcessPool as error:
         raise WorkerDiedError(f"one of {jobs} processes was killed; try a smaller --jobs") from error
     finally:
-        # Idle workers would disturb subsequent time measurements. Workers of a failed study are killed.
-        if not (finished and keeps_processes()):
+        # Idle workers would disturb later time measurements; workers of a failed study still compute and are killed.
+        if not (finished and are_processes_persistent()):
             _end_processes(immediately=not finished)
 
 
@@ -117,7 +117,7 @@ def _call_numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
-    # The parent process has already read the file and issued the warning.
+    # The parent process has already read the files and issued the warnings about former names.
     warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 

@@ -1,4 +1,4 @@
-"""Experiment of an experiment file: variations, parts and tables."""
+"""Experiment that a file describes: variations, parts and tables."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, load_checked
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.sim import Run
 
 VARIANT = "variant"
+"""Name of the column and of the variation that selects one of the variants."""
 _DIMENSIONS = {dimension.name for dimension in DIMENSIONS}
 
 
 class Experiment(ExperimentFile):
-    """Experiment file with its runs and tables."""
+    """Experiment with the tables of its report."""
 
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
     def drives(self, only: Sequence[str] = ()) -> dict[str, list[ExperimentRun]]:
-        """List the drives of each part, or of the named parts only.
+        """List the runs of each part in `only`, or of all parts if `only` is empty.
 
-        Raises ConfigError if there is no such part, variant or configuration value, ValueError if there are too many
-        runs.
+        Raise ConfigError for an unknown part, variant or configuration value, ValueError if there are too many runs.
         """
         check_parts(only, tuple(self.parts))
-        chosen = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
-        return {name: [drive for block in blocks for drive in self._block(block)] for name, blocks in chosen.items()}
+        selected = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
+        return {name: [drive for block in blocks for drive in self._block(block)] for name, blocks in selected.items()}
 
     def _block(self, block: Varied) -> list[ExperimentRun]:
-        listed = {name: values for name, values in block.items() if name not in self.vary}
-        listed |= {name: block.get(name, values) for name, values in self.vary.items()}
-        check_count(math.prod(map(len, listed.values())))
-        return [self._drive(dict(zip(listed, chosen, strict=True))) for chosen in itertools.product(*listed.values())]
+        factors = {name: values for name, values in block.items() if name not in self.vary}
+        factors |= {name: block.get(name, values) for name, values in self.vary.items()}
+        check_count(math.prod(map(len, factors.values())))
+        return [self._drive(dict(zip(factors, values, strict=True))) for values in itertools.product(*factors.values())]
 
     def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)
         if variant is not None and variant not in self.variants:
-            raise ConfigError(f"variants: there is no {not_among(str(variant), self.variants)}")
+            raise ConfigError(f"variants: there is no {format_unknown_name(str(variant), self.variants)}")
         overrides = {} if variant is None else dict(self.variants[str(variant)])
         overrides |= {name: value for name, value in values.items() if name not in _DIMENSIONS}
         dimensions = {name: value for name, value in values.items() if name in _DIMENSIONS}
@@ -69,7 +69,7 @@ Drives = dict[str, list[ExperimentRun]]
 
 
 class SpecStudy(Study[Drives, DataFrame]):
-    """An experiment as a study; a subclass may add measurements and figures.
+    """Study that runs an experiment; a subclass may add measurements and figures.
 
     Parameters
     ----------
@@ -94,28 +94,28 @@ class SpecStudy(Study[Drives, DataFrame]):
         self.title = experiment.title  # type: ignore[misc]
 
     def plan(self) -> Drives:
-        """Plan the drives of each part; raise ConfigError or ValueError if a run cannot be driven."""
+        """Plan the runs of each part; raise ConfigError or ValueError if a run is not possible."""
         plan = self.experiment.drives(self._only)
-        check_cases(self.driven(plan))
+        check_cases(self.reference_cases(plan))
         return plan
 
-    def driven(self, plan: Drives) -> Iterable[Case]:
-        """Return the cases with a controller of `CONTROLLERS`."""
+    def reference_cases(self, plan: Drives) -> Iterable[Case]:
+        """Return the cases whose controller is in `CONTROLLERS`."""
         return (drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
 
     def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case once; the rows have a column `part`, and a run in several parts has a row in each."""
-        drives = {drive.case: drive for listed in plan.values() for drive in listed}
+        drives = {drive.case: drive for part in plan.values() for drive in part}
         bar.start_stage(f"driving, {jobs} at a time", len(drives))
         rows = drive_all(list(drives.values()), jobs, bar.advance, self._measure, self._run_one)
-        return in_parts(rows, plan)
+        return stack_parts(rows, plan)
 
     def tables(self, rows: DataFrame) -> list[Table]:
         """Build the tables of the report."""
         return self.cell_tables(rows, {})
 
     def cell_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
-        """Build the tables of the parts that were run; `cells` are the cells that the program computes, by name."""
+        """Build the tables of the parts that were run; `cells` are functions that compute further cells, by name."""
         tables = []
         for spec in self.experiment.tables.values():
             part_rows = rows[rows["part"].isin(spec.part)] if spec.part else rows
@@ -127,7 +127,7 @@ class SpecStudy(Study[Drives, DataFrame]):
         """Build the report with the tables and every row."""
         rows = results.drop_duplicates("case")
         return Report(
-            counted=f"{len(rows)} runs",
+            size=f"{len(rows)} runs",
             meta={"statistics": STATISTICS, "experiment": self.experiment},
             content={"runs": json_rows(rows.drop(columns="part"))},
             facts=[f"{len(rows)} runs in {seconds} s."],
@@ -136,10 +136,10 @@ class SpecStudy(Study[Drives, DataFrame]):
         )
 
 
-def in_parts(rows: DataFrame, plan: Drives) -> DataFrame:
-    """Stack the rows of all parts, with the labels of their runs."""
-    places = {case: place for place, case in enumerate(rows["case"])}
-    listed = [(name, drive) for name, drives in plan.items() for drive in drives]
-    placed = rows.iloc[[places[drive.case] for _, drive in listed]].reset_index(drop=True)
-    variants = [drive.labels.get(VARIANT, "") for _, drive in listed]
-    return placed.assign(part=[name for name, _ in listed], variant=variants)
+def stack_parts(rows: DataFrame, plan: Drives) -> DataFrame:
+    """Stack the rows of all parts and add the columns `part` and `variant`."""
+    indices = {case: index for index, case in enumerate(rows["case"])}
+    part_runs = [(name, drive) for name, drives in plan.items() for drive in drives]
+    part_rows = rows.iloc[[indices[drive.case] for _, drive in part_runs]].reset_index(drop=True)
+    variants = [drive.labels.get(VARIANT, "") for _, drive in part_runs]
+    return part_rows.assign(part=[name for name, _ in part_runs], variant=variants)

@@ -1,4 +1,4 @@
-"""Base class of all studies, which present their runs as tables, figures, NAME.md, NAME.json and a page.
+"""Base class of all studies. A study presents its runs as tables, figures, NAME.md, NAME.json and a page.
 
 docs/recipes.md shows how to add a study.
 """
@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import other_robots, reference_remarks
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
-from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, EmbeddedPicture, GridMap, Page, Shown
+from diffdrive_mpc.bench.html_report.page import NO_CONTENTS, Chart, EmbeddedPicture, GridMap, Page, PageContents
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -26,7 +26,7 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 P = TypeVar("P")
 R = TypeVar("R")
@@ -34,7 +34,8 @@ Draw = Callable[[Path], None]
 Charts = Sequence[Chart | GridMap]
 Meta = Mapping[str, Any]
 FIGURES = "figures"
-_DRAWN_ALONE = 8
+_MAX_SEQUENTIAL_FIGURES = 8
+"""Maximum number of figures that are drawn in this process; other processes must first load matplotlib."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,12 @@ class Report:
 
     Attributes
     ----------
-    counted
-        Number of runs, such as "12 runs".
+    size
+        Number of runs as text, such as "12 runs".
     meta
         Entries of `meta` in addition to computer, versions and duration: definitions and requested settings.
     content
-        Content of the JSON file in addition to `meta`: lists of rows of plain values by name.
+        Content of the JSON file in addition to `meta`: lists of rows by name.
     facts, notes
         Sentences of the introduction before and after the description of the computer.
     tables
@@ -57,16 +58,16 @@ class Report:
         Figures by file name: charts, which are drawn side by side in the file and also shown on the page, or a function
         that draws any other figure.
     figures_first
-        Number of figures above the tables, with the others below; None for all figures.
+        Number of figures above the tables; all other figures are below the tables. None for all figures.
     shown
         Content of the page `report.html` in addition to tables and figures.
     files
         Texts of further files by file name.
     screen
-        Tables printed in place of `tables` in the terminal.
+        Tables that the terminal shows instead of `tables`; empty for `tables`.
     """
 
-    counted: str
+    size: str
     meta: dict[str, object]
     content: dict[str, object]
     facts: Sequence[str]
@@ -74,7 +75,7 @@ class Report:
     figures: Mapping[str, Charts | Draw] = field(default_factory=dict)
     notes: Sequence[str] = ()
     figures_first: int | None = None
-    shown: Shown = NOTHING
+    shown: PageContents = NO_CONTENTS
     files: Mapping[str, str] = field(default_factory=dict)
     screen: Sequence[Table] = ()
 
@@ -107,15 +108,15 @@ class Study(ABC, Generic[P, R]):
     def plan(self) -> P:
         """Plan the runs before any folder is created.
 
-        Raises ConfigError or ValueError if a named item does not exist or cannot be used.
+        Raise ConfigError or ValueError if a named item does not exist or cannot be used.
         """
 
     def cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List the cases whose plant is compared with the robot of the configuration; none by default."""
+        """List the cases for which a note reports that plant and configuration describe different robots."""
         return ()
 
-    def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List the cases whose references are compared with their files; none by default."""
+    def reference_cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
+        """List the cases for which notes report the differences between the references and their files."""
         return ()
 
     @abstractmethod
@@ -124,7 +125,7 @@ class Study(ABC, Generic[P, R]):
 
     @abstractmethod
     def report(self, results: R, seconds: float) -> Report:
-        """Build the report of `results`, which took `seconds`; import matplotlib only inside this method."""
+        """Build the report of `results`; the runs took `seconds`. Import matplotlib only inside this method."""
 
 
 def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
@@ -139,7 +140,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     jobs
         Number of processes; by default the number of cores.
 
-    Raises ConfigError, ValueError or OSError if a named item or `out` cannot be used; `out` is then unchanged. Raises
+    Raise ConfigError, ValueError or OSError if a named item or `out` cannot be used; `out` is then unchanged. Raise
     StudyFailedError if the study could not be completed.
     """
     start = time.perf_counter()
@@ -149,7 +150,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
         ProgressBar("preparing", lines=True) as bar,
     ):
-        for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
+        for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.reference_cases(plan))):
             output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - start)
@@ -161,13 +162,13 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 
 
 def print_report(report: Report, seconds: float, out: Path) -> None:
-    """Print the warnings, the tables and the path of a report; `seconds` is the duration stated in the report."""
+    """Print the warnings, the tables and the path of a report; `seconds` is the duration of the runs."""
     console = output_console()
-    for warned in report.shown.warnings:
-        console.print(f"warning: {warned.text} {warned.remedy}", highlight=False)
+    for warning in report.shown.warnings:
+        console.print(f"warning: {warning.text} {warning.remedy}", highlight=False)
     for table in report.screen or report.tables:
         console.print(table.rich())
-    console.print(f"{report.counted} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
+    console.print(f"{report.size} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
 
 
 def write_report(
@@ -183,16 +184,15 @@ def write_report(
     if report.drawings:
         (folder / FIGURES).mkdir()
     draws = [partial(draw, folder / FIGURES / name) for name, draw in report.drawings.items()]
-    # A few figures are drawn faster in this process, because every other process must first load matplotlib.
-    run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
+    run_tasks(draws, jobs if len(draws) > _MAX_SEQUENTIAL_FIGURES else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
     write_page(report_page(study, report, meta, folder / FIGURES), folder / REPORT)
 
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
-    """Build the page of the report with its views, its charts, and by default the pictures in `figures`."""
-    drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
-    pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in drawn]
+    """Build the page of the report with its views, its charts and, if requested, the pictures in `figures`."""
+    names = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
+    pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in names]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
     views = (*report.shown.views, *report.charts, *pictures)
     shown = replace(report.shown, summary=summary, notes=notes, views=views)
@@ -200,7 +200,7 @@ def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -
 
 
 def json_text(meta: Meta, content: Mapping[str, object]) -> str:
-    """Format `{"meta": ..., NAME: ...}` with a line for each row of a list; numbers that are not finite become null."""
+    """Format `{"meta": ..., NAME: ...}` with one row of a list per line; numbers that are not finite become null."""
     parts = {"meta": json.dumps(plain(meta), indent=1, allow_nan=False)}
     for name, value in plain(content).items():
         if isinstance(value, list):
@@ -213,16 +213,16 @@ def json_text(meta: Meta, content: Mapping[str, object]) -> str:
 def markdown(title: str, report: Report, meta: Meta) -> str:
     """Format the report as Markdown: description of runs and computer, tables, and links to the figures."""
     images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
-    first = len(images[: report.figures_first])
+    upper = len(images[: report.figures_first])
     parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, *run_facts(meta), *report.notes)), ""]
-    parts += [f"{image}\n" for image in images[:first]]
+    parts += [f"{image}\n" for image in images[:upper]]
     parts += [table.markdown() for table in report.tables]
-    parts += ["## Figures", "", *images[first:]] if images[first:] else []
+    parts += ["## Figures", "", *images[upper:]] if images[upper:] else []
     return "\n".join(parts).rstrip() + "\n"
 
 
 def run_facts(meta: Meta) -> list[str]:
-    """List the facts about a run in two sentences: version, revision and date; computer and packages."""
+    """Return two sentences about a run: version, revision and date; computer and packages."""
     machine = meta["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
@@ -239,12 +239,12 @@ def _draw_charts(charts: Charts, path: Path) -> None:
 
 
 def _title(figure: str) -> str:
-    words = Path(figure).stem.replace("-", " ")
-    return words[:1].upper() + words[1:]
+    title = Path(figure).stem.replace("-", " ")
+    return title[:1].upper() + title[1:]
 
 
 def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:
     """Raise ConfigError if `only` contains an unknown part of a study."""
     unknown = [name for name in only if name not in parts]
     if unknown:
-        raise ConfigError(f"--only: unknown part {not_among(unknown[0], parts)}")
+        raise ConfigError(f"--only: unknown part {format_unknown_name(unknown[0], parts)}")

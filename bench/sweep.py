@@ -1,4 +1,4 @@
-"""Run every combination of models, trajectories, seeds and configuration values."""
+"""Sweep over all combinations of models, trajectories, seeds and configuration values."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
-    """Return every combination of the values of several settings, in order; without settings, one empty combination.
+    """Parse settings and return every combination of their values, in order; no settings have one empty combination.
 
-    Raises ConfigError as `parsed_settings`, and ValueError if there are too many combinations.
+    Raise the errors of `parsed_settings`, and ValueError if there are too many combinations.
     """
     parsed = parsed_settings(texts)
     check_count(math.prod(len(values) for _, values in parsed))
@@ -66,16 +66,16 @@ def sweep(
     Parameters
     ----------
     model
-        Models or names or paths of models; see `load_model`.
+        Models, or names or paths of models; see `load_model`.
     trajectory
-        Trajectories or names or paths of trajectories; see `load_trajectory`.
+        Trajectories, or names or paths of trajectories; see `load_trajectory`.
     seeds
-        Seeds of the noise, or the number of seeds, which then start at 0.
+        Seeds of the noise, or the number of seeds; a number n stands for the seeds 0 to n - 1.
     plant
         Names of plants; see `make_plant`.
     config
-        Configuration file; by default the built-in configuration of each model, or for a user's model that of the SSM
-        without its extra dead time.
+        Configuration file; by default the built-in configuration of each model. The default of a user's model is the
+        built-in configuration of the SSM without its extra dead time.
     jobs
         Number of processes; by default the number of cores. The table contains step times only if `jobs=1`, because
         parallel runs disturb each other.
@@ -94,19 +94,19 @@ def sweep(
     Raises
     ------
     ArgumentError, ConfigError, ModelError, ValueError
-        If a name or key is unknown or a value is invalid; in this case nothing is run.
+        If a name or key is unknown or a value is invalid; no case is run.
     MissingPackageError
         If pandas is not installed.
     """
     pandas = load_pandas("sweep")
-    listed = {
+    factors = {
         "model": _as_list(model),
         "trajectory": _as_list(trajectory),
         "seed": _seeds(seeds),
         "plant": _as_list(plant),
     }
-    listed |= {name: _as_list(value) for name, value in values.items()}
-    for name, options in listed.items():
+    factors |= {name: _as_list(value) for name, value in values.items()}
+    for name, options in factors.items():
         similar = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
         if similar and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
             raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{similar[0]}'?")
@@ -116,8 +116,8 @@ def sweep(
             raise ConfigError(
                 f"sweep: {name}: use numbers or words; the values of a group have dotted keys, such as 'weights.across'"
             )
-    check_count(math.prod(map(len, listed.values())))
-    rows = [dict(zip(listed, combination, strict=True)) for combination in itertools.product(*listed.values())]
+    check_count(math.prod(map(len, factors.values())))
+    rows = [dict(zip(factors, combination, strict=True)) for combination in itertools.product(*factors.values())]
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
     check_cases(task.case for task in tasks)
     jobs = jobs or available_cores()
@@ -148,8 +148,8 @@ class _Task:
         reference = load_reference(case) if self._trajectory is None else self._trajectory
         run = simulate(controller, build_plant(case), reference)
         objects = (VelocityModel, NonlinearModel, Trajectory)
-        shown = {name: value.name if isinstance(value, objects) else value for name, value in self._values.items()}
-        return {**shown, **statistics_of(run, timed=timed), "ended": run.ended}
+        values = {name: value.name if isinstance(value, objects) else value for name, value in self._values.items()}
+        return {**values, **statistics_of(run, timed=timed), "ended": run.ended}
 
 
 def _as_list(value: Any) -> list[Any]:  # noqa: ANN401
@@ -162,10 +162,10 @@ def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Return `seeds` as a list; a number n stands for the seeds 0 to n - 1."""
     if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
         raise ConfigError(f"sweep: seeds = {seeds}; use 1 to {MAX_SEEDS}, or a list such as [3, 4]")
-    listed = list(range(seeds)) if isinstance(seeds, int) else _as_list(seeds)
-    if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
+    seed_list = list(range(seeds)) if isinstance(seeds, int) else _as_list(seeds)
+    if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in seed_list):
         raise ConfigError(f"sweep: seeds {seeds!r}; use integers of at least 0, or the number of seeds")
-    return [int(seed) for seed in listed]
+    return [int(seed) for seed in seed_list]
 
 
 def _name(name: str, value: object) -> str:

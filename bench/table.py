@@ -46,14 +46,14 @@ class Table(plain.TextTable):
 class RichTables:
     """Table that Rich renders within the width of the console.
 
-    Texts and headings wrap. Columns of numbers that do not fit continue in further tables, which repeat the columns of
-    names.
+    Texts and headings wrap. If the columns of numbers are too wide, they are divided into several tables, each of which
+    starts with the text columns.
     """
 
     table: plain.TextTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the title, the parts one below the other, and the note."""
+        """Yield the title, the tables one below the other, and the note."""
         if self.table.title:
             yield Text(self.table.title, style="bold")
         for i, widths in enumerate(self._parts(options.max_width)):
@@ -66,27 +66,28 @@ class RichTables:
             yield Text("\n").join(note.wrap(console, min(options.max_width, _NOTE_WIDTH)))
 
     def _parts(self, width: int) -> list[dict[int, int]]:
-        """Return the widths by column of each part of at most `width` characters."""
-        names = {i: self._min_width(i) for i in range(self.table.text_columns)}
-        while names and sum(names.values()) + _GAP * len(names) > max(width // 2, _GAP * len(names) + len(names)):
-            names[max(names, key=names.__getitem__)] -= 1
-        parts = [dict(names)]
-        for i in range(len(names), len(self.table.columns)):
-            needed = sum(parts[-1].values()) + self._min_width(i) + _GAP * len(parts[-1])
-            if needed > width and len(parts[-1]) > len(names):
-                parts.append(dict(names))
+        """Divide the columns into parts of at most `width` characters; return the widths by column of each part."""
+        texts = {i: self._min_width(i) for i in range(self.table.text_columns)}
+        # Text columns that need more than half the width are narrowed; their words then wrap.
+        while texts and sum(texts.values()) + _GAP * len(texts) > max(width // 2, _GAP * len(texts) + len(texts)):
+            texts[max(texts, key=texts.__getitem__)] -= 1
+        parts = [dict(texts)]
+        for i in range(len(texts), len(self.table.columns)):
+            required = sum(parts[-1].values()) + self._min_width(i) + _GAP * len(parts[-1])
+            if required > width and len(parts[-1]) > len(texts):
+                parts.append(dict(texts))
             parts[-1][i] = self._min_width(i)
         for widths in parts:
-            room = width - sum(widths.values()) - _GAP * (len(widths) - 1)
+            remaining = width - sum(widths.values()) - _GAP * (len(widths) - 1)
             for i in widths:
                 cells = [_brief(self.table.columns[i]), *(plain_line(row[i]) for row in self.table.rows)]
-                extra = min(max(map(cell_len, cells)) - widths[i], room)
+                extra = min(max(map(cell_len, cells)) - widths[i], remaining)
                 widths[i] += max(extra, 0)
-                room -= max(extra, 0)
+                remaining -= max(extra, 0)
         return parts
 
     def _min_width(self, column: int) -> int:
-        """Return the width of the longest word or number of a column, which must not be broken."""
+        """Return the width of the longest word or number of a column, which must not wrap."""
         is_number = column >= self.table.text_columns
         cells = [plain_line(row[column]) for row in self.table.rows]
         words = [word for cell in (_brief(self.table.columns[column]), *cells) for word in cell.split()]
@@ -94,13 +95,13 @@ class RichTables:
 
     def _part(self, widths: Mapping[int, int]) -> RichTable:
         # The padding and the invisible line between two columns are the gap.
-        drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, _GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+        table = RichTable(box=box.SIMPLE_HEAD, padding=(0, _GAP - 1, 0, 0), pad_edge=False, show_edge=False)
         for column, width in widths.items():
             justify: Literal["left", "right"] = "right" if column >= self.table.text_columns else "left"
-            drawn.add_column(Text(_brief(self.table.columns[column])), justify=justify, width=width, overflow="fold")
+            table.add_column(Text(_brief(self.table.columns[column])), justify=justify, width=width, overflow="fold")
         for row in self.table.rows:
-            drawn.add_row(*(Text(plain_line(row[column])) for column in widths))
-        return drawn
+            table.add_row(*(Text(plain_line(row[column])) for column in widths))
+        return table
 
 
 def rich_table(table: plain.TextTable) -> RichTables:
@@ -109,7 +110,7 @@ def rich_table(table: plain.TextTable) -> RichTables:
 
 
 def millis(value: float) -> str:
-    """Format a value in thousandths of its unit."""
+    """Format a value in thousandths of its unit, such as mm for m."""
     return number(1e3 * value, 1)
 
 

@@ -32,24 +32,24 @@ _WARM_UP_TICKS = 25
 
 @contextmanager
 def quiet_core() -> Iterator[int | None]:
-    """Reserve one core for this process, use one BLAS thread and disable garbage collection within the context.
+    """Restrict this process to one core and one BLAS thread, without garbage collection, within the context.
 
-    Yields the number of the core, or None if the system does not support pinning.
+    Yield the number of the core, or None if the operating system does not support this restriction.
     """
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    collecting = gc.isenabled()
+    is_collection_enabled = gc.isenabled()
     core = max(cores) if cores else None
     with threadpool_limits(limits=1):
         if core is not None:
             os.sched_setaffinity(0, {core})
         gc.collect()
-        gc.freeze()  # later collections ignore existing objects
+        gc.freeze()  # explicit collections between replays ignore existing objects and are fast
         gc.disable()
         try:
             yield core
         finally:
             gc.unfreeze()
-            if collecting:
+            if is_collection_enabled:
                 gc.enable()
             if cores:
                 os.sched_setaffinity(0, cores)
@@ -64,9 +64,9 @@ class TimingPass:
     clean_share
         Share of the ticks with an undisturbed measurement [-].
     others_share
-        Share of the time in which other programs used the core [-]; 0 if the system does not report the share.
+        Share of the time in which other programs used the core [-]; 0 if the operating system does not report it.
     yardstick
-        Minimum time of the yardstick of `bench.counters` [s]; reports with equal times of the yardstick are comparable.
+        Minimum time of the yardstick of `bench.counters` [s]; reports with the same time are comparable.
     """
 
     clean_share: float = 1.0
@@ -79,19 +79,19 @@ UNDISTURBED = TimingPass()
 
 
 def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list[RunOutcome], TimingPass]:
-    """Replace step times by those of replays on one quiet core; controllers on the same plant and path alternate.
+    """Measure the step times of runs by replays on one quiet core; controllers on the same plant and path alternate.
 
     Returns
     -------
     outcomes
-        Outcomes with the new times. The times of ticks that were disturbed in every measurement are NaN; but if all
+        Outcomes with the measured times. Times of ticks that were disturbed in every measurement are NaN; but if all
         ticks of a controller were disturbed, the results contain the disturbed times of all controllers.
     timing
-        State of the computer during the timed runs.
+        State of the computer during the replays.
 
-    Raises NotReproducibleError if the commands of a replay differ from those of the run.
+    Raise NotReproducibleError if the commands of a replay differ from those of the run.
     """
-    groups = list(_group_by(outcomes, lambda outcome: _place(outcome.case)).values())
+    groups = list(_group_by(outcomes, lambda outcome: _without_controller(outcome.case)).values())
     with quiet_core() as core:
         start, processor, busy_before = time.perf_counter(), time.process_time(), busy_time(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in group] for group in groups]
@@ -103,13 +103,13 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         for group, replayed_group in zip(groups, durations, strict=True)
         for outcome, tick_times in zip(group, replayed_group, strict=True)
     }
-    # Disturbed ticks are omitted either for all controllers or for none of them.
-    drivers = _group_by(outcomes, lambda outcome: _driver(outcome.case)).values()
-    all_have_clean = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
+    # The controllers are compared with each other, so disturbed ticks are omitted for all controllers or for none.
+    controller_groups = _group_by(outcomes, lambda outcome: _driver(outcome.case)).values()
+    all_have_clean = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in controller_groups)
     timed = {}
     for outcome in outcomes:
         replayed_times = times[outcome.case]
-        selected = replayed_times.only_clean if all_have_clean else replayed_times.times
+        selected = replayed_times.undisturbed_times if all_have_clean else replayed_times.times
         timed[outcome.case] = replace(
             outcome, run=outcome.run.with_step_time(*selected[0].T), clean_share=replayed_times.share
         )
@@ -126,20 +126,21 @@ def _group_by(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) ->
     return groups
 
 
-def _place(case: Case) -> Case:
-    """Return the case without the fields that differ between compared cases."""
+def _without_controller(case: Case) -> Case:
+    """Return the case without the fields that describe its controller."""
     return replace(case, controller="", model="", config=None, overrides=())
 
 
 def _driver(case: Case) -> tuple[object, ...]:
-    """Return the fields of the case that identify its controller."""
+    """Return the fields of the case that describe its controller."""
     return case.controller, case.model, case.config, case.overrides
 
 
 class CaseReplay:
     """Replay of the measurements of `run` with a new controller for `case`; satisfies `bench.turns.Replay`.
 
-    Before the replay, another instance runs a few steps, so that imports and one-time costs are not timed.
+    Before the replay, another instance runs a few steps, so that the times do not include imports and other costs of
+    the first steps.
     """
 
     def __init__(self, case: Case, run: Run) -> None:
@@ -161,7 +162,7 @@ class CaseReplay:
         gc.collect()
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort]:
-        """Replay ticks; return times (ticks, 2) of the steps and of their solves [s]; raise as `replay`."""
+        """Replay ticks; return times (ticks, 2) of the steps and of their solves [s]; raise the errors of `replay`."""
         controller = self._controller
         assert controller is not None
         times, effort = measure_effort(lambda: replay(controller, self._run, first, last))
@@ -176,9 +177,9 @@ def replay(controller: TrackingController, run: Run, first: int, last: int) -> F
     Returns
     -------
     FloatArray
-        (ticks, 2) times of the step, and of its solve as reported by the controller, or NaN without a solve [s].
+        (ticks, 2) times of the step, and of its solve as reported by the controller; NaN if there is no solve [s].
 
-    Raises NotReproducibleError if a command is not bitwise equal to the recorded command.
+    Raise NotReproducibleError if a command is not bitwise equal to the recorded command.
     """
     times, commands = np.empty((last - first, 2)), np.empty((last - first, 2))
     for k in range(first, last):
@@ -188,9 +189,9 @@ def replay(controller: TrackingController, run: Run, first: int, last: int) -> F
         times[k - first, 0] = time.perf_counter() - start
         times[k - first, 1] = step.solve_time
         commands[k - first] = step.command
-    differs = np.flatnonzero((commands != run.command[first:last]).any(axis=1))
-    if differs.size:
-        k = first + differs[0]
+    different_ticks = np.flatnonzero((commands != run.command[first:last]).any(axis=1))
+    if different_ticks.size:
+        k = first + different_ticks[0]
         raise NotReproducibleError(
             f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k - first].tolist()}, but "
             f"the run {run.command[k].tolist()}: the controller is not deterministic"

@@ -1,8 +1,8 @@
-"""Effects of a real base around its linear dynamics: limits of the command, and slip of the body.
+"""Effects of a real base in addition to its linear dynamics: limits of the command, and slip of the body.
 
 `TwistRange`, `TwistSlew` and `WheelCommand` precede the velocity model; `YawRelaxation` and `Veer` follow it.
-`PoseMount` is the position of the pose sensor. Each is optional; `BaseEffects` is their group in a model file, and
-`respond` applies them in this order.
+`PoseMount` is the position of the pose sensor. Each effect is optional; `BaseEffects` is their group in a model file,
+and `respond` applies them in this order.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.two_sided import BaseSlewLimit, BaseVelocityLimit, BaseYawRateLimit, reached, sides_of
+from diffdrive_mpc.models.two_sided import BaseSlewLimit, BaseVelocityLimit, BaseYawRateLimit, limit_step, sides_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
-# Rate above those of all robots, used instead of infinity [m/s^2 or rad/s^2].
+# Rate above the rates of all robots, used instead of infinity [m/s^2 or rad/s^2].
 _UNLIMITED_RATE = 1e6
 # Tolerance for speeds at a step with rounded decimals [steps].
 _ROUNDING = 1e-9
@@ -34,7 +34,7 @@ PARTS = 4
 class TwistSlew(StrictModel):
     """Separate slew limits of each channel of the commanded twist inside the base; None means no limit.
 
-    If the slew limits of the controller are not wider, these limits stay inactive and its linear model is valid.
+    If the slew limits of the controller are not wider, these limits are inactive and its linear model is valid.
     """
 
     v: BaseSlewLimit | None = Field(
@@ -53,8 +53,8 @@ class TwistSlew(StrictModel):
         return np.minimum(list(limits), _UNLIMITED_RATE)
 
     def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
-        """Return the twist (..., 2) that the base reaches `dt` seconds after `previous` on the path to `command`."""
-        return reached(np.asarray(previous, dtype=float), np.asarray(command, dtype=float), *self._rates.T * dt)
+        """Return the twist (..., 2) that the base reaches `dt` [s] after `previous` on the ramp to `command`."""
+        return limit_step(np.asarray(previous, dtype=float), np.asarray(command, dtype=float), *self._rates.T * dt)
 
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
         """Return twists (K, 2) inside the base after samples of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
@@ -72,14 +72,14 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
-    # The rate changes where a ramp passes zero; with the position in samples from zero, every ramp has slope 1.
+    # The rate changes if a ramp crosses zero. With the position as number of samples from zero, all ramps have slope 1.
     increase, decrease = rates.tolist()
     starts, last, slowest = [], start, min(increase, decrease)
     # Python floats are faster here, because the command of a log may change at every sample.
     for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):
         starts.append(last)
         change = target - last
-        # The usual case: the target is reached within the run, at any rate.
+        # In most cases the target is reached within the run even at the slower rate.
         if -slowest * count <= change <= slowest * count:
             last = target
             continue
@@ -89,7 +89,7 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
         remaining = abs(gap) - count
         position = end + (remaining if gap > 0 else -remaining)
         last = position * (above if position > 0 else below) if remaining > 0 else target
-    # The same formula for all samples at once, now that the start of each ramp is known.
+    # With the known start of each ramp, apply the same formula to all samples at once.
     before = np.repeat(starts, counts)
     above, below = np.where(commands > before, [[increase], [decrease]], [[decrease], [increase]])
     end = commands / np.where(commands > 0, above, below)
@@ -99,15 +99,15 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
     return np.asarray(np.where(remaining > 0, position * np.where(position > 0, above, below), commands))
 
 
-def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
-    """Return the inputs (K, m) after the limits (m, 4) of a base, as means over samples of `dt` [s].
+def apply_limits(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
+    """Apply the limits (m, 4) of a base to inputs (K, m); return means over samples of `dt` [s].
 
     The limited input before sample 0 is `start` (m,).
     """
     values = np.clip(inputs, -limit[:, 1], limit[:, 0])
     for j, rates in enumerate(np.minimum(limit[:, 2:], _UNLIMITED_RATE)):
         if rates.min() < _UNLIMITED_RATE:
-            # The mean over the parts of a sample approximates the ramp within it.
+            # The mean over the parts of a sample approximates the ramp within the sample.
             part_values = ramps(np.repeat(values[:, j], PARTS), rates * dt / PARTS, float(start[j]))
             values[:, j] = part_values.reshape(-1, PARTS).mean(axis=1)
     return np.asarray(values)
@@ -131,8 +131,8 @@ class WheelCommand(StrictModel):
     """Static map of a base from (v, omega) to the rim speed of each side.
 
     Rim speeds are clipped to `top_speed` and truncated to whole steps of `resolution`. A side with a command below one
-    step is not controlled: it follows the other side up to `coasting_speed`. This was observed on a Husky A200: with a
-    command below 0.01 m/s for one side, its wheels followed those of the other side up to 0.5 rad/s.
+    step is not controlled: it follows the other side up to `coasting_speed`. This was observed on a Husky A200: if the
+    command of one side was below 0.01 m/s, its wheels followed the wheels of the other side up to 0.5 rad/s.
     """
 
     track: float = Field(gt=0, description="track by which the base converts omega_ref to rim speeds [m]")
@@ -143,7 +143,7 @@ class WheelCommand(StrictModel):
     top_speed: float | None = Field(default=None, gt=0, description="maximum rim speed of the motors [m/s]")
 
     @model_validator(mode="after")
-    def _reachable(self) -> WheelCommand:
+    def _check_top_speed(self) -> WheelCommand:
         if self.top_speed is not None and self.top_speed < self.resolution:
             raise ValueError(
                 f"top_speed {self.top_speed} m/s is less than one step of resolution ({self.resolution} m/s)"
@@ -163,13 +163,13 @@ class WheelCommand(StrictModel):
 
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return the twists (..., 2) commanded to the motors, in the units of the command."""
-        speeds = self._quantised(self.sides(twist))
+        speeds = self._quantise(self.sides(twist))
         coasting = np.clip(speeds[..., ::-1], -self.coasting_speed, self.coasting_speed)
         return self.twist(np.where(self.coasts(twist), coasting, speeds))
 
     def coasts(self, twist: ArrayLike) -> NDArray[np.bool_]:
         """Return True for each side (..., 2) whose command is below one step while the opposite side is driven."""
-        speeds = self._quantised(self.sides(twist))
+        speeds = self._quantise(self.sides(twist))
         return np.asarray((speeds == 0.0) & (speeds[..., ::-1] != 0.0), dtype=np.bool_)
 
     def slope(self, twist: ArrayLike) -> FloatArray:
@@ -177,7 +177,7 @@ class WheelCommand(StrictModel):
         speeds = self.sides(twist)
         free = np.ones(speeds.shape) if self.top_speed is None else (np.abs(speeds) < self.top_speed).astype(float)
         coasts = self.coasts(twist)
-        follows = coasts * free[..., ::-1] * (np.abs(self._quantised(speeds)[..., ::-1]) < self.coasting_speed)
+        follows = coasts * free[..., ::-1] * (np.abs(self._quantise(speeds)[..., ::-1]) < self.coasting_speed)
         by_side = np.zeros((*speeds.shape, 2))
         for side, opposite in ((0, 1), (1, 0)):
             by_side[..., side, side] = np.where(coasts[..., side], 0.0, free[..., side])
@@ -186,12 +186,12 @@ class WheelCommand(StrictModel):
         into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
         return np.asarray(out @ by_side @ into)
 
-    def _clipped(self, sides: FloatArray) -> FloatArray:
+    def _clip(self, sides: FloatArray) -> FloatArray:
         return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
 
-    def _quantised(self, sides: FloatArray) -> FloatArray:
+    def _quantise(self, sides: FloatArray) -> FloatArray:
         """Clip rim speeds to the top speed and truncate them to whole steps."""
-        clipped = self._clipped(sides)
+        clipped = self._clip(sides)
         if self.resolution == 0.0:
             return clipped
         return np.sign(clipped) * np.floor(np.abs(clipped) / self.resolution + _ROUNDING) * self.resolution
@@ -200,13 +200,14 @@ class WheelCommand(StrictModel):
 class YawRelaxation(StrictModel):
     """First-order relaxation over the turn angle of the wheels instead of time.
 
-    With the yaw rate omega of the wheels (the steady-state yaw rate of the body) and the strain z of the tyres from -1
-    to 1:
+    omega is the yaw rate of the wheels, which is the steady-state yaw rate of the body; z is the strain of the tyres
+    from -1 to 1:
 
         z' = (omega - |omega| z) / angle,     yaw rate of the body = |omega| z = omega - angle z'.
 
-    So the heading of the body is that of the wheels minus `angle` times z, and each reversal causes an offset of twice
-    `angle`. This is Dahl's friction model ("A solid friction model", 1968) between the headings of wheels and body.
+    The heading of the body is therefore the heading of the wheels minus `angle` times z, and each reversal causes an
+    offset of twice `angle`. This is Dahl's friction model ("A solid friction model", 1968) between the headings of
+    wheels and body.
     """
 
     angle: float = Field(gt=0, description="turn of the wheels over which the tyres twist [rad of yaw]")
@@ -237,7 +238,9 @@ class YawRelaxation(StrictModel):
         return strain * float(np.sign(yaw_rate))
 
     def follow(self, yaw_rates: ArrayLike, dt: float, strain: float) -> FloatArray:
-        """Return the yaw rates (K,) of the body [rad/s] for those of the wheels, linear between samples of `dt` [s].
+        """Return the yaw rates (K,) of the body [rad/s] for yaw rates (K,) of the wheels at samples of `dt` [s].
+
+        The yaw rate of the wheels is linear between samples.
 
         `strain` is z at the first sample: 0 for relaxed tyres, the sign of the yaw rate for a steady turn.
         """
@@ -248,7 +251,7 @@ class YawRelaxation(StrictModel):
         turn_angle = np.concatenate([[0.0], np.cumsum(np.abs(mean))]) * dt / self.angle
         moving = np.flatnonzero(mean)
         side = np.sign(mean[moving])
-        # Between two reversals the strain decays towards its side with the angle turned.
+        # Between two reversals, the strain approaches the sign of the turn exponentially over the turn angle.
         first = moving[np.flatnonzero(np.concatenate([[True], side[1:] != side[:-1]]))] if len(moving) else moving
         edges = np.concatenate([[0], first, [len(mean)]])
         sides = np.concatenate([[0.0], np.sign(mean[first])])
@@ -297,15 +300,15 @@ class PoseMount(StrictModel):
         """Return poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
         pose = np.asarray(sensor, dtype=float)
         theta = pose[..., 2]
-        return self._shifted(pose, theta, -1.0, theta + self.heading)
+        return self._shift_pose(pose, theta, -1.0, theta + self.heading)
 
     def sensor(self, centre: ArrayLike) -> FloatArray:
         """Return poses (..., 3) of the sensor for poses (..., 3) of the centre, the exact inverse of `centre`."""
         pose = np.asarray(centre, dtype=float)
         theta = pose[..., 2] - self.heading
-        return self._shifted(pose, theta, 1.0, theta)
+        return self._shift_pose(pose, theta, 1.0, theta)
 
-    def _shifted(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
+    def _shift_pose(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
         """Shift `pose` by the lever arm along the sensor's `axes` [rad]; set its heading to `theta`."""
         dx = np.cos(axes) * self.ahead - np.sin(axes) * self.left
         dy = np.sin(axes) * self.ahead + np.cos(axes) * self.left
@@ -313,7 +316,7 @@ class PoseMount(StrictModel):
 
 
 class BaseEffects(StrictModel):
-    """Effects of the base around the linear model of the same file; None means that an effect is not modelled."""
+    """Effects of the base in addition to the linear model of the same file; None if an effect is not modelled."""
 
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
@@ -335,7 +338,7 @@ class Response(NamedTuple):
 def respond(
     model: VelocityModel, effects: BaseEffects, commands: ArrayLike, dt: float, start: ArrayLike = (0.0, 0.0)
 ) -> Response:
-    """Simulate slew, wheel commands, linear dynamics, tyre twist and veer from commands alone.
+    """Simulate slew, wheel commands, linear dynamics, tyre twist and veer from commands only.
 
     Parameters
     ----------
@@ -348,7 +351,7 @@ def respond(
     dt
         Sample time [s].
     start
-        (2,) command with whose steady state the simulation starts.
+        (2,) command in whose steady state the simulation starts.
 
     Raises
     ------
@@ -361,7 +364,7 @@ def respond(
     if commands.ndim != 2 or commands.shape[1] != 2 or not np.isfinite(commands).all():
         raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
     start = np.asarray(start, dtype=float)
-    # Parts of a sample, because a ramp changes the command within a sample.
+    # Simulate parts of a sample, because a ramp changes the command within a sample.
     sampled = model.discretise(dt / PARTS)
     requested = np.repeat(commands, PARTS, axis=0)
     if effects.twist_range is not None:

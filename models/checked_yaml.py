@@ -1,4 +1,4 @@
-"""YAML files read against a typed schema: every mistake becomes one line that names the place and the remedy."""
+"""YAML files that are checked against a typed schema; every mistake is reported in one line with place and remedy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.models.suggestions import similar_name, suggestion, unit_of
 from diffdrive_mpc.models.table import plain_line
 
 # Conversion of YAML text to plain values, with bounds: documents that are too deep, too large or recursive are rejected
-# before they are built.
+# before their values are built.
 
 
 try:
@@ -32,16 +32,16 @@ except ImportError:
 MAX_DEPTH = file_limits().yaml_depth
 """Maximum nesting depth of lists and groups."""
 MAX_VALUES = file_limits().yaml_values
-"""Maximum number of keys and values; values behind an alias count at each use."""
+"""Maximum number of keys and values; aliased values are counted at each use."""
 
-_UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
-"""Exceptions that PyYAML raises, in addition to its own, if a value does not fit its tag."""
+_TAG_ERRORS = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
+"""Exceptions that PyYAML raises, in addition to `YAMLError`, if a value does not match its tag."""
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """Safe YAML loader that rejects duplicate keys, of which PyYAML silently keeps the last.
+    """Safe YAML loader that rejects duplicate keys, whereas PyYAML silently uses the last value.
 
-    1e-3 is a number, as in YAML 1.2 and for editors; in YAML 1.1 it is a string.
+    1e-3 is a number, as in YAML 1.2 and in editors; in YAML 1.1 it is a string.
     """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -58,7 +58,7 @@ class _UniqueKeyLoader(SafeLoader):
 
 def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
     tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
-    problem = f"unknown tag '{tag}': a file holds words, numbers, lists and groups, and nothing that runs; take it out"
+    problem = f"unknown tag '{tag}': a file may contain only words, numbers, lists and groups; remove the tag"
     raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
@@ -66,23 +66,23 @@ _MAX_NUMBER_LENGTH = 1000
 """Maximum number of characters of a number. YAML 1.1 reads 1:1:1 as base 60, in quadratic time."""
 
 
-def _add_bounded(kind: str) -> None:
-    """Make the loader reject long numbers of this kind before it computes them."""
+def _limit_length(kind: str) -> None:
+    """Make the loader reject long numbers of this kind before it converts them."""
     tag = f"tag:yaml.org,2002:{kind}"
     construct = SafeLoader.yaml_constructors[tag]
 
     def bounded(loader: _UniqueKeyLoader, node: yaml.ScalarNode) -> object:
         if len(node.value) > _MAX_NUMBER_LENGTH:
-            problem = f"a number of {len(node.value):,} characters, at most {_MAX_NUMBER_LENGTH:,} are read"
+            problem = f"a number has {len(node.value):,} characters, the limit is {_MAX_NUMBER_LENGTH:,}"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
         return construct(loader, node)
 
     _UniqueKeyLoader.add_constructor(tag, bounded)
 
 
-_add_bounded("int")
-_add_bounded("float")
-# None stands for all tags without a constructor.
+_limit_length("int")
+_limit_length("float")
+# None selects all tags without a constructor.
 _UniqueKeyLoader.add_constructor(None, _refuse_tag)
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
@@ -95,34 +95,34 @@ def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
     Raises
     ------
     yaml.YAMLError
-        If `text` is invalid YAML, repeats a key, is nested deeper than `MAX_DEPTH`, holds more than `MAX_VALUES`
-        values, refers to itself, or has a value that does not fit its tag.
+        If `text` is invalid YAML, repeats a key, is nested deeper than `MAX_DEPTH`, contains more than `MAX_VALUES`
+        values, refers to itself, or contains a value that does not match its tag.
     """
-    return pickle.loads(_parsed(text))
+    return pickle.loads(_pickle_yaml(text))
 
 
 @lru_cache(maxsize=32)
-def _parsed(text: str) -> bytes:
-    """Return the values of a text, pickled: many drives read the same files, and may change what they get."""
+def _pickle_yaml(text: str) -> bytes:
+    """Parse a text and pickle its values, so that each caller gets a copy; many drives read the same files."""
     _check_bounds(text)
     try:
         return pickle.dumps(yaml.load(text, Loader=_UniqueKeyLoader))
-    except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
-        raise yaml.YAMLError(f"a value does not fit its type: {error or type(error).__name__}") from error
+    except _TAG_ERRORS as error:  # such as the date 2020-13-40, or `!!bool z`
+        raise yaml.YAMLError(f"a value does not match its type: {error or type(error).__name__}") from error
 
 
 def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - the caller checks its type
     """Parse `text` as JSON; raise ValueError if it is invalid, too large, or too deeply nested for Python."""
     if len(text) > (limit := file_limits().json_bytes):
-        raise ValueError(f"{len(text):,} bytes of JSON, at most {limit:,} are read")
+        raise ValueError(f"the JSON text has {len(text):,} bytes, the limit is {limit:,}")
     try:
         return json.loads(text)
     except RecursionError as error:
-        raise ValueError("lists and groups are too deep") from error
+        raise ValueError("lists and groups are nested too deeply") from error
 
 
-class _Part:
-    """A list or a group that is being read: its anchor, number of values and depth."""
+class _OpenCollection:
+    """List or group that is being read, with its anchor, number of values and depth."""
 
     def __init__(self, anchor: str | None) -> None:
         self.anchor = anchor
@@ -135,13 +135,13 @@ class _Part:
 
 
 def _check_bounds(text: str) -> None:
-    """Check the limits on the parser's events; the parser builds nothing and does not recurse."""
-    whole = _Part(None)
-    open_parts, known = [whole], dict[str, _Part]()
-    # Values behind an alias count at each use: a few lines of nested aliases can stand for billions of values.
+    """Check the limits on the parser's events; the parser builds no values and does not recurse."""
+    document = _OpenCollection(None)
+    open_parts, known = [document], dict[str, _OpenCollection]()
+    # Count aliased values at each use, because a few lines of nested aliases can represent billions of values.
     for event in yaml.parse(text, Loader=SafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):
-            open_parts.append(_Part(event.anchor))
+            open_parts.append(_OpenCollection(event.anchor))
         elif isinstance(event, yaml.CollectionEndEvent):
             closed = open_parts.pop()
             if closed.anchor:
@@ -161,11 +161,11 @@ def _check_bounds(text: str) -> None:
 
 
 def _bounds_error(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
-    mark: Any = event.start_mark  # of the C parser or the Python parser; both have lines
+    mark: Any = event.start_mark  # the type depends on the parser (C or Python); both have line numbers
     return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
-_SHOWN = 100
+_MAX_SHOWN_LENGTH = 100
 """Maximum number of characters of a value or a key in a message."""
 _MAX_BITS = 1024
 _MAX_MISTAKES = 10
@@ -177,7 +177,7 @@ class ConfigError(DiffdriveMpcError, ValueError):
 
 
 class StrictModel(BaseModel):
-    """Base of every schema: unknown keys are errors, values are immutable, numbers are finite."""
+    """Base of all schemas: unknown keys are errors, values are immutable, numbers are finite."""
 
     model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -195,8 +195,8 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a 
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, not a regular file or too large; if its YAML is invalid, repeats a key, is
-        nested too deeply or holds too many values.
+        If the file is missing, unreadable, not a regular file or too large; or if its YAML is invalid, repeats a key,
+        is nested too deeply or contains too many values.
     """
     path = Path(path)
     try:
@@ -228,11 +228,11 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
 
 def merge_mappings(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Merge `changes` into a copy of `base`; groups are merged key by key."""
-    whole = dict(base)
+    merged = dict(base)
     for key, value in changes.items():
-        old = whole.get(key)
-        whole[key] = merge_mappings(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return whole
+        old = merged.get(key)
+        merged[key] = merge_mappings(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
 
 
 def check(schema: type[Schema], data: object, where: str, shown: Callable[[str], str] = str) -> Schema:
@@ -253,12 +253,12 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
             raise KeyboardInterrupt from error
         raise
     except ValidationError as error:
-        # Each sentence needs a search for similar keys: limit the number of sentences.
+        # Limit the number of sentences, because each one requires a search for similar keys.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MAX_MISTAKES]]
         more = len(details) - len(sentences)
         for missing in [sentence for sentence in sentences if sentence.endswith(" is missing")]:
-            # A misspelt key is one mistake.
+            # A misspelt key is reported as unknown, and its correct spelling as missing: keep one of the two sentences.
             if any(f"did you mean {missing.split()[1]}?" in sentence for sentence in sentences):
                 sentences.remove(missing)
         raise ConfigError(mistakes(where, sentences, more)) from error
@@ -280,7 +280,7 @@ def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:
 def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) -> str:  # noqa: ANN401 - pydantic's
     """Format one of pydantic's errors as a readable sentence."""
     location = [part for part in error["loc"] if not str(part).startswith("function-")]
-    place = shown(".".join(plain_line(str(part), _SHOWN) for part in location))
+    place = shown(".".join(plain_line(str(part), _MAX_SHOWN_LENGTH) for part in location))
     kind = error["type"]
     if kind == "extra_forbidden":
         return f"unknown key '{place}'" + suggestion(schema, location, shown)
@@ -298,6 +298,6 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         hint = similar_name(str(stated_value), re.findall(r"'([^']*)'", error["ctx"]["expected"]))
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
     if isinstance(stated_value, int) and stated_value.bit_length() > _MAX_BITS:
-        plain = False  # Python prints no integer of thousands of digits
-    value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
+        plain = False  # Python does not print integers with thousands of digits
+    value = f" (found {plain_line(repr(stated_value), _MAX_SHOWN_LENGTH)})" if plain else ""
     return f"{place}: {message}{value}{hint}" if place else message

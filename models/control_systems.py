@@ -1,4 +1,4 @@
-"""Velocity models from systems of python-control, and back."""
+"""Conversion between velocity models and systems of python-control."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REMEDY = "give a 2x2 control.TransferFunction or control.StateSpace, or two sin
 
 
 class _StateSpace(NamedTuple):
-    """x' = A x + B u, y = C x; or x[k+1] in place of x' if the sample time `dt` [s] is positive."""
+    """x' = A x + B u, y = C x, with x[k+1] instead of x' if the sample time `dt` [s] is positive."""
 
     A: FloatArray
     B: FloatArray
@@ -71,8 +71,8 @@ def to_control(model: VelocityModel, dt: float | None) -> Any:  # noqa: ANN401 -
     A, B = block_diag(sampled.A, *(np.eye(length, k=-1) for length in lengths)), np.zeros((n + sum(lengths), 2))
     first = n
     for j, length in enumerate(lengths):
-        # States are past commands of this input, newest first, after the command itself.
-        # Age 0 is the current command, which is an input and no state.
+        # The additional states are past commands of this input, newest first. The current command, of age 0, is an
+        # input instead of a state.
         for age, column in ((int(sampled.delay[j]), sampled.B0[:, j]), (int(sampled.delay[j]) + 1, sampled.B1[:, j])):
             if age == 0:
                 B[:n, j] += column
@@ -106,10 +106,10 @@ def _state_space(where: str, system: Any, size: int) -> _StateSpace:  # noqa: AN
 
 
 def _realise(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # noqa: ANN401
-    """Realise a transfer function as A, B, C, D; outputs with one denominator share the states of their input."""
+    """Realise a transfer function as A, B, C, D; outputs with equal denominators share the states of their input."""
     blocks, inputs, outputs = [], [], []
     D = np.zeros((system.noutputs, system.ninputs))
-    # Coefficients in z are of order one: smaller ones are rounding errors of a conversion.
+    # Coefficients in z are of order one; much smaller coefficients are rounding errors of a conversion.
     tolerance = _ROUNDING if system.dt else 0.0
     for j in range(system.ninputs):
         shared: dict[tuple[float, ...], FloatArray] = {}
@@ -117,7 +117,7 @@ def _realise(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArra
             numerator, denominator = _cancel_common_factors(*(np.real(side[i][j]) for side in (system.num, system.den)))
             n = len(denominator) - 1
             if len(numerator) > n + 1:
-                raise ModelError(f"{where}: a numerator of higher degree than its denominator cannot be a robot's")
+                raise ModelError(f"{where}: a numerator has a higher degree than its denominator, unlike any robot")
             numerator = np.pad(numerator, (n + 1 - len(numerator), 0)) / denominator[0]
             denominator = denominator / denominator[0]
             D[i, j] = numerator[0]
@@ -130,7 +130,7 @@ def _realise(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArra
             inputs.append(np.outer(np.eye(n)[0], np.eye(system.ninputs)[j]))
             outputs.append(rows)
     if not blocks:
-        raise ModelError(f"{where}: all its transfer functions are constant; a robot's speed follows with a lag")
+        raise ModelError(f"{where}: all transfer functions are constant, but the speed of a robot has a lag")
     return block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D
 
 
@@ -142,14 +142,14 @@ def _cancel_common_factors(numerator: FloatArray, denominator: FloatArray) -> tu
 
 
 def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C of the continuous system with this zero-order-hold sampling, and its dead time (2,) [s]."""
-    # A system of order n is determined by 2 n values of its impulse response.
+    """Return A, B, C and dead time (2,) [s] of the continuous system whose zero-order-hold sampling is `sampled`."""
+    # The impulse response of a system of order n is determined by 2 n values.
     count = 2 * len(sampled.A) + 2
     response = _impulse_response(sampled.A, sampled.B, sampled.C, count)
     size = np.abs(response).max()
     is_nonzero = (np.abs(response) > _ZERO * size).any(axis=1)
     if not is_nonzero.any(axis=0).all():
-        raise ModelError(f"{where}: an input moves no output")
+        raise ModelError(f"{where}: an input has no effect on any output; connect both inputs")
     delay = is_nonzero.argmax(axis=0)
     A, B, C = _remove_delays(sampled, delay)
     poles = np.linalg.eigvals(A)
@@ -166,18 +166,18 @@ def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, Fl
         # Results of an inaccurate logarithm are rejected below.
         warnings.simplefilter("ignore", RuntimeWarning)
         continuous = np.real(logm(A)) / sampled.dt
-    # Inverse of a zero-order hold.
+    # Invert the zero-order hold.
     B = np.linalg.solve(A - np.eye(len(A)), continuous @ B)
     n = len(A)
     resampled = expm(np.block([[continuous, B], [np.zeros((2, n + 2))]]) * sampled.dt)
-    # Only a comparison with the original shows whether logarithm and removal of delays were exact.
+    # Compare with the original response, because logarithm and removal of delays may be inaccurate.
     undelayed = _impulse_response(resampled[:n, :n], resampled[:n, n:], C, count)
     for j in (0, 1):
         delayed = np.pad(undelayed[..., j], ((int(delay[j]), 0), (0, 0)))[:count]
         if np.abs(delayed - response[..., j]).max() > _SAME * size:
             raise ModelError(
-                f"{where}: the poles at or near z = 0 are not a whole number of samples of delay that both outputs "
-                "share; give the continuous system, and dead_time="
+                f"{where}: the poles at or near z = 0 do not represent a whole number of samples of delay of both "
+                "outputs; give the continuous system, and dead_time="
             )
     return continuous, B, C, delay * sampled.dt
 
@@ -188,7 +188,7 @@ def _remove_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[Floa
     tolerance = _ZERO * np.linalg.norm(A)
     k = 0
     while k < n:
-        # States that no other state drives are pending commands: each round removes one sample of delay.
+        # States that are not driven by other states are pending commands; each round removes one sample of delay.
         left, singular, _ = np.linalg.svd(A[k:, k:])
         rank = int((singular > tolerance).sum())
         if rank == n - k:

@@ -1,4 +1,4 @@
-"""A velocity model sampled at the control rate, with fractional dead time."""
+"""Velocity model sampled at the control rate, with fractional dead time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# Tolerance [samples] within which a dead time counts as a whole number of samples: decimals are rounded.
+# Tolerance for dead times that are whole numbers of samples before rounding of their decimals [samples].
 _WHOLE = 1e-9
 
 
@@ -17,13 +17,14 @@ _WHOLE = 1e-9
 class DiscreteModel:
     """x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1],  y[k] = C x[k].
 
-    Column j of B0 and B1 acts on input j, delayed by `delay[j]` samples; B1 belongs to the part of the sample in which
-    the older command still acts.
+    Column j of B0 and B1 multiplies input j, delayed by `delay[j]` samples; B1 describes the part of the sample in
+    which the older command still acts.
 
     Attributes
     ----------
     A, B0, B1, C, D
-        (n, n), (n, 2), (n, 2), (2, n), (2, 2). D is zero: the velocity of a robot does not jump with its command.
+        (n, n), (n, 2), (n, 2), (2, n), (2, 2). D is zero, because the velocity of a robot cannot follow its command
+        without lag.
     delay
         (2,) whole samples.
     dt
@@ -60,11 +61,11 @@ class DiscreteModel:
 
     @property
     def dc_gain(self) -> FloatArray:
-        """(2, 2) steady-state gain, equal to that of the continuous model."""
+        """(2, 2) steady-state gain, equal to the gain of the continuous model."""
         return np.asarray(self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B0 + self.B1))
 
     def effective_inputs(self, commands: FloatArray, past: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute the delayed commands that B0 and B1 act on.
+        """Compute the delayed commands that B0 and B1 multiply.
 
         Parameters
         ----------
@@ -121,8 +122,8 @@ class DiscreteModel:
 def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, dt: float) -> DiscreteModel:
     """Sample x' = A x + B u(t - dead_time), y = C x exactly with a zero-order hold.
 
-    With dead_time = delay dt + rest, the command of sample k - delay acts during the last dt - rest of sample k and its
-    predecessor during the first `rest`: B0 is the hold matrix over dt - rest, and B0 + B1 that over dt.
+    With dead_time = delay dt + rest, the command of sample k - delay acts during the last dt - rest of sample k, and
+    the command before it during the first `rest`. B0 is the hold matrix over dt - rest, and B0 + B1 the one over dt.
 
     Parameters
     ----------
@@ -133,13 +134,13 @@ def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: Floa
     dt
         Sample time [s], positive.
     """
-    from scipy.linalg import expm  # noqa: PLC0415 - loads slowly, and only construction needs it
+    from scipy.linalg import expm  # noqa: PLC0415 - slow import, needed for construction only
 
     delay = np.floor(dead_time / dt + _WHOLE).astype(np.int64)
     rest = np.maximum(dead_time - delay * dt, 0.0)
     rest[rest < _WHOLE * dt] = 0.0
     n = len(A)
-    # With constant inputs as extra states, one exponential holds sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
+    # With constant inputs as extra states, one exponential contains sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
     extended = np.zeros((n + 2, n + 2))
     extended[:n] = np.hstack([A, B])
     whole = expm(dt * extended)[:n]

@@ -1,11 +1,11 @@
-"""Doubts about a log or a model, and their relevance for driving, defined once for each kind."""
+"""Doubts about a log or a model, with their relevance for driving, which is defined by kind."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class DoubtRelevance:
     matters
         True if the doubt is relevant.
     why
-        Reason, in a few words.
+        Short reason.
     """
 
     matters: bool
@@ -28,20 +28,20 @@ class DoubtRelevance:
         return f"{'matters' if self.matters else 'does not matter'} for driving: {self.why}"
 
 
-def _yes(why: str) -> DoubtRelevance:
+def _relevant(why: str) -> DoubtRelevance:
     return DoubtRelevance(True, why)
 
 
-def _no(why: str) -> DoubtRelevance:
+def _irrelevant(why: str) -> DoubtRelevance:
     return DoubtRelevance(False, why)
 
 
-_ROBOT = _yes("the model would describe no real robot")
-_SCALE = _yes("a speed would be wrong by a factor")
-_SIGN = _yes("the robot would be steered the wrong way")
-_LATE = _yes("the dead time would be wrong by the same amount")
-_LEFT_OUT = _no("the rest of the log is used")
-_UNKNOWN = _yes("the response to motions that were not driven is unknown")
+_ROBOT = _relevant("the model would not describe a real robot")
+_SCALE = _relevant("a speed would be wrong by a factor")
+_SIGN = _relevant("the robot would be steered the wrong way")
+_LATE = _relevant("the dead time would be wrong by the same amount")
+_LEFT_OUT = _irrelevant("the rest of the log is used")
+_UNKNOWN = _relevant("the response to motions that were not driven is unknown")
 
 VERDICTS: Mapping[str, DoubtRelevance] = {
     # Doubts about logs: kinds of `models.logs.Finding`.
@@ -68,21 +68,21 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "reversed wheel": _SIGN,
     "swapped sides": _SIGN,
     "mirrored pose": _SIGN,
-    "late sensor": _no("`identify` corrects it"),
-    "scaled sensor": _no("`identify` corrects it"),
-    "turned pose": _yes("the reported position would be off the driven path"),
+    "late sensor": _irrelevant("`identify` corrects it"),
+    "scaled sensor": _irrelevant("`identify` corrects it"),
+    "turned pose": _relevant("the reported position would deviate from the driven path"),
     "order change": _SIGN,
     "dead readings": _SCALE,
     "second publisher": _ROBOT,
     "late wheel": _LATE,
-    "tyre change": _yes("the robot would drive a curve for the command of a straight line"),
-    "gyro drift": _yes("the heading would drift as much"),
-    "reading at rest": _yes("the pose estimate would drift until the controller has learned this reading"),
-    "uneven turns": _yes("the robot would turn differently to one side"),
-    "curved command": _yes("the robot would follow small commands more slowly than predicted"),
-    "scaled poses": _yes("lengths in the map differ from those on the ground"),
-    "slipping wheels": _yes("on another surface the robot would drive much faster than predicted"),
-    "gain drift": _yes("the robot may drive faster or slower than predicted"),
+    "tyre change": _relevant("the robot would drive a curve for the command of a straight line"),
+    "gyro drift": _relevant("the heading would drift by this rate"),
+    "reading at rest": _relevant("the pose estimate would drift until the controller has learned this reading"),
+    "uneven turns": _relevant("the robot would turn differently to one side"),
+    "curved command": _relevant("the robot would follow small commands more slowly than predicted"),
+    "scaled poses": _relevant("lengths in the map differ from those on the ground"),
+    "slipping wheels": _relevant("on another surface the robot would drive much faster than predicted"),
+    "gain drift": _relevant("the robot may drive faster or slower than predicted"),
     "rectified sensor": _SIGN,
     "clipped sensor": _SCALE,
     "filtered sensor": _LATE,
@@ -91,55 +91,55 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "rounded command": _SCALE,
     "wrong sign": _SIGN,
     "no response": _ROBOT,
-    "weak response": _yes("the log shows little of the robot's motion"),
+    "weak response": _relevant("the log shows little of the robot's motion"),
     "constant input": _UNKNOWN,
     "little excitation": _UNKNOWN,
-    "saturation": _yes("beyond the limit the robot may not follow its command"),
+    "saturation": _relevant("beyond the limit the robot may not follow its command"),
     # Doubts about estimates.
-    "second lag": _no("one lag is enough"),
-    "divided lag": _no("the sum of dead time and lag is correct"),
-    "equal lags": _no("together they predict the same"),
-    "lag": _yes("the delay of the robot's response is unknown"),
-    "gain": _yes("the robot may drive faster or slower than predicted"),
-    "track": _yes("the robot may turn faster or slower than predicted"),
-    "limit": _yes("stay below that limit"),
-    "dead time": _yes("the robot may respond later than predicted"),
-    "no dead time": _no("the sum of dead time and lag is correct"),
-    "told together": _no("together they predict the same"),
-    "prior kept": _no("the log shows no sign of it"),
-    "pose calibration": _no("the controller does not use it"),
-    "effect": _yes("drive gently until another log determines it"),
-    "unseen effects": _no("the model of the encoder readings is complete"),
-    "unknown track": _no("the rest of the model is complete"),
-    "effects left out": _no("the plain model is as good"),
-    "network left out": _no("the linear model is as good"),
+    "second lag": _irrelevant("one lag is sufficient"),
+    "divided lag": _irrelevant("the sum of dead time and lag is correct"),
+    "equal lags": _irrelevant("the prediction does not depend on their division"),
+    "lag": _relevant("the delay of the robot's response is unknown"),
+    "gain": _relevant("the robot may drive faster or slower than predicted"),
+    "track": _relevant("the robot may turn faster or slower than predicted"),
+    "limit": _relevant("commands must stay below this limit"),
+    "dead time": _relevant("the robot may respond later than predicted"),
+    "no dead time": _irrelevant("the sum of dead time and lag is correct"),
+    "inseparable": _irrelevant("the prediction does not depend on their division"),
+    "prior kept": _irrelevant("it has no visible effect in the log"),
+    "pose calibration": _irrelevant("the controller does not use it"),
+    "effect": _relevant("drive gently until it is determined from another log"),
+    "unseen effects": _irrelevant("the model of the encoder readings is complete"),
+    "unknown track": _irrelevant("the rest of the model is complete"),
+    "effects left out": _irrelevant("the plain model predicts as well"),
+    "network left out": _irrelevant("the linear model predicts as well"),
     # Doubts about scores, and about missing parts of a log.
-    "low FIT": _yes("the controller would rely on a poor prediction"),
-    "FIT falls": _yes("on another drive FIT may be lower still"),
-    "missed dynamics": _no("FIT includes the missing dynamics, and feedback corrects them"),
-    "no heading": _yes("the controller's estimator needs a heading"),
-    "no gyro": _yes("the controller would turn the robot too little"),
-    "no wheels": _yes("the wheel limits are those of another robot"),
-    "pose point": _yes("the controller would take the distance for side-slip"),
-    "failed drive": _yes("correct it before the robot drives that path"),
+    "low FIT": _relevant("the controller would rely on a poor prediction"),
+    "FIT falls": _relevant("FIT may be even lower on another drive"),
+    "missed dynamics": _irrelevant("FIT includes the missing dynamics, and feedback corrects them"),
+    "no heading": _relevant("the controller's estimator needs a heading"),
+    "no gyro": _relevant("the robot would turn too little"),
+    "no wheels": _relevant("the wheel limits are those of another robot"),
+    "pose point": _relevant("the controller would interpret the distance as side-slip"),
+    "failed drive": _relevant("the robot must not drive this path before it is corrected"),
 }
 """Relevance by kind of `Doubt`, and by kind of every finding more severe than a note."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Reason not to rely on a part of a model.
+    """Reason not to rely on some property of a model.
 
     Attributes
     ----------
     kind
         A key of `VERDICTS`.
-    words
+    message
         Description, a sentence without a full stop.
     """
 
     kind: str
-    words: str
+    message: str
 
     @property
     def verdict(self) -> DoubtRelevance:
@@ -147,12 +147,12 @@ class Doubt:
         return VERDICTS[self.kind]
 
     def about(self, label: str) -> Doubt:
-        """Return the doubt with `label`, the part of the model that it concerns, in front."""
-        return Doubt(self.kind, f"{label}: {self.words}")
+        """Return the doubt with its message prefixed by `label`, the part of the model that it concerns."""
+        return Doubt(self.kind, f"{label}: {self.message}")
 
     def __str__(self) -> str:
         """Format the doubt and its relevance in one line."""
-        return escaped(f"{self.words} ({self.verdict})")
+        return escape(f"{self.message} ({self.verdict})")
 
 
 def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:

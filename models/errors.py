@@ -1,4 +1,4 @@
-"""The common base of all errors that the project defines."""
+"""Common base of all errors of the project, and errors about arguments."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,18 +19,18 @@ _MAX_LENGTH = 4000
 
 
 def _one_line(message: str) -> str:
-    # Cut first, which limits the work for long texts.
-    text = escaped(re.sub(r"\s*\n\s*", " ", message[:_MAX_LENGTH]))
+    # Truncate first, to limit the work for long texts.
+    text = escape(re.sub(r"\s*\n\s*", " ", message[:_MAX_LENGTH]))
     return text if len(text) <= _MAX_LENGTH and len(message) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 
 
 class DiffdriveMpcError(Exception):
-    """Base of the project's errors; the message is one line: place, mistake, remedy.
+    """Base of the project's errors; the message is one line with place, mistake and remedy.
 
     Most subclasses are also a ValueError or a RuntimeError. An argument that only a programming error can cause, such
     as an array of the wrong shape, raises a plain ValueError instead.
 
-    Names in a message may come from untrusted files: control characters are escaped.
+    Control characters in the message are escaped, because names in it may come from untrusted files.
     """
 
     def __init__(self, *parts: object) -> None:
@@ -42,7 +42,7 @@ class MissingPackageError(DiffdriveMpcError, ImportError):
 
 
 class NoteWarning(UserWarning):
-    """Base of warnings that commands print as a note: one line."""
+    """Base of warnings that commands print as a note of one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(_one_line(message))
@@ -53,7 +53,7 @@ class FormerNameWarning(NoteWarning):
 
 
 class UnusualValueWarning(NoteWarning):
-    """Warning for a value that is valid, but probably in another unit."""
+    """Warning for a value that is valid but probably has another unit."""
 
 
 class ArgumentError(DiffdriveMpcError, TypeError):
@@ -77,7 +77,7 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 return function(*args, **kwargs)
             except TypeError as error:
-                # Python raises the error of the call itself before the function has a frame.
+                # An error of the call itself is raised before the function has a frame.
                 if error.__traceback__ is None or error.__traceback__.tb_next is not None:
                     raise
                 from diffdrive_mpc.models.suggestions import similar_name  # noqa: PLC0415 - needed in case of an error

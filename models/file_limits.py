@@ -1,4 +1,4 @@
-"""Maximum sizes that are read from files, so that no file exhausts the memory."""
+"""Maximum sizes of input files and their parts, so that no file exhausts the memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Velocity model structures from plug-ins: defined by functions, whereas `models.structures` uses matrices."""
+"""Structures of velocity models from plug-ins, defined by functions instead of matrices as in `models.structures`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. Modules are named and imported on use, so that listing structures imports none.
+    """Structure of a velocity model. Modules are given by name and imported on use, so that listing does not import.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class FunctionStructure:
     title
         Title in tables.
     rank
-        Rank by complexity, the simplest first: a structure of higher rank must predict significantly better.
+        Rank by complexity, from the simplest: a structure of higher rank must predict significantly better.
     package
         Package of the objects below, each named as "module:name".
     loader
@@ -49,7 +49,7 @@ class FunctionStructure:
     robots
         Parameter files of named robots; a model is loaded by the stem of its file.
     slow
-        Whether identification is slow: a comparison then skips the structure unless it is named.
+        True if identification is slow; a comparison then skips the structure unless it is named.
     """
 
     structure: str
@@ -66,7 +66,7 @@ class FunctionStructure:
     robots: tuple[Path, ...] = ()
     slow: bool = False
 
-    def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
+    def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - content of a YAML file
         """Load the model of the parameter file at `path` with the content `data`; raise ConfigError or ModelError."""
         model: NonlinearModel = self._import(self.loader)(path, data)
         return model

@@ -1,4 +1,4 @@
-"""Input files named by the user: only regular files are read, with a size limit."""
+"""Reading of input files: only regular files, with a size limit and a record of the files that were read."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _READ: ContextVar[dict[_Identity, Path] | None] = ContextVar("paths of the files
 
 
 @contextmanager
-def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
-    """Record the files that are read inside the context, and from its start the existing files among `named`."""
+def record_inputs(named: Iterable[str | Path] = ()) -> Iterator[None]:
+    """Record the files that are read inside the context, and from its start also the existing files in `named`."""
     token = _READ.set({})
     try:
         for path in named:
             with suppress(OSError, ValueError):  # the file is missing or the name invalid
                 if Path(path).is_file():
-                    remember(Path(path).stat(), path)
+                    record_input(Path(path).stat(), path)
         yield
     finally:
         _READ.reset(token)
 
 
-def remember(file: os.stat_result, path: str | Path) -> None:
-    """Record that the file at `path` is read; do nothing outside `reading`."""
+def record_input(file: os.stat_result, path: str | Path) -> None:
+    """Record that the file at `path` is read; do nothing outside of `record_inputs`."""
     files = _READ.get()
     if files is not None:
         files[_identity(file)] = Path(path).absolute()
@@ -47,7 +47,7 @@ def is_read(path: Path) -> bool:
         return False
     try:
         identity = _identity(path.stat())
-        # The inode number of a deleted file may belong to a new file.
+        # The inode number of a deleted file may be reused for a new file.
         return identity in files and _identity(files[identity].stat()) == identity
     except OSError:
         return False
@@ -59,11 +59,11 @@ def _identity(file: os.stat_result) -> _Identity:
 
 MEGABYTE = 1_000_000
 _LFS_POINTER = b"version https://git-lfs"
-"""First bytes of the text that Git LFS stores in place of a file that was not fetched."""
+"""First bytes of the text that Git LFS stores instead of a file that was not fetched."""
 
 
 def open_input(path: Path) -> BufferedReader:
-    """Open a regular file for reading; refuse pipes and devices, which may block or never end.
+    """Open a regular file for reading; reject pipes and devices, which may block or never end.
 
     Raises
     ------
@@ -79,14 +79,14 @@ def open_input(path: Path) -> BufferedReader:
             raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device; give a file on a disk")
-        remember(state, path)
+        record_input(state, path)
     except BaseException:
         os.close(handle)
         raise
     file = os.fdopen(handle, "rb")
     if file.peek(len(_LFS_POINTER)).startswith(_LFS_POINTER):
         file.close()
-        raise OSError(errno.EINVAL, "it is a pointer of Git LFS, not the file; `git lfs pull` fetches that")
+        raise OSError(errno.EINVAL, "it is a pointer of Git LFS, not the file; fetch it: `git lfs pull`")
     return file
 
 

@@ -1,4 +1,4 @@
-"""Types and protocols that `mpc` and `sim` share, so that neither imports the other.
+"""Types and protocols shared by `mpc` and `sim`, so that neither of them imports the other.
 
 Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI throughout.
 """
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.errors import checked_call, wrong_type
 T = TypeVar("T")
 FloatArray = NDArray[np.float64]
 AnyArray = NDArray[Any]
-"""Array of real numbers, or of complex numbers in complex-step derivatives."""
+"""Array of real numbers, or of complex numbers for complex-step differentiation."""
 
 
 def _checked_init(kind: type[T]) -> type[T]:
@@ -29,16 +29,16 @@ def _checked_init(kind: type[T]) -> type[T]:
 @_checked_init
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """A measured value with the time for which it is valid.
+    """Measured value with the time of its measurement.
 
     Attributes
     ----------
     value
         The measured value; the field of `Measurement` defines its shape.
     time
-        Time of validity (not of arrival) [s], on the clock of the controller.
+        Time of measurement, not of arrival [s], on the clock of the controller.
     covariance
-        Covariance of the value, (k, k); None if the sensor states none.
+        (k, k) covariance of the value; None if it is unknown.
     """
 
     value: ArrayLike
@@ -58,7 +58,7 @@ class Measurement:
     wheel_twist
         (2,) v [m/s] and omega [rad/s] from the encoders and the geometric track.
     yaw_rate
-        () yaw rate of the gyro [rad/s]. On a skid-steered robot it differs from that of the wheels by the yaw gain.
+        () yaw rate of the gyro [rad/s]. On a skid-steered robot it differs from the wheels' yaw rate by the yaw gain.
     wheel_speeds
         (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
@@ -67,8 +67,8 @@ class Measurement:
     Raises
     ------
     ArgumentError
-        If a value other than `sent` is not `Stamped`. The content is checked by `Controller.step`, which does not raise
-        errors for data.
+        If a value other than `sent` is not `Stamped`. `Controller.step` checks the content and does not raise errors
+        for invalid data.
     """
 
     pose: Stamped | None = None
@@ -91,7 +91,7 @@ class Measurement:
 
 
 class ReferenceSample(NamedTuple):
-    """A reference trajectory evaluated at n times."""
+    """Reference trajectory evaluated at n times."""
 
     pose: FloatArray
     """(n, 3) x [m], y [m], theta [rad]; theta is unwrapped."""
@@ -103,7 +103,7 @@ class ReferenceSample(NamedTuple):
 
 @runtime_checkable
 class Reference(Protocol):
-    """A timed trajectory, at rest at its start before time 0, and at its end after `duration`."""
+    """Timed trajectory; the reference is at rest at its start before time 0 and at its end after `duration`."""
 
     @property
     def name(self) -> str:
@@ -125,7 +125,7 @@ class ControlStep(Protocol):
 
     @property
     def command(self) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s]; finite and inside the limits."""
+        """(2,) v [m/s], omega [rad/s]; finite and within the limits."""
         ...
 
     @property
@@ -145,7 +145,7 @@ class ControlStep(Protocol):
 
     @property
     def solve_time(self) -> float:
-        """Part of `step_time` for formulating and solving the problem [s]; NaN if no problem was solved."""
+        """Part of `step_time` for the formulation and solution of the problem [s]; NaN if no problem was solved."""
         ...
 
     @property
@@ -194,7 +194,7 @@ class EstimatingStep(Protocol):
 
     @property
     def estimate(self) -> MotionEstimate | None:
-        """Estimate that the command is based on; None before the first estimate."""
+        """Estimate on which the command is based; None before the first estimate."""
         ...
 
 
@@ -217,20 +217,20 @@ class CompiledTick:
     Attributes
     ----------
     fields
-        Addresses by the names of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller
-        and input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
-        `reasons`, `notes` and `status` are 0; otherwise Python has to complete the tick. In addition the addresses of
-        two integers of the result: `method`, the code of the solver's method, and `iterations`.
+        Addresses by field of `closed_loop` (sim/core/closed_loop.h): the function of the step with its controller and
+        input, fields of the input, and numbers of the result. A tick is ordinary if the step returns 0 and `mode`,
+        `reasons`, `notes` and `status` are 0; otherwise Python has to complete the tick. `method`, the code of the
+        solver's method, and `iterations` are the addresses of two further integers of the result.
     start
         Time 0 of the reference [s].
     steps
-        Result of an ordinary tick by the code of the method, whose arrays are views of the controller's memory.
+        Result of an ordinary tick by code of the method; its arrays are views of the controller's memory.
     is_next
-        Function that prepares the input and returns True if the next tick may be made in C.
+        Function that prepares the input and returns True if the next tick can be computed in C.
     record
-        Function to call with the time of the last ordinary tick [s] after ordinary ticks.
+        Function to be called after ordinary ticks with the time of the last one [s].
     complete
-        Function that completes a tick that is not ordinary, from its time [s] and the return value of the step.
+        Function that completes a tick that is not ordinary, given its time [s] and the return value of the step.
     """
 
     fields: Mapping[str, int]
@@ -243,10 +243,10 @@ class CompiledTick:
 
 @runtime_checkable
 class CompiledController(Protocol):
-    """Controller with a tick in C."""
+    """Controller whose ordinary ticks can be computed in C."""
 
     def compiled_tick(self) -> CompiledTick:
-        """Return the tick for the current drive, which is valid until the next call of `start`."""
+        """Return the tick for the current drive; it is valid until the next call of `start`."""
         ...
 
 
@@ -257,7 +257,7 @@ class ReadOnlyArrays:
     """
 
     def __post_init__(self) -> None:
-        """Replace the arrays by views."""
+        """Replace the arrays by read-only views."""
         self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:

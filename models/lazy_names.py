@@ -9,9 +9,9 @@ from typing import Any
 
 
 def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return a `__getattr__` for `package` that imports each name of `homes` from its module on first use.
+    """Return a `__getattr__` for `package` that imports each name from its module in `homes` on first use.
 
-    Using one module then does not load the others.
+    The use of one module then does not load the others.
     """
 
     def look_up(name: str) -> Any:  # noqa: ANN401 - type checkers use the imports under TYPE_CHECKING

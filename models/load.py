@@ -1,4 +1,4 @@
-"""Load velocity models from parameter files, shipped or of the user."""
+"""Loading of velocity models from shipped parameter files and from files of the user."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PLAIN = "kinematic"
 _LINEAR = {name: path for name in (*STRUCTURES, _PLAIN) if (path := PARAMETERS / f"{name}.yaml").is_file()}
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
-"""Real robots, identified from public logs."""
+"""Names of real robots whose models were identified from public logs."""
 
 
 @checked_call()
 def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
-    """Load a velocity model: a linear model, a network on past commands, a drive, or a hybrid.
+    """Load a velocity model: a linear model, a network on past commands, a drive model, or a hybrid.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     path = model_path(name)
     data = read_yaml(path)
     try:
-        function = _function(data)
+        function = _function_structure(data)
         return build_model(_check_file(path, data)) if function is None else function.load(path, data)
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
@@ -71,14 +71,14 @@ def is_shipped(name: str | Path) -> bool:
 
 
 def _shipped_files() -> dict[str, Path]:
-    """Return the shipped parameter files by name; names of `_LINEAR` need no plug-ins."""
+    """Return the shipped parameter files by name; this loads plug-ins, which `_LINEAR` does not need."""
     functions = {structure.name: structure.shipped for structure in function_structures().values() if structure.shipped}
     linear = {name: path for name, path in _LINEAR.items() if name != _PLAIN}
     return linear | dict(sorted(functions.items())) | {_PLAIN: _LINEAR[_PLAIN]}
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
-    """Load a linear velocity model; raise ModelError if the model is nonlinear, other errors as `load_model`."""
+    """Load a linear velocity model; raise ModelError if the model is nonlinear, and other errors as `load_model`."""
     model = load_model(name)
     if not isinstance(model, VelocityModel):
         raise ModelError(f"model '{name}' is nonlinear, but a linear model is required; name a linear model")
@@ -89,19 +89,19 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load the base effects from a model file; raise ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _function(data) else _check_file(path, data).base_effects
+    return BaseEffects() if _function_structure(data) else _check_file(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
     """Return the parameter file of a model name or path.
 
-    Raises ConfigError if there is none, and MissingPackageError if the model belongs to a package that is missing.
+    Raise ConfigError if there is no such model, and MissingPackageError if its package is not installed.
     """
     if str(name) in ROBOT_NAMES:
         return ROBOTS / f"{name}.yaml"
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
-    # Names of linear models were found above without loading a plug-in.
+    # Load plug-ins only if the name is not that of a linear model.
     shipped = _shipped_files()
     robots = {path.stem: path for kind in function_structures().values() for path in kind.robots}
     if path := (shipped | robots).get(str(name)):
@@ -115,22 +115,22 @@ def read_model_file(path: str | Path) -> ModelFile:
     return _check_file(path, read_yaml(path))
 
 
-def _function(data: object) -> FunctionStructure | None:
+def _function_structure(data: object) -> FunctionStructure | None:
     """Return the structure of a nonlinear model's file; None for linear models, which need no plug-in."""
-    name = _structure(data)
+    name = _structure_name(data)
     return None if name in STRUCTURES else function_structures().get(name)
 
 
-def _structure(data: object) -> str:
-    """Return the name of a file's structure; empty if it names none."""
+def _structure_name(data: object) -> str:
+    """Return the name of the structure in the content of a file; empty if it is missing."""
     structure = data.get("structure") if isinstance(data, Mapping) else None
     return structure if isinstance(structure, str) else ""
 
 
 def _check_file(path: str | Path, data: object) -> ModelFile:
-    structure = STRUCTURES.get(_structure(data))
+    structure = STRUCTURES.get(_structure_name(data))
     if structure is None:
-        check_package("structures", _structure(data))
+        check_package("structures", _structure_name(data))
         known = ", ".join((*STRUCTURES, *function_structures()))
         if isinstance(data, Mapping) and "model" in data:
             raise ConfigError(

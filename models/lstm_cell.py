@@ -1,6 +1,6 @@
 """Equations of one unit of a long short-term memory, for any library: CasADi, NumPy or JAX.
 
-`tanh` is the function of the library. The logistic function is expressed by it, so that no other function is needed.
+`tanh` is the function of the library. The logistic function is expressed by tanh, so that no other function is needed.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def named_file(
 
 @dataclass(frozen=True)
 class EntryFile:
-    """Shipped YAML file with named entries; a file of the user holds a single entry without a name.
+    """Shipped YAML file with named entries; a file of the user contains a single entry without a name.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class EntryFile:
         return tuple(sorted(_entries(self.path)))
 
     def read(self, name: str | Path) -> tuple[Any, str]:
-        """Return the values of a shipped entry or of a user's file, and their place for messages.
+        """Return the values of a shipped entry or of a user's file, and their location for messages.
 
         Raises
         ------
@@ -124,7 +124,7 @@ def shipped_names(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
 
 
-# First line of a YAML file, which tells editors the schema.
+# First line of a YAML file, which refers editors to the schema.
 
 
 EDITOR_LINE = "# yaml-language-server: $schema="
@@ -132,7 +132,7 @@ EDITOR_LINE = "# yaml-language-server: $schema="
 
 
 def read_editor_line(path: Path) -> str:
-    """Return the schema line of the file at `path`, to keep it in a new version; empty if the file has none."""
+    """Return the schema line of the file at `path`, to preserve it in a new version; empty if there is none."""
     with suppress(OSError, UnicodeDecodeError), path.open(encoding="utf-8") as file:
         first = file.readline()
         return first if first.startswith(EDITOR_LINE) else ""

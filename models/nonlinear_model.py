@@ -39,11 +39,11 @@ class CompiledStep:
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
 
-    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time is modelled by the window: a step that
-    depends on older commands responds late. A model without states, such as a network on past commands, uses its last
-    output as state, which step computes from the window alone. x = 0 must be the steady state for u = 0.
+    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). The window models dead time: a step that depends
+    on older commands responds late. A model without states, such as a network on past commands, uses its last output as
+    state; its step depends on the window only. x = 0 must be the steady state for u = 0.
 
-    At every tick the controller linearises the model along its plan, and the estimator along the sent commands.
+    At every tick, the controller linearises the model along its plan, and the estimator along the sent commands.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class NonlinearModel:
     memory
         Number of past commands that still act on future states, at least 1.
     known_lag
-        (2,) mean delay of each channel [s], if known more accurately than from samples; see `lag`.
+        (2,) mean delay of each channel [s], if it is known more accurately than from samples; see `lag`.
     provenance
         Source of the parameters; empty for a user's functions.
     delay
-        (2,) zeros: the dead time is part of the window, unlike that of a discretised linear model.
+        (2,) zeros, because the dead time is part of the window, unlike the dead time of a discretised linear model.
 
     Raises
     ------
@@ -146,12 +146,12 @@ class NonlinearModel:
 
     @property
     def details(self) -> tuple[tuple[str, str], ...]:
-        """Labels and texts of additional lines in `models show`."""
+        """Labels and values of additional lines in `models show`."""
         return ()
 
     @property
     def plant_step(self) -> ca.Function:
-        """Step function for a simulated plant: `step`, or an exact version if `step` is a smooth approximation."""
+        """Step function for a simulated plant: `step`, or the exact function if `step` is a smooth approximation."""
         return self.step
 
     @property
@@ -201,9 +201,9 @@ class NonlinearModel:
     def lag(self) -> FloatArray:
         """(2,) mean delay of each channel [s] for small commands: `known_lag`, or else the lag of the samples.
 
-        The lag of the samples is the area between a step and the linearly interpolated step response: dt (m - 1/2), m
-        being the mean of the impulse response in samples. It is exact for the controller, which predicts arcs with the
-        mean of v at both ends. The lag of a continuous model differs by about dt^2 over its time constant.
+        The lag of the samples is the area between a step and the linearly interpolated step response: dt (m - 1/2),
+        where m is the mean of the impulse response in samples. It is exact for the controller, which predicts arcs with
+        the mean of v at both ends. The lag of a continuous model differs by about dt^2 over its time constant.
         """
         if self.known_lag is not None:
             return np.array(self.known_lag, dtype=float)

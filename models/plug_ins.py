@@ -1,4 +1,4 @@
-"""Entry points with which other packages extend this one.
+"""Entry points through which other packages extend this package.
 
 A distribution registers a plug-in in its `pyproject.toml`:
 
@@ -67,7 +67,7 @@ def plug_ins(group: str) -> tuple[Any, ...]:
 
 @cache
 def known_packages() -> Mapping[str, Mapping[str, str]]:
-    """Return the package of every plug-in of this project's packages, by group and name."""
+    """Return the package of each plug-in of this project, by group and name."""
     import yaml  # noqa: PLC0415 - only needed if a plug-in is missing
 
     data = yaml.safe_load(Path(__file__).with_name("known_packages.yaml").read_text(encoding="utf-8"))
@@ -78,7 +78,7 @@ def known_packages() -> Mapping[str, Mapping[str, str]]:
 
 
 def missing_part(group: str, name: str) -> str:
-    """Format one line with the package of a missing plug-in and the installation command."""
+    """Format a message of one line with the package of a missing plug-in and the installation command."""
     kind = group.removesuffix("s").replace("_", " ")
     package = known_packages().get(group, {}).get(name)
     name = name.replace(".", " ") if group == "commands" else name
@@ -89,6 +89,6 @@ def missing_part(group: str, name: str) -> str:
 
 
 def check_package(group: str, name: object) -> None:
-    """Raise MissingPackageError if a known package has the plug-in `name`; call this if the plug-in is not found."""
+    """Raise MissingPackageError if a known package has the plug-in `name`, which was not found."""
     if str(name) in known_packages().get(group, {}):
         raise MissingPackageError(missing_part(group, str(name)))

@@ -33,7 +33,7 @@ class _Functions(NamedTuple):
 def _numeric_sinc(x: Any) -> Any:  # noqa: ANN401 - numbers or arrays
     if not isinstance(x, float):
         return np.sinc(x / np.pi)
-    # For a single number this is ten times faster, with the same result.
+    # For a single number, these operations of `np.sinc` are ten times faster.
     product = np.pi * (x / np.pi) or np.finfo(float).eps
     return np.sin(product) / product
 
@@ -45,7 +45,7 @@ def _symbolic_sinc(x: ca.SX) -> ca.SX:
     series = ca.SX(0)
     for k in reversed(range(_SERIES_TERMS)):
         series = 1 / math.factorial(2 * k + 1) - square * series
-    # CasADi evaluates both branches: keep the unused one finite, so that its derivative is not NaN.
+    # CasADi evaluates both branches, so the unused branch must be finite, or its derivative would be NaN.
     safe = ca.if_else(small, 1.0, x)
     return ca.SX(ca.if_else(small, series, ca.sin(safe) / safe))
 
@@ -124,6 +124,6 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
 
 
 def ahead_and_left(gap: FloatArray, heading: ArrayLike) -> tuple[Any, Any]:
-    """Rotate the first two components of `gap` (..., 2 or more) [m] into a frame at `heading` (...) [rad]."""
+    """Rotate the first two components of `gap` (..., 2 or more) [m] into a frame with `heading` (...) [rad]."""
     c, s = np.cos(heading), np.sin(heading)
     return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 POLYNOMIAL = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 """Names of the nine coefficients of `polynomial_twist`, row by row."""
 
-# Minimum argument of the square root for a shrinking track: the law has no solution below 0, and no slope at 0.
+# Minimum argument of the square root for a shrinking track; the law has no solution below 0 and no finite slope at 0.
 _MIN_RADICAND = 0.04
 
 
@@ -31,7 +31,7 @@ _SYMBOLIC = _Functions(ca.sqrt, ca.fabs, ca.fmax)
 
 
 def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
-    """Compute the twist of the body: that of the wheels (v_c, w_c) plus terms in v_c, w_c and v_c w_c.
+    """Compute the twist of the body: twist (v_c, w_c) of the wheels plus terms in v_c, w_c and v_c w_c.
 
     Source: Ordonez et al., 2017 (P4): v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c +
     a23 v_c w_c, omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise.
@@ -65,9 +65,9 @@ def polynomial_terms(
 def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
     """Compute the ratio k of the track to the track at rest by the law of P3, for numbers or symbols.
 
-    i = p1 |omega| + p0 is k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k. This is quadratic in k;
-    the solution is used that is 1 for growth = 0. For a shrinking track, k is bounded below, because faster turns have
-    no solution.
+    The law i = p1 |omega| + p0 becomes k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k. This
+    equation is quadratic in k; its solution with k = 1 for growth = 0 is used. For a shrinking track, k has a lower
+    bound, because faster turns have no solution.
     """
     return 0.5 * (1 + functions.sqrt(functions.larger(1 + 4 * growth * functions.absolute(settled), _MIN_RADICAND)))
 
@@ -96,7 +96,7 @@ def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> Float
     Parameters
     ----------
     difference
-        (...) rim speed of the right wheels minus that of the left wheels [m/s].
+        (...) rim speed of the right wheels minus rim speed of the left wheels [m/s].
     p0, p1
         Track at rest [m] and its growth [m s].
 

@@ -1,4 +1,4 @@
-"""Robot data stated by the manufacturers: parameters with their source, not identified."""
+"""Parameters of robots that are stated by the manufacturers instead of identified, with their sources."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _UNITS = {
 
 
 class StatedNumber(StrictModel):
-    """A number that the manufacturer states."""
+    """Number stated by the manufacturer, with its source."""
 
     stated: Positive
     source: str = Field(min_length=1, description="one of the file's `sources`")
@@ -51,7 +51,7 @@ class StatedOutline(StrictModel):
 
 
 class StatedTopic(StrictModel):
-    """A topic, relative to the namespace of the robot."""
+    """Topic, relative to the namespace of the robot."""
 
     stated: str = Field(min_length=1, pattern="^[^/]", description="relative name")
     type: str = Field(description="type of its messages")
@@ -74,8 +74,8 @@ class StatedKey(NamedTuple):
     """Unit and derivation."""
 
 
-class MakersRobot(StrictModel):
-    """Data of one robot, stated by the manufacturer. SI units; the manufacturer does not state omitted values."""
+class ManufacturerRobot(StrictModel):
+    """Data of one robot stated by the manufacturer, in SI units; values that are not stated are omitted."""
 
     name: str
     provenance: Literal["stated"] = Field(description="not identified: the values do not come from a log")
@@ -97,11 +97,11 @@ class MakersRobot(StrictModel):
     topics: StatedTopics
 
     @model_validator(mode="after")
-    def _sourced(self) -> Self:
+    def _check_sources(self) -> Self:
         stated = [part for part in (*dict(self).values(), *dict(self.topics).values()) if hasattr(part, "source")]
         unknown = sorted({part.source for part in stated} - set(self.sources))
         if unknown:
-            raise ValueError(f"source '{unknown[0]}' is none of its sources: {', '.join(self.sources)}")
+            raise ValueError(f"source '{unknown[0]}' is not one of its sources: {', '.join(self.sources)}")
         return self
 
     @property
@@ -110,14 +110,14 @@ class MakersRobot(StrictModel):
         return self.wheel_separation.stated * self.wheel_separation_multiplier.stated
 
     def bounds(self, margin: float) -> dict[str, float]:
-        """Return soft limits, which no manufacturer states: `margin` [-] times the maximum command."""
+        """Return soft limits, which manufacturers do not state, as `margin` [-] times the maximum command."""
         v, omega = self.v.stated, self.omega.stated
         rim = v + 0.5 * self.track * omega
         sizes = {"predicted_v": v, "predicted_omega": omega, "wheel_speed": rim}
         return {f"limits.{name}": float(f"{margin * size:.4g}") for name, size in sizes.items()}
 
     def configuration(self) -> dict[str, StatedKey]:
-        """Return values of a controller's configuration by dotted key; slew limits only if below the default."""
+        """Return values of a controller's configuration by dotted key, with slew limits below the default only."""
         separation = (
             f"m, wheel separation {self.wheel_separation.stated:g} m times multiplier "
             f"{self.wheel_separation_multiplier.stated:g}"
@@ -134,7 +134,7 @@ class MakersRobot(StrictModel):
                 number: StatedNumber | None = getattr(self, f"{channel}_{rate}")
                 if number is not None and number.stated < getattr(default, channel):
                     keys[f"limits.{channel}_{key}"] = StatedKey(number.stated, unit)
-        # Without the feature, its group in a configuration would be an error.
+        # If the feature is not installed, its group in a configuration is an error.
         if "free_space" not in plug_in_names("features"):
             return keys
         if self.footprint is not None:
@@ -175,7 +175,7 @@ def stated_robots() -> tuple[str, ...]:
     return STATED_ROBOTS.names
 
 
-def load_stated_robot(name: str | Path) -> MakersRobot:
+def load_stated_robot(name: str | Path) -> ManufacturerRobot:
     """Read the manufacturer's data of a robot.
 
     Parameters
@@ -188,7 +188,7 @@ def load_stated_robot(name: str | Path) -> MakersRobot:
     models.checked_yaml.ConfigError
         If there is no such robot, with a list of the names, or its file is invalid.
     """
-    robot = STATED_ROBOTS.load(MakersRobot, name)
+    robot = STATED_ROBOTS.load(ManufacturerRobot, name)
     if robot.footprint is not None and robot.footprint_radius is not None:
         raise ConfigError(f"{name}: give 'footprint' or 'footprint_radius', not both")
     return robot

@@ -1,4 +1,4 @@
-"""Suggestions for a name that is not known, and for a key that is not in a schema."""
+"""Suggestions for unknown names, and for keys that are not in a schema."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ _MAX_SUGGESTIONS = 4
 
 
 def similar_name(name: str, known: Iterable[str]) -> str:
-    """Format the end of a message about an unknown name: the most similar known name, if there is one."""
+    """Format the most similar known name, if there is one, as the end of a message about an unknown name."""
     near = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.5)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
-def not_among(name: str, known: Iterable[str]) -> str:
+def format_unknown_name(name: str, known: Iterable[str]) -> str:
     """Format an unknown name, the known names, and the most similar of them."""
     return f"'{name}'; known: {', '.join(known)}{similar_name(name, known)}"
 
@@ -86,7 +86,7 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
 
 
 def unit_of(schema: type[BaseModel], location: list[Any]) -> str:
-    """Return the unit that the description of the key at `location` states, such as "m/s"; "" without a unit."""
+    """Return the unit in the description of the key at `location`, such as "m/s"; "" if there is no unit."""
     *parents, key = [str(part) for part in location] or [""]
     level = _level(schema, parents)
     unit = re.search(r"\[([^][,;]+)\]$", getattr(level and level.model_fields.get(key), "description", None) or "")

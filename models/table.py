@@ -13,12 +13,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TextTable:
-    """Cells with headings; `str` gives text with aligned columns.
+    """Table of text cells with headings; `str` returns text with aligned columns.
 
     Attributes
     ----------
     title
-        Heading above the table; empty for none.
+        Heading above the table; may be empty.
     columns
         Heading of each column, with the unit in brackets.
     rows
@@ -61,7 +61,7 @@ class TextTable:
         columns
             Function that formats the cells of a column, by heading.
         entries
-            For each row its names, and the argument of the functions.
+            Names of each row, and argument of the functions.
         """
         rows = tuple((*left, *(cell(right) for cell in columns.values())) for left, right in entries)
         return cls(title, (*names, *columns), rows, len(names), note)
@@ -85,7 +85,7 @@ class TextTable:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Format a cell for `value`; "-" if it is missing."""
+    """Format a cell for `value`; "-" if `value` is not finite."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
@@ -115,7 +115,7 @@ def plain_line(text: str, max_length: int = MAX_LENGTH) -> str:
     return line if len(line) <= max_length and len(start) == len(text) else f"{line[: max_length - 3]}..."
 
 
-def escaped(text: str, allowed: str = "") -> str:
+def escape(text: str, allowed: str = "") -> str:
     r"""Escape characters of `text` that cannot be printed and are not in `allowed`, as in ``\x1b``."""
     if text.isprintable():
         return text
@@ -129,7 +129,7 @@ def escaped(text: str, allowed: str = "") -> str:
 
 def plain_text(text: str) -> str:
     r"""Escape characters of `text` that cannot be printed, except for line breaks and tabs, as in ``\x1b``."""
-    return escaped(text, "\n\t")
+    return escape(text, "\n\t")
 
 
 def _escape(character: str) -> str:

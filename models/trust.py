@@ -1,4 +1,4 @@
-"""Protection against files named by logs, bags or run files: only files in trusted folders are opened or run."""
+"""Protection against files that logs, bags or run files name: only files in trusted folders are opened or run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TRUST: ContextVar[_Trust | None] = ContextVar("trust", default=None)
 
 @contextmanager
 def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[None]:
-    """Refuse, inside this context, named files that are neither shipped nor in one of `folders`.
+    """Reject files that are neither shipped nor in one of `folders` inside this context.
 
     Parameters
     ----------

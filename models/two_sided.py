@@ -1,4 +1,4 @@
-"""Two-sided limits: one number for both sides, or one for each, such as `{forward: 1.0, reverse: 0.3}`."""
+"""Two-sided limits: one number for both sides, or one number for each side, such as `{forward: 1.0, reverse: 0.3}`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class TwoSided(float):
     names: ClassVar[tuple[str, str]]
     """Names of the two sides."""
     is_of_base: ClassVar[bool] = False
-    """True if a file may omit a side, which is then infinite: a base need not limit both sides."""
+    """True if a file may omit a side, which is then infinite, because a base may limit only one side."""
     sides: tuple[float, float]
     """Limits of the two sides, both positive."""
 
@@ -42,7 +42,7 @@ class TwoSided(float):
         return self.sides == sides_of(limit) if isinstance(limit, (int, float)) else NotImplemented
 
     def __ne__(self, limit: object) -> bool:
-        """Compare both sides; `float` would compare the smaller sides."""
+        """Compare both sides, whereas `float` would compare the smaller sides."""
         return not self == limit
 
     # Python removes the hash of a class that defines `__eq__`.
@@ -169,15 +169,16 @@ def side_of(limit: float, value: float) -> float:
     return sides_of(limit)[bool(value < 0.0)]
 
 
-def reached(last: FloatArray, command: FloatArray, grows: ArrayLike, falls: ArrayLike) -> FloatArray:
-    """Limit the step from `last` to `command` in one sample by the permitted increase and decrease of the magnitude.
+def limit_step(last: FloatArray, command: FloatArray, increase: ArrayLike, decrease: ArrayLike) -> FloatArray:
+    """Limit the step from `last` to `command` in one sample by the maximum increase and decrease of the magnitude.
 
-    If the value crosses zero, the magnitude increases in the rest of the sample; as ddmpc_reach in mpc/core/limits.c.
+    If the value crosses zero, the magnitude increases in the rest of the sample. This is the same algorithm as
+    ddmpc_reach in mpc/core/limits.c.
     """
-    grows, falls = np.asarray(grows, dtype=float), np.asarray(falls, dtype=float)
-    low, high = last - np.where(last > 0.0, falls, grows), last + np.where(last < 0.0, falls, grows)
-    low = np.where((last > 0.0) & (low < 0.0), low * (grows / falls), low)
-    high = np.where((last < 0.0) & (high > 0.0), high * (grows / falls), high)
+    increase, decrease = np.asarray(increase, dtype=float), np.asarray(decrease, dtype=float)
+    low, high = last - np.where(last > 0.0, decrease, increase), last + np.where(last < 0.0, decrease, increase)
+    low = np.where((last > 0.0) & (low < 0.0), low * (increase / decrease), low)
+    high = np.where((last < 0.0) & (high > 0.0), high * (increase / decrease), high)
     return np.clip(command, low, high)
 
 

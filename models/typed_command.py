@@ -1,4 +1,4 @@
-"""The current command line, as typed by the user."""
+"""Current command line, as entered by the user."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from diffdrive_mpc.models.input_file import reading
+from diffdrive_mpc.models.input_file import record_inputs
 
 OUTPUTS: dict[str, frozenset[str]] = {
     "--out": frozenset(),
     "--log": frozenset({"simulate", "excite"}),
     "--record": frozenset(),
 }
-"""Options that name outputs, with the commands that have them; empty for all commands."""
+"""Options that name outputs, with the commands to which this applies; empty for all commands."""
 _TYPED: ContextVar[tuple[str, ...] | None] = ContextVar("typed", default=None)
 _PROGRAM: ContextVar[str] = ContextVar("program", default="diffdrive-mpc")
 
 
 @contextmanager
-def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[None]:
-    """Set the arguments of `program` for `command_line` inside the context, and protect the files that they name."""
+def set_command_line(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[None]:
+    """Set the arguments of `program` for `command_line` inside the context, and protect the input files in them."""
     before, program_before = _TYPED.set(tuple(arguments)), _PROGRAM.set(program)
     try:
-        with reading(named_inputs(arguments)):
+        with record_inputs(named_inputs(arguments)):
             yield
     finally:
         _TYPED.reset(before)
@@ -33,7 +33,7 @@ def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[
 
 
 def named_inputs(arguments: Sequence[str]) -> list[str]:
-    """List the words, and parts of words, that may name an input file; words after output options are excluded."""
+    """List the arguments and parts of arguments that may name an input file, except values of output options."""
     outputs = {option for option, commands in OUTPUTS.items() if not commands or commands & set(arguments[:1])}
     parts: list[str] = []
     for before, word in zip(("", *arguments), arguments, strict=False):

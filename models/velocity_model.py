@@ -15,7 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 
 CHANNELS = ("v", "omega")
 
-# Gains of a twist-to-twist model are of order one; gains outside this range indicate a wrong unit (degrees, rpm, mm).
+# Gains of a model from twist to twist are of order one; gains outside this range indicate a wrong unit (deg, rpm, mm).
 _GAIN_RANGE = (0.05, 20.0)
 # Plausible time constants of a robot's velocity dynamics [s].
 _TIME_CONSTANT_RANGE = (1e-3, 20.0)
@@ -85,8 +85,8 @@ class VelocityModel:
         ----------
         system
             A `control.TransferFunction` or `control.StateSpace` from (v_ref, omega_ref) to (v, omega), or a pair of
-            single-input systems for v and omega. A discrete system is converted to a continuous one by the exact
-            inverse of a zero-order hold; its delays of whole samples become dead time.
+            single-input systems for v and omega. A discrete system is converted to a continuous system by the exact
+            inverse of a zero-order hold; delays of whole samples become dead time.
         dead_time
             (2,) additional dead time of each input [s]; systems of python-control have no dead time.
         name
@@ -108,9 +108,9 @@ class VelocityModel:
         Parameters
         ----------
         dt
-            None for the continuous system x' = A x + B u, y = C x, without `dead_time`, which python-control does not
-            support. With a sample time [s], the exact discrete system for a zero-order hold, with the pending commands
-            of the dead time as additional states.
+            Sample time [s] of the exact discrete system for a zero-order hold, in which pending commands of the dead
+            time are additional states. None for the continuous system x' = A x + B u, y = C x without `dead_time`,
+            which python-control does not support.
         """
         from diffdrive_mpc.models.control_systems import to_control  # noqa: PLC0415 - needs this module, and SciPy
 

@@ -1,8 +1,8 @@
 """Forward and inverse kinematics of a four-wheel differential drive.
 
 Source: Guffanti et al., Sensors 2025, 25(11), 3553 (wheel to body and body to wheel equations). Wheels are ordered
-front left, front right, rear left, rear right. On a skid-steered robot the track that gives the true yaw rate is wider
-than the geometric track: the caller selects the track.
+front left, front right, rear left, rear right. On a skid-steered robot, the track that yields the true yaw rate is
+wider than the geometric track, so the caller selects the track.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray
 
 _RIGHT = np.array([-1.0, 1.0, -1.0, 1.0])
-"""Sign of each wheel's side: right wheels are faster in a left turn."""
+"""Sign of the speed of each wheel relative to the mean in a left turn."""
 
 
 @dataclass(frozen=True, slots=True)

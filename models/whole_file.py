@@ -14,7 +14,7 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import is_read
 
-# Exclusive lock of a folder; the system releases it when the process ends for any reason.
+# Exclusive lock of a folder; the operating system releases it when the process ends, even if it is killed.
 
 
 _LOCKED = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
@@ -28,7 +28,7 @@ def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
     folder
         The folder; its content is not changed.
     wait
-        Whether to wait until another process releases the lock.
+        True to wait until another process releases the lock.
 
     Returns
     -------
@@ -63,27 +63,27 @@ def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
 UNFINISHED = ".unfinished-"
 """Prefix of the names of scratch folders; a scratch folder remains if its process is killed."""
 _MIN_AGE = 60.0
-"""Age [s] from which a scratch folder without a lock is removed; the process of a newer one may not have locked it."""
+"""Minimum age [s] of unlocked scratch folders that are removed; younger folders may not be locked yet."""
 
 
 @contextmanager
 def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
-    """Yield a temporary path to write to; on success the file replaces `path`, on failure nothing changes.
+    """Yield a temporary path for writing; on success the file replaces `path`, on failure `path` is unchanged.
 
-    Links are resolved, and their target is replaced. A new file keeps the permissions of the file that it replaces.
+    Links are resolved, and their target is replaced. A new file has the permissions of the file that it replaces.
 
     Parameters
     ----------
     path
         Path of the file.
     rewrites
-        Whether `path` may be an input of the same command.
+        True if `path` may be an input of the same command.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         With a message that starts with `path`: on entry if `path` is not a regular file, is not writable, or was read
-        by the same command; on exit if it was read meanwhile.
+        by the same command; on exit if it was read in the context.
     """
     with ExitStack() as stack:
         try:
@@ -153,7 +153,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 
 def _remove_stale(parent: Path) -> None:
-    """Remove the scratch folders that no process has locked, except new ones, which may not be locked yet."""
+    """Remove unlocked scratch folders, except new folders, which may not be locked yet."""
     for folder in parent.glob(f"{UNFINISHED}*"):
         with suppress(OSError):
             if folder.is_symlink() or time.time() - folder.stat().st_mtime < _MIN_AGE:
@@ -165,14 +165,14 @@ def _remove_stale(parent: Path) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Return the message of an error; for an OSError, that of the system."""
+    """Return the message of an error; for an OSError, without file name and error number."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def check_not_read(target: Path, path: str | Path) -> None:
     """Raise ConfigError, with a message that starts with `path`, if the same command has read the file at `target`."""
     if is_read(target):
-        raise ConfigError(f"{path}: this command reads that file, and would replace it; give another name")
+        raise ConfigError(f"{path}: this command reads this file and would replace it; give another name")
 
 
 def _check_replaceable(target: Path, path: str | Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 from diffdrive_mpc.mpc.core.tick import ResultLayout
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
@@ -128,4 +128,4 @@ class StepResult:
         if self.estimate is not None:
             x, y, theta = self.estimate.pose.tolist()
             lines.append(f"estimate  {x:.3f} m {y:.3f} m {theta:.3f} rad")
-        return "\n".join(lines if not self.message else [*lines, f"message   {escaped(self.message)}"])
+        return "\n".join(lines if not self.message else [*lines, f"message   {escape(self.message)}"])

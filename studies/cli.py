@@ -31,7 +31,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Repeat a study, which provides evidence for the claims of this project.",
+    help="Repeat a study that provides evidence for the claims of this project.",
 )
 for _name, _study in commands.STUDIES.items():
     app.command(_name, epilog=commands.EXAMPLES[_name])(_study)

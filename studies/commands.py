@@ -32,12 +32,12 @@ def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer has no type for op
 
 
 def _names_option(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer has no type for options
-    """Create an option that accepts names separated by commas."""
+    """Create an option whose value is a list of names, separated by commas."""
     return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{content}.", show_default=default)
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """Plan and run a study, write its report to `out`, and return its results."""
+    """Run a study, write its report to `out`, and return its results."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)
@@ -71,7 +71,7 @@ def reproduce(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Repeat the papers' experiments on the simulated robot and report confirmed findings; takes minutes."""
+    """Repeat the papers' experiments on the simulated robot and check the papers' findings; takes minutes."""
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does not need it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
@@ -98,11 +98,11 @@ def peers(
 
 
 def _parse_rates(text: str) -> list[float]:
-    """Parse a list of rates of false alarms [1/h]; raise ConfigError if an entry is not a number."""
+    """Parse rates of false alarms [1/h], separated by commas; raise ConfigError if an entry is not a number."""
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
 
     try:
-        return [float(name) for name in split_names(text, "--rates")]
+        return [float(entry) for entry in split_names(text, "--rates")]
     except ValueError:
         raise ConfigError(f"--rates {text}: expected numbers above 0, such as 1,10,100") from None
 
@@ -192,7 +192,7 @@ STUDIES: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "speed": speed,
 }
-"""Command functions of the studies by NAME in `python -m studies NAME`."""
+"""Functions of the commands by NAME in `python -m studies NAME`."""
 
 
 shipped_models_app = typer.Typer(
@@ -293,19 +293,19 @@ def calibrate(
         firmware, neighbours = load_firmware(), neighbour_errors()
         output_console().print(neighbours_table(neighbours).rich())
     else:
-        with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
+        with ProgressBar("calibration (a few minutes), evaluations:") as bar:
             firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
     output_console().print(calibration_table(firmware).rich())
-    better = [name for name, errors in neighbours.items() if min(errors) <= 1.0]
-    if better:
-        raise ValueError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
+    improvable = [name for name, errors in neighbours.items() if min(errors) <= 1.0]
+    if improvable:
+        raise ValueError(f"firmware.yaml: another value of {', '.join(improvable)} fits better: run make calibrate")
 
 
 @shipped_models_app.command(epilog="Example: python -m studies models truths --quick")
 def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Use five models instead of all.")] = False,
 ) -> None:
-    """Identify random models and count how often the confidence intervals contain the true parameters."""
+    """Identify random models and compute the share of the confidence intervals that contain the true parameters."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 

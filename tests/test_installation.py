@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.site.licences import PAGE, with_table
+from studies.site.licences import PAGE, insert_table
 from studies.speed.process.environment import REQUIREMENTS
 
 ROOT = Path(__file__).parents[1]
@@ -76,5 +76,5 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
 def test_page_lists_the_licences_of_installed_packages() -> None:
     """The table equals the table generated from the installed packages."""
     page = PAGE.read_text(encoding="utf-8")
-    assert with_table(page) == page
+    assert insert_table(page) == page
     assert "| casadi | GNU Lesser General Public License v3" in page

@@ -1,4 +1,4 @@
-"""Groups of commands: full help, and the package of a command that is not installed."""
+"""Groups of commands, with full help texts and with messages about the package of a missing command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from diffdrive_mpc.models.plug_ins import check_package
 
 
 class FullHelp(TyperGroup):
-    """Group of commands whose help shows the whole sentence of each command."""
+    """Group of commands whose help shows the complete first sentence of each command."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - classes that typer does not export
         """List the commands by panel."""

@@ -1,4 +1,4 @@
-"""Report user errors by a line on stderr and an exit code."""
+"""Reporting of user errors as one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import FullHelp
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc.models.typed_command import typed
+from diffdrive_mpc.models.typed_command import set_command_line
 
 BAD_INPUT = 2
 """Exit code for invalid input."""
@@ -37,7 +37,7 @@ OPTIONAL_PACKAGES = {
 
 
 _SINGULARS = {"trajectories": "trajectory", "models": "model"}
-"""Option for a single value by option for several values; without `seeds`, whose argument is the number of seeds."""
+"""Option for a single value, by option for several values; not for `seeds`, whose value is the number of seeds."""
 
 
 class OneLineErrors(FullHelp):
@@ -60,7 +60,10 @@ class OneLineErrors(FullHelp):
         kwargs["standalone_mode"] = False
         arguments = args[0] if args else kwargs.get("args")
         try:
-            with typed(sys.argv[1:] if arguments is None else arguments, self.program), warnings.catch_warnings():
+            with (
+                set_command_line(sys.argv[1:] if arguments is None else arguments, self.program),
+                warnings.catch_warnings(),
+            ):
                 _SHOWN_NOTES.clear()
                 warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
@@ -95,7 +98,7 @@ class OneLineErrors(FullHelp):
 
 
 def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes that typer does not export
-    """Return a hint if the error is an extra argument or an option that is a key of the configuration; else ""."""
+    """Return a hint for an extra argument, or for an option that is a key of the configuration; otherwise ""."""
     options = {name for option in error.ctx.command.params for name in option.opts} if error.ctx else set()
     if "--set" in options and (unknown := re.match(r"No such option: --([a-z-]+)", parser_error)):
         from diffdrive_mpc.mpc.config.schema import ControllerConfig  # noqa: PLC0415 - --help does not need it
@@ -123,7 +126,7 @@ def _show_warning(
 ) -> None:
     """Print a note about the content of a file, or any other warning in Python's format."""
     if "NoteWarning" in (base.__name__ for base in category.__mro__):
-        # A file may be read twice but is reported once.
+        # A file may be read twice, but a note about it is printed once.
         note = f"note: {plain_line(str(message))}"
         if note not in _SHOWN_NOTES:
             _SHOWN_NOTES.add(note)
@@ -140,7 +143,7 @@ def _singular(name: str) -> str:
 def build_named_options(app: typer.Typer, words: Sequence[str]) -> None:
     """Build only the options of the commands in `words`, because building all options takes long.
 
-    The other commands have only their name and help text, for the overview.
+    The other commands have only a name and a help text, for the overview.
     """
     for command in app.registered_commands:
         if command.name not in words and command.callback is not None:

@@ -14,8 +14,8 @@ import typer
 class PluggedCommand:
     """Command that a package registers as an entry point of the group `diffdrive_mpc.commands`.
 
-    The module of the command is imported for `diffdrive-mpc --help`, so it must import at the top only what the options
-    need.
+    The module of the command is imported for `diffdrive-mpc --help`, so its top-level imports must be limited to those
+    that the options need.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class PluggedCommand:
     example
         Last line of the help text.
     passed_on
-        Whether the command accepts unknown arguments, such as those after `--ros-args`.
+        True if the command accepts unknown arguments, such as those after `--ros-args`.
     """
 
     panel: str
@@ -46,13 +46,13 @@ def out_folder(text: str) -> Path:
 
 
 def out_option(content: str, usual: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """Create the option for the folder of `content`; `usual` is the default value in the help text."""
+    """Create the option for the folder of `content`; `usual` is the default value that the help text states."""
     default: str | bool = usual or False
     return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {content}.", show_default=default)
 
 
 def file_option(content: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
-    """Create the option for a YAML file that replaces a built-in file."""
+    """Create the option `name` for a YAML file that replaces a built-in file; `content` describes the file."""
     return typer.Option(name, help=f"{content} (YAML) in place of the built-in file.", show_default=False)
 
 

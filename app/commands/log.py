@@ -36,11 +36,11 @@ def check(
     from diffdrive_mpc.models.identification.fit.sensors import find_corrections  # noqa: PLC0415
     from diffdrive_mpc.models.logs import read_log  # noqa: PLC0415
     from diffdrive_mpc.models.logs.diagnosis import summary  # noqa: PLC0415
-    from diffdrive_mpc.models.logs.record import labelled  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.record import format_labelled_findings  # noqa: PLC0415
 
     content = read_log(log, mapping)
     corrections = find_corrections(content.name, content.records, mapping)
-    echo("\n".join([*summary(content), *labelled([*content.findings, *corrections.findings])]))
+    echo("\n".join([*summary(content), *format_labelled_findings([*content.findings, *corrections.findings])]))
     sensor_settings = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
     otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
     echo(sensor_settings.rstrip() if corrections.settings else otherwise)

@@ -80,13 +80,13 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
     names
         Names of the dimensions; by default all of them.
     several
-        Whether the options accept lists. If so, `values` are texts by plural of the dimension's name, or None for an
-        omitted option; if not, `values` are values by name of the dimension.
+        True if the options accept lists. `values` are then strings by plural of the dimension's name, or None for an
+        omitted option. If False, `values` are values by name of the dimension.
     """
     from diffdrive_mpc.bench.case import DIMENSIONS  # noqa: PLC0415 - the command `node` must not import bench
 
-    make = _list_option if several else _single_option
-    added = [make(dimension) for dimension in DIMENSIONS if not names or dimension.name in names]
+    build_option = _list_option if several else _single_option
+    options = [build_option(dimension) for dimension in DIMENSIONS if not names or dimension.name in names]
 
     def add_options(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
@@ -97,7 +97,7 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
         ]
         positional = [entry for entry in parameters if entry.kind is not inspect.Parameter.KEYWORD_ONLY]
         rest = parameters[len(positional) :]
-        command.__signature__ = signature.replace(parameters=[*positional, *added, *rest])  # type: ignore[attr-defined]
+        command.__signature__ = signature.replace(parameters=[*positional, *options, *rest])  # type: ignore[attr-defined]
         return command
 
     return add_options

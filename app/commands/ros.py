@@ -68,7 +68,7 @@ def robot(
     arguments = ros_arguments(context)
 
     from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help needs neither this nor ROS
-    from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
+    from diffdrive_mpc.bench.controllers import build_plant, load_reference, select_model  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.simulated_base import load_base_settings  # noqa: PLC0415
@@ -83,7 +83,7 @@ def robot(
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)
-    case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
+    case = Case(model=select_model(None, config), config=None if config is None else str(config), **values)
     plant = (
         make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
         if config is None

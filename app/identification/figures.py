@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.chart_drawing import draw_chart, draw_charts
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, round_digits
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
@@ -35,7 +35,7 @@ Draw = Callable[[IdentificationReport, Path], None]
 
 
 def draw_identification(report: IdentificationReport, folder: Path, on_done: Callable[[], None]) -> dict[str, str]:
-    """Draw the figures to the folder `FOLDER` in `folder`; `on_done` is called after each figure.
+    """Draw the figures into the subfolder `FOLDER` of `folder`; call `on_done` after each figure.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def draw_identification(report: IdentificationReport, folder: Path, on_done: Cal
 
 
 def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequence[Chart]]]:
-    """Return the figures for which the report has data: file name, and charts or drawing function, by title."""
+    """Return the figures for which the report has data, by title, each as file name and charts or drawing function."""
     figures: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
         "Measured and simulated": ("simulation.png", draw_simulation),
         "Correlation of residuals": ("residuals.png", draw_residuals),
@@ -77,9 +77,9 @@ def other_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:
-    """Return a chart of command, measurement and simulation of each channel on all validation data.
+    """Return a chart for each channel with command, measurement and simulation of all validation data.
 
-    Records are in sequence. Each series is reduced to about `points` points, which preserve the extremes.
+    Records follow each other in time. Each series is reduced to about `points` points, which preserve the extremes.
     """
     data, fitted = report.data, report.fitted
     records = data.validation
@@ -99,22 +99,24 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
         series = []
         for name, column, style in zip(("command", "measured", "simulated"), columns, (6, 0, 1), strict=True):
             rows = np.vstack(column)[:, [0, 1 + i]]
-            if name == "measured":  # no gaps are necessary between points
+            if name == "measured":  # points need no gaps between records
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
             times = [round(float(value), 3) for value in time]
             series.append(
-                Series(name, times, [rounded(value) for value in values], style, "points" if style == 0 else "line")
+                Series(
+                    name, times, [round_digits(value) for value in values], style, "points" if style == 0 else "line"
+                )
             )
         fit = number(float(fitted.validation.fit_percent[i]), 1)
-        note = f"All validation data; simulated from the commands alone. FIT {fit} %."
+        note = f"All validation data, simulated from the commands only. FIT {fit} %."
         axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"
         charts.append(Chart(title, Axis(time_title), axis, series, note, broad=True))
     return charts
 
 
 def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
-    """Select about `points` rows that preserve the shape of `values` (n,): the extremes of each bin, and all gaps."""
+    """Select about `points` rows that preserve the shape of `values` (n,): the extremes of each bin, and all NaN."""
     finite = np.flatnonzero(np.isfinite(values))
     size = 1 if len(finite) <= points else -(-2 * len(finite) // points)
     bins = np.split(finite, np.arange(size, len(finite), size))
@@ -124,7 +126,7 @@ def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
 
 
 def draw_simulation(report: IdentificationReport, path: Path) -> None:
-    """Draw all validation data in rows of consecutive time, with a column for v and one for omega."""
+    """Draw all validation data in consecutive rows, with one column for v and one for omega."""
     records = report.data.validation
     total = sum(record.dt * len(record.command) for record in records)
     rows = min(_MAX_ROWS, max(1, int(np.ceil(total / WINDOW))))
@@ -141,13 +143,13 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
 
 
 def step_charts(report: IdentificationReport) -> list[Chart]:
-    """Return a chart for each command: response of both outputs to a unit step of the command, with dead time."""
+    """Return a chart for each command with the responses of both outputs to a unit step, including dead time."""
     model = report.fitted.identified.model
     time, responses = step_responses(report)
     x, charts = [round(float(value), 4) for value in time], []
     for j, command in enumerate(CHANNELS):
         series = [
-            Series(f"{channel} [{UNITS[channel]}]", x, [rounded(value) for value in responses[j][:, i]], i, "line")
+            Series(f"{channel} [{UNITS[channel]}]", x, [round_digits(value) for value in responses[j][:, i]], i, "line")
             for i, channel in enumerate(CHANNELS)
         ]
         gains = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
@@ -166,7 +168,7 @@ def order_charts(report: IdentificationReport) -> list[Chart]:
     for i, channel in enumerate(CHANNELS):
         attributes = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
         series = [
-            Series(label, orders, [rounded(getattr(row, name)[i]) for row in choice.rows], k)
+            Series(label, orders, [round_digits(getattr(row, name)[i]) for row in choice.rows], k)
             for k, (label, name) in enumerate(attributes.items())
         ]
         marks = [Mark(choice.order, "selected", upright=True)]
@@ -179,15 +181,15 @@ def drift_charts(report: IdentificationReport) -> list[Chart]:
     drift = report.poses.drift
     x = [row.horizon for row in drift]
     series = [
-        Series("RMSE", x, [rounded(row.position_rmse) for row in drift], 0),
-        Series("mean", x, [rounded(row.position_mean) for row in drift], 1),
+        Series("RMSE", x, [round_digits(row.position_rmse) for row in drift], 0),
+        Series("mean", x, [round_digits(row.position_mean) for row in drift], 1),
     ]
     axes = Axis("time since the start of the prediction [s]"), Axis("position error [m]")
     return [Chart("Drift of the pose", *axes, series)]
 
 
 def draw_residuals(report: IdentificationReport, path: Path) -> None:
-    """Draw the autocorrelation of both residuals, and their correlation with the commands, with 95 % bounds."""
+    """Draw the autocorrelations of both residuals and their correlations with the commands, with 95 % bounds."""
     residuals = report.fitted.validation.residuals
     lags = residuals.lag_step * np.arange(residuals.autocorrelation.shape[1])
     two_sided_lags = residuals.lag_step * (np.arange(residuals.cross_correlation.shape[2]) - len(lags) + 1)
@@ -212,7 +214,7 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
 
 
 def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
-    """Compute times (n,) [s], and both outputs (n, 2) for a unit step of each command."""
+    """Compute times (n,) [s], and the outputs (n, 2) after a unit step of each command."""
     model = report.fitted.identified.model
     discrete = model.discretise(_STEP_DURATION * float(model.lag.max()) / _SAMPLES)
     time = discrete.dt * np.arange(_SAMPLES + 1)
@@ -220,11 +222,11 @@ def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[Float
 
 
 _LOG_SCALE_RATIO = 8.0
-"""Ratio of fastest and slowest pole above which the axis is logarithmic, so that slow poles are distinguishable."""
+"""Ratio of fastest to slowest pole above which the axis is logarithmic, so that slow poles can be distinguished."""
 
 
 def draw_poles(report: IdentificationReport, path: Path) -> None:
-    """Draw the poles with their values and, if known, 95 % intervals; if all poles are real, each has its row."""
+    """Draw the poles with their values and, if known, 95 % intervals; if all poles are real, each has its own row."""
     identified = report.fitted.identified
     poles = np.sort_complex(identified.model.poles)
     all_real = not poles.imag.any()
@@ -250,7 +252,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
             axes.plot(pole.real, height_of(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
             value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
             axes.annotate(value, (pole.real, height_of(pole)), (0, 7), textcoords="offset points", ha="center")
-        # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart.
+        # Choose the scale by the poles, because an interval may be infinite.
         maximum = float(np.abs(poles).max())
         minimum = float(np.abs(poles.real[poles.real != 0.0]).min(initial=maximum))
         if maximum > _LOG_SCALE_RATIO * minimum:
@@ -269,7 +271,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
 
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
-    """Return real part, imaginary part and their standard deviations [rad/s] of each pole with known uncertainty."""
+    """Return real and imaginary part and their standard deviations [rad/s] of each pole with known uncertainty."""
     rows = []
     for poles in identified.poles:
         for name in poles.names:

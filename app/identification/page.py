@@ -1,4 +1,4 @@
-"""HTML page of `identify`: results, measurements and simulation, trial drives, and warnings with remedies."""
+"""HTML page of `identify` with results, measurement and simulation, trial drives, and warnings with remedies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from diffdrive_mpc.bench.html_report.page import (
     EmbeddedPicture,
     KeyFigure,
     Page,
+    PageContents,
+    PageWarning,
     RunViews,
-    Shown,
     Toggle,
     View,
-    Warned,
 )
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.machine import describe_run
@@ -60,7 +60,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
         tuple(dict.fromkeys(getattr(trial, attribute) for trial in trials)) for attribute in ("plant", "path")
     )
     toggles = [Toggle("stand-in", plants, plants, styled=True), Toggle("path", paths, paths[:1])] if trials else []
-    content = Shown(
+    content = PageContents(
         summary=[*report.findings_summary, *verdict.headed_conclusions()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
@@ -100,7 +100,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
 
 
 def _drive_views(drives: Sequence[TrialDrive]) -> list[View]:
-    """Return the trial drives as linked views."""
+    """Return linked views of the trial drives."""
     if not drives:
         return []
     plants = list(dict.fromkeys(drive.plant for drive in drives))
@@ -123,13 +123,13 @@ def _pictures(folder: Path) -> list[View]:
     return [EmbeddedPicture(title, picture(path), broad=False) for title, path in paths.items() if path.is_file()]
 
 
-def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
-    """Return the warnings about log, estimate and drives, starting with those that matter for driving."""
+def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[PageWarning]:
+    """Return the warnings about log, estimate and drives; warnings that matter for driving come first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
     rows = [(finding.verdict, str(finding), finding.kind) for finding in findings]
     rows += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]
     rows.sort(key=lambda row: row[0] is None or not row[0].matters)
-    return [Warned(_sentence(text), remedies()[kind]) for _, text, kind in rows]
+    return [PageWarning(_sentence(text), remedies()[kind]) for _, text, kind in rows]
 
 
 def _sentence(text: str) -> str:

@@ -30,7 +30,7 @@ from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.models.logs.record import labelled
+from diffdrive_mpc.models.logs.record import format_labelled_findings
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import TextTable, plain_line
@@ -38,9 +38,9 @@ from diffdrive_mpc.sim.plants.identified_robot import ROBOT_FILE
 
 
 class ParameterWriter(Protocol):
-    """Plug-in of the group `diffdrive_mpc.parameter_writers`, which writes the parameter file of one package.
+    """Plug-in of the group `diffdrive_mpc.parameter_writers` that writes the parameter file of one package.
 
-    The first writer of a call estimates the parameters for all writers.
+    The estimate of the first writer is used for all writers of a call.
     """
 
     def estimate(self, data: LogData, limits: Mapping[str, float], base: IdentifiedBase | None) -> Any:  # noqa: ANN401
@@ -61,9 +61,9 @@ def identify_into(
     force: bool = False,
     **options: Any,  # noqa: ANN401 - options of `identify`
 ) -> None:
-    """Identify a model, print summaries of logs and quality, and write files and figures to `out`.
+    """Identify a model, print summaries of the logs and of the model quality, and write files and figures to `out`.
 
-    `packages` are comma-separated names of packages whose parameter files are also written. Model and configuration are
+    Parameter files of the packages in `packages`, a comma-separated list, are also written. Model and configuration are
     written if logs, FIT and trial drives are sufficient, or with `force`. A mapping that corrects the logs is always
     written.
 
@@ -72,7 +72,8 @@ def identify_into(
     models.errors.MissingPackageError
         If no installed plug-in writes the parameters of a package.
     models.checked_yaml.ConfigError, ValueError, OSError
-        If an option, a log or the folder cannot be used, or if no model can be identified; no file is written then.
+        If an option, a log or the folder cannot be used, or if no model can be identified. No file is written then,
+        except for a mapping that corrects the logs.
     """
     names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
     writers = {name: plug_in("parameter_writers", name) for name in names}
@@ -114,7 +115,7 @@ def _identify_into(
 
 
 def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
-    """Identify a model from the logs; messages of errors contain the options of the command line."""
+    """Identify a model from the logs; error messages name the options of the command line."""
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
@@ -141,7 +142,7 @@ def _trial_verdict(identification: Identification, bar: ProgressBar, force: bool
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
-    """Write files and figures; write model, configuration and first circle if the drives pass, or with `force`."""
+    """Write report and figures; also write model, configuration and first circle if the drives pass or with `force`."""
     identification = verdict.identification
     report = identification.report
     bar.start_stage("figures", len(figures_of(report)))
@@ -189,7 +190,7 @@ def _print_log(log: Log) -> None:
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for line in labelled(findings):
+    for line in format_labelled_findings(findings):
         _print_line(line)
 
 
@@ -215,7 +216,7 @@ def _print_line(text: str) -> None:
     output_console().print(plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
-# Draft of a mapping file, and findings in the log as read with the draft.
+# Draft of a mapping file, and findings of reading the log with the draft.
 
 
 _DEFAULT_NAME = "mapping.yaml"

@@ -51,18 +51,20 @@ _NOTE = (
 class TrialSettings(StrictModel):
     """Requirements of the trial drives, and reductions of the limits after a failure."""
 
-    lateral_share: Positive = Field(description="maximum ratio of lateral error and radius of the scaled circle [-]")
+    lateral_share: Positive = Field(description="maximum ratio of lateral error to radius of the scaled circle [-]")
     shares: tuple[tuple[Share, Share], ...] = Field(
         description="shares of limits.v and limits.omega after a failure, in descending order [-]"
     )
-    curved: tuple[str, ...] = Field(description="paths without corners, for the promised performance")
+    curved: tuple[str, ...] = Field(description="paths without corners, on which the expected performance is based")
     window: Positive = Field(description="averaging window of the unexplained motion [s]")
     noise_speed: Positive = Field(description="maximum apparent speed due to noise of the poses [m/s]")
     unexplained: int = Field(ge=1, description="number of drives with unexplained motion on these paths")
     lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
-    promise_factor: Positive = Field(description="ratio of promised error and geometric mean of these drives [-]")
-    stand_in_order: int = Field(ge=1, description="order of the SSM that is the stand-in for an SM or MBM")
-    stand_in_rows: int = Field(ge=1, description="maximum number of validation rows for the fit of the stand-in")
+    promise_factor: Positive = Field(
+        description="ratio of expected maximum error to geometric mean of these drives [-]"
+    )
+    stand_in_order: int = Field(ge=1, description="order of the SSM that replaces an SM or MBM in the held-out model")
+    stand_in_rows: int = Field(ge=1, description="maximum number of validation rows for the fit of the held-out model")
 
 
 @cache
@@ -73,7 +75,7 @@ def trial_settings() -> TrialSettings:
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """Simulated drive of one stand-in for the robot along one path.
+    """Simulated drive of a stand-in for the robot along a path.
 
     Attributes
     ----------
@@ -99,7 +101,7 @@ class TrialDrive:
 
     @property
     def lateral_share(self) -> float:
-        """Ratio of maximum lateral error and radius of the scaled circle [-]."""
+        """Ratio of maximum lateral error to radius of the scaled circle [-]."""
         return self.metrics.lateral_max_m / self.radius
 
     @property
@@ -140,7 +142,7 @@ def model_itself(identification: Identification) -> StandIn:
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
-    """Return the model itself and, if the fit succeeds, a model of another structure for the validation data."""
+    """Return the model itself and, if the fit succeeds, a model of another structure fitted to the validation data."""
     itself, held_out = model_itself(identification), _held_out_stand_in(identification)
     return [itself] if held_out is None else [itself, held_out]
 
@@ -154,9 +156,9 @@ def trial_drives(
     paths: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Iterator[TrialDrive]:
-    """Yield simulated drives of the stand-ins `plants` along paths, by default `PATHS`, with the configuration.
+    """Simulate drives of the stand-ins `plants` along `paths` with the configuration, and yield each drive.
 
-    `on_run` is called after each drive; `seed` is the seed of the sensor noise.
+    The default paths are `PATHS`. `on_run` is called after each drive; `seed` is the seed of the sensor noise.
     """
     radius = circle_radius(config)
     default_robot = load_robot()
@@ -176,7 +178,7 @@ def trial_drives(
                 disturbance=stand_in.disturbance,
             )
             reference = scaled_to_robot(path, config, identification.model)
-            # Only the metrics of drives with a disturbance are used, not their figures.
+            # For drives with a disturbance only metrics are used, so their signals need not be stored.
             is_lean = stand_in.disturbance is not None
             run = simulate(Controller(config, identification.model), plant, reference, lean=is_lean)
             on_run()
@@ -194,7 +196,7 @@ def log_slip(identification: Identification, *, pose_point: bool = False) -> Bod
 
 
 def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
-    """Return the default sensors, with rate and noise of the poses in the log."""
+    """Return the default sensors with the rate and noise of the poses in the log."""
     sensors, data = load_sensor_set("default"), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
@@ -206,12 +208,12 @@ def log_sensors(identification: Identification, config: ControllerConfig) -> Sen
 
 
 def circle_radius(config: ControllerConfig) -> float:
-    """Compute the radius of the shipped circle (1 m), scaled to the robot's track [m]."""
+    """Compute the radius [m] of the shipped circle (1 m) after scaling to the robot's track."""
     return config.wheels.encoder_track / load_robot().track
 
 
 def _held_out_stand_in(identification: Identification) -> StandIn | None:
-    """Fit another structure, the selected effects, or the predictor to the validation data; return None on failure.
+    """Fit the predictor, the selected effects or another structure to the validation data; return None on failure.
 
     The fit includes selected effects, because a slew limit of the base otherwise appears as a lag.
     """
@@ -241,7 +243,7 @@ def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
     try:
         return fit(held_out, STRUCTURES[structure_name], order).identified
     except ModelError:
-        # Short data may not determine the lag; a pole is then faster than the poles of a robot.
+        # Short data may not determine the lag; a pole may then be faster than the poles of a robot.
         return fit(held_out, STRUCTURES["two_delays"], None).identified
 
 
@@ -280,17 +282,17 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
         for drive in drives
         if not drive.passed
     ]
-    return [Doubt("failed drive", words) for words in doubts]
+    return [Doubt("failed drive", message) for message in doubts]
 
 
-# First drive of the robot with an identified configuration: slow circle, and instructions in the report.
+# First drive of the robot with an identified configuration: a slow circle, and instructions in the report.
 
 
 FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
-"""Share of the attainable speeds [-]: slow enough to walk next to the robot, and fast enough to leave the dead band."""
+"""Share of the attainable speeds [-], slow enough to walk next to the robot and fast enough to exceed the dead band."""
 _WALKING_SPEED = 0.5
-"""Walking speed [m/s], which limits the speed of faster robots."""
+"""Walking speed [m/s], the maximum speed of the circle for faster robots."""
 _FREE_SPACE = 2.0
 """Free space relative to the diameter of the circle [-]."""
 

@@ -1,4 +1,4 @@
-"""Unexplained motion of a robot in validation data; trial drives add blocks of this motion to that of a plant."""
+"""Unexplained motion of a robot in validation data; trial drives add blocks of it to the motion of a plant."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from diffdrive_mpc.sim.plants.surface import BodySlip
 
 _MIN_POSES = 4
 _MIN_VARIANCE = 0.1
-"""Minimum constant variance, as a share of the mean variance [-]; logs have few parts with straight, steady motion."""
+"""Minimum constant variance as a share of the mean variance [-], because logs have little straight, steady motion."""
 _HEADER = (
     "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and\n"
     "# unexplained motion with its variance by speeds and rates, and intervals of samples and multiples of its\n"
@@ -39,8 +39,8 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
     """Compute measured minus predicted twists (K, 3) of each validation record, as means over windows.
 
     The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the
-    log. Measured twists are computed from poses. For records without poses they are those of encoders and gyro, with
-    zero lateral speed.
+    log. Measured twists are computed from poses, or taken from encoders and gyro with zero lateral speed if the record
+    has no poses.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
@@ -65,10 +65,10 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
-    """Build the robot of the log for simulations, with sensors like those of the log; None without unexplained motion.
+    """Build the robot of the log, with sensors like those of the log, for simulations; None if no motion is known.
 
-    The variance of the motion is a non-negative linear function of squared speeds and rates, fitted by least squares.
-    Large variances in sharp turns thus do not affect straight and steady motion.
+    The variance of the unexplained motion is a non-negative linear function of squared speeds and rates, fitted by
+    least squares, so that large variances in sharp turns do not affect straight and steady motion.
     """
     report = identification.report
     motion = [rows for rows in unexplained_motion(identification) if len(rows)]
@@ -109,10 +109,10 @@ def _subtract_slip(
 ) -> tuple[BodySlip, float | None]:
     """Estimate the slip of the surface from poses, and subtract it from `motion`, so that only random motion remains.
 
-    Return the slip, and the standard deviation of the forward gain from the scatter of blocks (None without poses).
+    Return the slip and the standard deviation of the forward gain over blocks, which is None if there are no poses.
 
-    Encoders measure neither wheel radius nor side-slip. Records without poses are not changed. The gain is computed
-    from means over blocks, because the response to changes of the command affects shorter blocks.
+    Slip is estimated from poses, because encoders measure neither wheel radius nor side-slip. Records without poses are
+    not changed. The gain is computed from means over long blocks, in which responses to commands average out.
     """
     slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
     pairs = [
@@ -145,7 +145,7 @@ def _round_values(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the sc
 
 
 def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tuple[float, float]:
-    """Return the standard deviations for v and omega, each for the first of `names` in the estimate; by default 0."""
+    """Return the standard deviations of v and omega, each of the first of `names` in the estimate; 0 if missing."""
     by_name = {} if estimate is None else {name: deviation for name, _, deviation in estimate.rows}
     v, omega = (next((by_name[name.format(c)] for name in names if name.format(c) in by_name), 0.0) for c in CHANNELS)
     return float(f"{v:.3g}"), float(f"{omega:.3g}")
@@ -158,7 +158,7 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
 
 
 def _block_means(rows: FloatArray, ends: AnyArray) -> FloatArray:
-    """Replace rows (K, n) by their means between `ends`; all other rows are zero."""
+    """Replace rows (K, n) by their means over the blocks between `ends`; rows outside the blocks are zero."""
     means = np.zeros_like(rows)
     for start, end in itertools.pairwise(ends):
         means[start:end] = rows[start:end].mean(axis=0)
@@ -168,9 +168,9 @@ def _block_means(rows: FloatArray, ends: AnyArray) -> FloatArray:
 def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatArray) -> FloatArray | None:
     """Compute measured minus predicted twists (K, 3) from the displacements between poses; None for too few poses.
 
-    The heading is the integral of the yaw rates (K,) [rad/s], aligned with the poses in a window, because it has less
-    noise than single poses. Displacements are differences between the mean poses of consecutive windows. The windows
-    are long enough for a small effect of pose noise, and the power of the noise is subtracted.
+    The heading is the integral of the yaw rates (K,) [rad/s], aligned with the poses in a moving window, because it has
+    less noise than single poses. Displacements are differences between the mean poses of consecutive windows. The
+    windows are long enough that pose noise has a small effect, and the remaining power of the noise is subtracted.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose
@@ -187,7 +187,8 @@ def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatAr
     path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
     position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
     heading_error = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
-    # Second differences of smooth motion are negligible; the second differences of the errors are therefore noise.
+    # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six times
+    # its variance.
     pose_error = (position_error, heading_error)
     noise = np.array([np.mean(np.abs(np.diff(error[fresh], 2)) ** 2) / 6.0 for error in pose_error])
     noise[0] /= 2.0

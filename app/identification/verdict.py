@@ -1,4 +1,4 @@
-"""Verdict on an identified model from the trust in its logs and from its trial drives."""
+"""Verdict on an identified model, based on the quality of its logs and on trial drives."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _DRIVES = 2 * len(PATHS)
 
 
 class Promise(NamedTuple):
-    """Expected performance: speeds on curved paths, and errors that a share of the drives does not exceed."""
+    """Expected performance: maximum speeds on curved paths, and errors that a share of the drives does not exceed."""
 
     v: float
     """Maximum speed [m/s]."""
@@ -56,7 +56,7 @@ class Promise(NamedTuple):
     position: float
     """Maximum distance from the position of the reference at the same time [m]."""
     share: str
-    """Share of drives within these errors: "95 of 100", or the share that arrives if some drives do not arrive."""
+    """Share of drives within these errors: "95 of 100", or the share of drives that arrive if some do not."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +66,19 @@ class TrialVerdict:
     Attributes
     ----------
     identification
-        Identification; with lower limits or a simpler model if the drives of the original configuration fail.
+        Identification, with lower limits or a simpler model if drives with the original configuration failed.
     config
         Configuration of the identified robot; None if the configuration is invalid.
     drives
         Trial drives with the configuration.
     changes
-        Reductions of limits and simplifications that make the drives pass, one clause each.
+        Reductions of limits and simplifications with which the drives pass, as clauses.
     failure
-        Reason for which the configuration is unusable, as a clause; empty if the drives pass.
+        Reason why the configuration is unusable, as a clause; empty if the drives pass.
     unexplained
         Drives on curved paths with the unexplained motion of the validation data.
     robot
-        Robot with unexplained motion; None without such drives.
+        Robot with unexplained motion; None if there are no such drives.
     """
 
     identification: Identification
@@ -91,7 +91,7 @@ class TrialVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade of trust for driving."""
+        """Grade of the model for driving."""
         trust = self.identification.report.trust
         if self.failure or trust.grade == "No":
             return "No"
@@ -99,13 +99,13 @@ class TrialVerdict:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Reasons against a better grade, one clause each."""
+        """Reasons against a better grade, as clauses."""
         trust = self.identification.report.trust
         if self.failure:
             return (self.failure,)
         has_no_stand_in = self.drives and not any(drive.plant == HELD_OUT for drive in self.drives)
-        words = ("there are too few held-out data for a model of them",) if has_no_stand_in else ()
-        return (*self.changes, *words, *self._unexplained_reasons, *trust.reasons)
+        missing = ("there are too few held-out data for a held-out model",) if has_no_stand_in else ()
+        return (*self.changes, *missing, *self._unexplained_reasons, *trust.reasons)
 
     @property
     def _lost(self) -> int:
@@ -151,7 +151,7 @@ class TrialVerdict:
         return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
 
     def conclusions(self) -> list[str]:
-        """Return one sentence each on permission to drive, trial drives, quality of the model, and next step."""
+        """Return four sentences: permission to drive, trial drives, quality of the model, and next step."""
         fit = self.identification.report.fitted.validation.fit_percent
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         quality = f"FIT on held-out data: {values}."
@@ -166,7 +166,7 @@ class TrialVerdict:
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def headed_conclusions(self) -> list[str]:
-        """Return the conclusions, each after its heading, and the next command in the folder of the files."""
+        """Return the conclusions with their headings; the last one includes the next command."""
         command = " ".join(line.strip(" \\") for line in next_command()) if self.promise else ""
         texts = [f"{head} {text}" for head, text in zip(_HEADS, self.conclusions(), strict=True)]
         return [*texts[:-1], f"{texts[-1]} {command}".strip()]
@@ -221,7 +221,7 @@ def judge_by_drives(
     identification
         Identification to assess.
     on_try
-        Function that is called with the description of a configuration and the number of its drives, before them.
+        Function that is called before the drives of a configuration, with its description and the number of drives.
     on_run
         Function that is called after each drive.
     force
@@ -271,7 +271,7 @@ def _with_fastest_limits(
     on_try: Callable[[str, int], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
-    """Find the maximum share of the limits for which the drives pass, by bisection; None if the minimum share fails."""
+    """Find the largest shares of the limits with which the drives pass, by bisection; None if the smallest fail."""
     shares = trial_settings().shares
 
     def attempt(i: int) -> TrialVerdict:
@@ -292,7 +292,7 @@ def _with_fastest_limits(
 
 
 def _simpler_model(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
-    """Identify a plain SM from the data; return it with the change, or None if it is no simplification or fails."""
+    """Identify a plain SM from the data; return it with the change, or None if it is not simpler or cannot be used."""
     report = identification.report
     fitted = report.fitted
     if fitted.structure == SIMPLEST and fitted.base is None:
@@ -337,4 +337,4 @@ def _run_drives(
             return TrialVerdict(identification, config, (), failure=f"the configuration is unusable: {error}")
     failed = trial_doubts(drives)
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    return TrialVerdict(identification, config, tuple(drives), failure=f"{failed[0].words}{more}" if failed else "")
+    return TrialVerdict(identification, config, tuple(drives), failure=f"{failed[0].message}{more}" if failed else "")

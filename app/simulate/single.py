@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.app.run_log import holds_plans, run_log
+from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots, reference_remarks
+from diffdrive_mpc.bench.controllers import build, controller_config, other_robots, reference_remarks, select_model
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -59,17 +59,19 @@ def simulate_one(
     config, settings, out, log, scaled
         Options of the command, unchanged.
     details
-        Whether to print the tables of the run instead of a summary.
+        True to print the tables of the run instead of a summary.
 
-    Raises ConfigError, ValueError or OSError before the run if a name, a file, a value or an output path cannot be
-    used; in this case nothing is written.
+    Raises
+    ------
+    ConfigError, ValueError, OSError
+        Before the run, if a name, a file, a value or an output path cannot be used; nothing is written then.
     """
     case = case_from_options(values, config=config, settings=settings, scaled=scaled)
     controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        keep_plans = folder is not None or holds_plans(log)
+        keep_plans = folder is not None or includes_plans(log)
         start = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run = simulate(controller, plant, reference, on_tick=bar.show, keep_plans=keep_plans)
@@ -84,7 +86,7 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):
         raise ConfigError(f"the controller '{name}' does not accept --model, --config or --set")
-    model = NO_MODEL if name in PEERS else chosen_model(model, config)
+    model = NO_MODEL if name in PEERS else select_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
 
@@ -100,9 +102,9 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
         reference = outcome.run.reference
         shortfall = find_shortfall(reference, config, predicting_model(config, None))
-        for words in (shortfall, sharper_than_commands(reference, config.limits, config.sample_time)):
-            if words:
-                console.print(str(words), markup=False, highlight=False)
+        for remark in (shortfall, sharper_than_commands(reference, config.limits, config.sample_time)):
+            if remark:
+                console.print(str(remark), markup=False, highlight=False)
     for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):
         console.print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     if details and outcome.run.ended:
@@ -115,7 +117,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 
 
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
-    """Yield six lines, and a further line for a scenario and for each part of the run."""
+    """Yield six lines, and one further line for a scenario and for each plug-in column of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
@@ -132,8 +134,9 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
         )
     )
     times = metrics.step_time_p50_s, metrics.step_time_p99_s, metrics.step_time_max_s
-    shown = ", ".join(f"{name} {1e3 * time:.2f} ms" for name, time in zip(("p50", "p99", "max"), times, strict=True))
-    yield f"step time: {shown}; {metrics.deadline_misses} steps above {1e3 * run.sample_time:.1f} ms"
+    statistics = zip(("p50", "p99", "max"), times, strict=True)
+    step_times = ", ".join(f"{name} {1e3 * time:.2f} ms" for name, time in statistics)
+    yield f"step time: {step_times}; {metrics.deadline_misses} steps above {1e3 * run.sample_time:.1f} ms"
     ticks = Counter(itertools.compress(run.solver_methods, run.counted))
     shares = ", ".join(
         f"{_METHODS.get(name, name)} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
 from diffdrive_mpc.bench.html_report.origin import case_config, configuration, origin
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, RunViews, Shown
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, PageContents, RunViews
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
@@ -59,7 +59,7 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
     case, run = outcome.case, outcome.run
     config = case_config(case)
     series = run_series(run, driver_name(case), points=POINTS, config=config)
-    shown = Shown(
+    shown = PageContents(
         summary=sentences(case, run),
         notes=[
             f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: distance from the path.",

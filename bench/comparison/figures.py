@@ -30,7 +30,7 @@ _CHARTS_IN_A_ROW = 3
 _TICKS_OF_A_RUN = 2000
 
 
-def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
+def report_figures(results: ComparisonResults) -> dict[str, Draw | Charts]:
     """Return the figures by file name, starting with the overview; each run of the first seed has a figure."""
     swept = charts(results)
     first = [name for name in ("speed.png", "dead-time.png") if name in swept]

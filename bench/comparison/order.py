@@ -31,7 +31,7 @@ class Rank:
     rmse, spread
         Mean position RMSE, and standard deviation over seeds of the mean over trajectories [m].
     behind
-        (2,) interval of the mean difference from the next better controller [m]; NaN for the best controller.
+        (2,) confidence interval of the mean difference from the next better controller [m]; NaN for the best.
     """
 
     name: str
@@ -52,7 +52,7 @@ def interval(differences: FloatArray) -> FloatArray:
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))
 
 
-def order(rows: DataFrame) -> list[Rank]:
+def rank_controllers(rows: DataFrame) -> list[Rank]:
     """Sort controllers by ascending mean position RMSE; controllers with a run without RMSE are omitted."""
     errors = _errors(rows).dropna(axis=1)
     means = errors.mean().sort_values(kind="stable")
@@ -63,7 +63,7 @@ def order(rows: DataFrame) -> list[Rank]:
 
 
 def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[str]]:
-    """Return pairs whose order differs between two sets of runs: pairs significant in both sets, and other pairs."""
+    """Return the pairs whose order differs between two sets of runs: significant in both sets, and other pairs."""
     sets = _errors(main), _errors(others)
     certain: list[str] = []
     uncertain: list[str] = []
@@ -79,7 +79,7 @@ def order_table(main: DataFrame, others: DataFrame) -> Table:
     """Tabulate the ranking over the seeds of the tables, and over other seeds if there are such runs."""
     rows = []
     for label, runs in (("these", main), ("others", others)):
-        for rank, ranked in enumerate(order(runs) if len(runs) else [], 1):
+        for rank, ranked in enumerate(rank_controllers(runs) if len(runs) else [], 1):
             low, high = 1e3 * ranked.behind
             behind = (
                 ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[ranked.is_significant])

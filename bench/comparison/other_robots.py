@@ -1,7 +1,7 @@
 """Robots without built-in models: a random population, and two robots with slow dynamics.
 
-Controllers of a random robot are configured with the data of its user, which are often wrong. For the other two robots,
-models were identified from three drives each, and the peers were tuned on the robot with the same estimator.
+Controllers of a random robot are configured with data stated by its user, which are often wrong. For the other two
+robots, models were identified from three drives each, and the peers were tuned on the robot with the same estimator.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Population(StrictModel):
 
 
 class KnownRobot(StrictModel):
-    """Robot of plant `mujoco` with identified models.
+    """Robot of the plant `mujoco` with identified models.
 
     Attributes
     ----------

@@ -17,13 +17,13 @@ from diffdrive_mpc.bench.html_report.page import (
     Division,
     KeyFigure,
     Mark,
+    PageContents,
+    PageWarning,
     RunViews,
     Series,
-    Shown,
     Toggle,
-    Warned,
-    rounded,
-    tail,
+    round_digits,
+    tail_shares,
 )
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
@@ -35,12 +35,12 @@ _TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
 
-def page_contents(results: ComparisonResults) -> Shown:
+def page_contents(results: ComparisonResults) -> PageContents:
     """Collect the contents of the page without tables and charts."""
     drivers = by(results.main, COMPARED)
     names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
     cases = dict.fromkeys(rows["case"].iloc[0] for rows in drivers.values())
-    return Shown(
+    return PageContents(
         summary=_sentences(results.main, drivers),
         key_figures=_key_figures(results, drivers),
         toggles=[
@@ -106,7 +106,7 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
 
 
 def _min_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
-    """Return the minimum error of the controllers that completed all runs; if a peer is best, also the best MPC."""
+    """Return the minimum error of the controllers that completed all runs, with the best MPC if a peer is best."""
     ranked = completed_groups(drivers)
     errors = {name: mean(rows, "position_rmse_m") for name, rows in ranked.items()}
     shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
@@ -153,7 +153,8 @@ def error_chart(main: DataFrame) -> Chart:
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
         path_rows = by(rows, "trajectory")
         errors = [
-            rounded(1e3 * mean(path_rows[path], "position_rmse_m")) if path in path_rows else None for path in paths
+            round_digits(1e3 * mean(path_rows[path], "position_rmse_m")) if path in path_rows else None
+            for path in paths
         ]
         series.append(Series(name, paths, errors, i, "bars", labels={"controller": name}))
     return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
@@ -165,7 +166,7 @@ def step_time_chart(main: DataFrame) -> Chart:
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
         times = 1e3 * step_times(rows)
         if times.size:  # on a busy computer, all ticks of a short run may be disturbed
-            series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
+            series.append(Series(name, *tail_shares(times), i, "line", labels={"controller": name}))
     sample = 1e3 * main["run"].iloc[0].sample_time
     note = f"Whole step, from measurement to command. The sample time is {sample:.1f} ms."
     axes = Axis("step time [ms]", "log"), Axis("share of longer steps", "log")
@@ -201,7 +202,7 @@ def _sweep(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
     for title, (unit, figure) in figures.items():
         series = []
         for name, part in by(rows, "driver").items():
-            values = {float(value): rounded(figure(group)) for value, group in part.groupby("x")}
+            values = {float(value): round_digits(figure(group)) for value, group in part.groupby("x")}
             seed_values = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
             has_range = part["seed"].nunique() > 1 and seed_values.notna().all()
             low, high = (list(seed_values.groupby(level=0).agg(end)) if has_range else () for end in ("min", "max"))
@@ -226,9 +227,9 @@ def _scale(series: Sequence[Series]) -> Division:
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
-def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
+def _warnings(drivers: Mapping[str, DataFrame]) -> list[PageWarning]:
     """Return the warnings of all runs; a repeated warning names its first run and the number of further runs."""
-    groups: dict[tuple[str, str], list[Warned]] = {}
+    groups: dict[tuple[str, str], list[PageWarning]] = {}
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
@@ -237,8 +238,8 @@ def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
     warned = []
     for group in groups.values():
         more = f" The same warning applies to {len(group) - 1} more runs." if len(group) > 1 else ""
-        warned.append(Warned(group[0].text + more, group[0].remedy))
+        warned.append(PageWarning(group[0].text + more, group[0].remedy))
     if len(warned) > _WARNINGS_SHOWN:
-        rest = Warned(f"{len(warned) - _WARNINGS_SHOWN} other kinds of warnings: see the tables.")
+        rest = PageWarning(f"{len(warned) - _WARNINGS_SHOWN} other kinds of warnings: see the tables.")
         return [*warned[:_WARNINGS_SHOWN], rest]
     return warned

@@ -1,4 +1,4 @@
-"""Plan of the cases of the comparison."""
+"""Selection of the cases of a comparison."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from diffdrive_mpc.bench.case import (
     split_numbers,
 )
 from diffdrive_mpc.bench.comparison.other_robots import dynamics_cases, population_cases
-from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model, controller_config
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, controller_config, select_model
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 
 class ComparisonSettings(StrictModel):
@@ -99,7 +99,7 @@ def read_options(
     horizons, config, settings, quick, scaled, sweeps
         Other options of the command.
 
-    Raises ConfigError or ValueError if an option cannot be used.
+    Raise ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
     requested = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.plural)) is not None}
@@ -124,7 +124,7 @@ def read_options(
     elif sweeps:
         options["horizons"] = HORIZONS
     if config is not None:
-        options = {"config": str(config), "models": (chosen_model(None, config),)} | options
+        options = {"config": str(config), "models": (select_model(None, config),)} | options
     options["beyond"] = sweeps
     options["robots"] = not (quick or scaled or settings or set(options) - {"osqp", "beyond", "horizons"})
     if quick:
@@ -173,12 +173,12 @@ class CasePlan:
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
 
     @property
-    def timed(self) -> tuple[Case, ...]:
+    def timed_cases(self) -> tuple[Case, ...]:
         """Cases whose steps are timed; only the first seed, since step times do not depend on the seed."""
         return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
-    def beyond(self) -> tuple[Case, ...]:
+    def sweep_cases(self) -> tuple[Case, ...]:
         """Cases of which only rows are stored, without repetition, in order."""
         cases = (*self.speed, *self.dead_time, *self.other_seeds, *self.population, *self.dynamics)
         return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
@@ -187,13 +187,13 @@ class CasePlan:
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
     """List the cases, and check that their values exist and can be used.
 
-    Raises ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
+    Raise ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
     would have the same name in tables and figures.
     """
     controllers, models = settings.values("controllers"), settings.values("models")
     unknown = [name for name in controllers if name not in CONTROLLERS]
     if unknown:
-        raise ConfigError(f"unknown controller {not_among(unknown[0], CONTROLLERS)}")
+        raise ConfigError(f"unknown controller {format_unknown_name(unknown[0], CONTROLLERS)}")
     _check_labels(settings)
     mpc_cases = (
         [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models]
@@ -241,10 +241,10 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
                 dict.fromkeys(replace(case, seed=seed) for case, seed in itertools.product(main, OTHER_SEEDS))
             ),
         )
-    check_cases((*plan.all, *plan.beyond))
+    check_cases((*plan.all, *plan.sweep_cases))
     if not settings.robots:
         return plan
-    # Cases of other robots are not checked, since their files are built-in and the check takes several seconds.
+    # Cases of other robots are not checked, because their files are built-in and the check takes several seconds.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
@@ -253,7 +253,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
 
 
 def _with_excess_delay(case: Case, ticks: int) -> Case:
-    """Return the case with `ticks` additional dead time in the plant, or, if negative, in the configuration."""
+    """Return the case with `ticks` of additional dead time in the plant or, if negative, in the configuration."""
     if ticks >= 0:
         return replace(case, late=ticks)
     config = controller_config(case.model, case.config, case.overrides)
@@ -269,9 +269,9 @@ def _at_horizon(case: Case, steps: int) -> Case:
 
 
 def _check_labels(settings: ComparisonSettings) -> None:
-    """Raise ConfigError if two files of a dimension have the same stem, since tables and figures would merge them.
+    """Raise ConfigError if two files of a dimension have the same stem, because tables and figures would merge them.
 
-    Models and peers share a set of names. The comparison ignores case, since figure files use these names.
+    Models and peers must not share a name. The comparison ignores case, because figure files use these names.
     """
     dimensions = {dimension.plural: settings.values(dimension.plural) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)

@@ -126,12 +126,12 @@ def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
     )
     note = (
         "FIT and drift: free runs that use only the commands, including dead time, over "
-        f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not included. {predicts(rows)}"
+        f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not included. {describe_correlations(rows)}"
     )
     return Table("Which property of a model predicts tracking", columns, cells, text_columns=2, note=note)
 
 
-def predicts(rows: Sequence[dict[str, object]]) -> str:
+def describe_correlations(rows: Sequence[dict[str, object]]) -> str:
     """Describe the rank correlation of each property with the tracking error, or that there are too few pairs."""
     if len(rows) < _MIN_PAIRS:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."

@@ -197,7 +197,7 @@ def labels_of(settings: ComparisonSettings, dimension: str) -> list[object]:
     return [label(value) if isinstance(value, str) else value for value in settings.values(dimension)]
 
 
-def chosen_configuration(settings: ComparisonSettings) -> str:
+def describe_configuration(settings: ComparisonSettings) -> str:
     """Describe the configuration file and changed values as a phrase; empty for built-in values."""
     parts = [] if settings.config is None else [f"file {label(settings.config)}"]
     parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept_values(settings).items()]

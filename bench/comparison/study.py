@@ -16,8 +16,8 @@ from diffdrive_mpc.bench.comparison.results import (
     ROW_PARTS,
     TIMING,
     ComparisonResults,
-    chosen_configuration,
     describe,
+    describe_configuration,
     labels_of,
 )
 from diffdrive_mpc.bench.comparison.tables import other_robot_tables, report_tables, scenario_table, screen_table
@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
 
 class ComparisonStudy(Study[CasePlan, ComparisonResults]):
-    """Comparison with the given `settings`."""
+    """Comparison of controllers with `settings`."""
 
     name = "bench"
     title = "Controllers compared: tracking error and step time"
@@ -47,22 +47,24 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Select the cases whose configuration is checked against the robot."""
         return [case for case in plan.all if case.config is not None]
 
-    def driven(self, plan: CasePlan) -> Iterable[Case]:
+    def reference_cases(self, plan: CasePlan) -> Iterable[Case]:
         """Return the cases of the tables."""
         return plan.all
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run all cases and time the steps of the controllers; raise NotReproducibleError if a replay differs."""
-        cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
+        cases, whole, timed_cases = (*plan.all, *plan.sweep_cases), set(plan.all), plan.timed_cases
         bar.start_stage(f"running, {jobs} at a time", len(cases))
         # Whole runs are stored only for cases of tables and figures.
-        driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
-        recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
+        outcomes = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
+        recorded = {run.case: run for run in outcomes if isinstance(run, RunOutcome)}
         bar.start_stage("timing, in turns", len(timed_cases))
         timed, timing = time_outcomes([recorded[case] for case in timed_cases], bar.advance)
-        recorded = {case: outcome.untimed for case, outcome in recorded.items()} | {run.case: run for run in timed}
+        recorded = {case: outcome.without_times for case, outcome in recorded.items()} | {
+            run.case: run for run in timed
+        }
         rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
-        rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
+        rows |= {run["case"]: run for run in outcomes if not isinstance(run, RunOutcome)}
 
         def rows_of(part: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in part)
@@ -71,12 +73,12 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **row_parts)
         if not self.settings.beyond:
             return results
-        # Starting another process pool would take longer than this computation.
+        # One process is used, because starting a process pool would take longer than the computation.
         return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
-        """Report with the overview figures above and the runs of the first seed below the tables."""
-        from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
+        """Build the report, with overview figures above the tables and the runs of the first seed below."""
+        from diffdrive_mpc.bench.comparison.figures import report_figures  # noqa: PLC0415 - matplotlib loads slowly
 
         named = [
             dimension
@@ -88,9 +90,9 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             for entry in named
             if (values := labels_of(self.settings, entry.plural))
         ]
-        chosen = chosen_configuration(self.settings)
+        chosen = describe_configuration(self.settings)
         return Report(
-            counted=f"{len(results.all)} runs",
+            size=f"{len(results.all)} runs",
             meta=describe(self.settings, results.timing),
             content=results.content(),
             facts=[
@@ -102,7 +104,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
                 f"Times: {TIMING}. {_timing_note(results.timing)}",
             ],
             tables=report_tables(results),
-            figures=drawings(results),
+            figures=report_figures(results),
             figures_first=3 if len(results.speed) else 1,
             shown=page_contents(results),
             screen=[

@@ -1,4 +1,4 @@
-"""Tables of the comparison, which `tables.yaml` defines, and functions for their named cells."""
+"""Tables of the comparison, as defined in `tables.yaml`, and functions for their named cells."""
 
 from __future__ import annotations
 

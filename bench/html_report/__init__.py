@@ -1,1 +1,1 @@
-"""Reports as a single HTML page that needs no network: their contents, and the scripts that draw them."""
+"""Reports as a single HTML page that needs no network: contents of the page, and scripts that draw them."""

@@ -1,4 +1,4 @@
-"""A page as a single HTML file that includes the content as JSON, the style, the scripts and the plotting library."""
+"""Page as a single HTML file that contains the content as JSON, the style, the scripts and the plotting library."""
 
 from __future__ import annotations
 

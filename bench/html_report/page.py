@@ -32,7 +32,7 @@ class KeyFigure:
 
 
 @dataclass(frozen=True)
-class Warned:
+class PageWarning:
     """Text of a warning and its remedy."""
 
     text: str
@@ -52,7 +52,7 @@ class Toggle:
     shown
         Values that are selected when the page is opened.
     styled
-        Whether value i is drawn in style i.
+        True if value i is drawn in style i.
     """
 
     name: str
@@ -219,7 +219,7 @@ class RunViews:
 
 
 def _references_once(series: Iterable[Series]) -> list[Series]:
-    """Drop references that repeat the name and labels of an earlier one: runs on one path share the reference."""
+    """Remove references with the name and labels of an earlier reference, because runs on one path share it."""
     entries: dict[object, Series] = {}
     for entry in series:
         is_reference = entry.kind == "reference"
@@ -245,7 +245,7 @@ class ConfigurationView:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PageContents:
     """Contents of a report other than its tables and its origin.
 
     Attributes
@@ -263,7 +263,7 @@ class Shown:
     configurations
         Configurations of the controllers.
     pictures
-        Whether the page also contains the pictures of the Markdown report.
+        True if the page also contains the pictures of the Markdown report.
     """
 
     summary: Sequence[str] = ()
@@ -271,12 +271,12 @@ class Shown:
     key_figures: Sequence[KeyFigure] = ()
     toggles: Sequence[Toggle] = ()
     views: Sequence[View] = ()
-    warnings: Sequence[Warned] = ()
+    warnings: Sequence[PageWarning] = ()
     configurations: Sequence[ConfigurationView] = ()
     pictures: bool = True
 
 
-NOTHING = Shown()
+NO_CONTENTS = PageContents()
 """Empty contents for a report with tables and pictures only."""
 
 
@@ -294,7 +294,7 @@ class Page:
 
     command: str
     title: str
-    shown: Shown
+    shown: PageContents
     tables: Sequence[TextTable]
     origin: Origin
 
@@ -312,13 +312,15 @@ def from_zero(time: FloatArray) -> tuple[FloatArray, str]:
     return time - start, f"time [s]{since}"
 
 
-def rounded(value: float) -> float | None:
+def round_digits(value: float) -> float | None:
     """Round a number to four significant digits; return None if the number is not finite."""
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
-def tail(values: Sequence[float] | FloatArray) -> tuple[list[float], list[float | None]]:
+def tail_shares(values: Sequence[float] | FloatArray) -> tuple[list[float], list[float | None]]:
     """Return sorted values and the share of larger values, sampled evenly in the logarithm of the share."""
     ordered = np.sort(np.asarray(values, dtype=float))
     indices = np.unique(ordered.size - np.geomspace(1, ordered.size, _TAIL_POINTS).round().astype(int))
-    return [float(f"{value:.4g}") for value in ordered[indices]], [rounded(1.0 - k / ordered.size) for k in indices]
+    return [float(f"{value:.4g}") for value in ordered[indices]], [
+        round_digits(1.0 - k / ordered.size) for k in indices
+    ]

@@ -1,4 +1,4 @@
-"""Charts of a page as Plotly figures: `data` and `layout` as plain values."""
+"""Charts of a page as Plotly figures, whose `data` and `layout` consist of plain values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.bench.chart_look import DASHES, PALETTE, PLOTLY_MARKERS, REFE
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, GridMap, Mark, RunViews, Series
 
 _GRID = {"gridcolor": "#e6ebef", "zerolinecolor": "#c5ced6", "linecolor": "#c5ced6", "automargin": True}
-_QUIET = "#5a6875"
+_MARK_GREY = "#5a6875"
 _LAYOUT: dict[str, Any] = {
     "font": {"family": "system-ui, Segoe UI, Roboto, DejaVu Sans, sans-serif", "size": 12, "color": "#1b2733"},
     "plot_bgcolor": "#fff",
@@ -25,7 +25,7 @@ _LAYOUT: dict[str, Any] = {
 _PATTERNS = ("", "/", ".", "x", "-")
 _PANE_HEIGHT = 150
 """Height of a pane of a run [pixels]."""
-_DENSE = 100
+_MIN_DENSE_POINTS = 100
 """Minimum number of points of a series that is drawn with small markers."""
 _MODES = {"points": "markers", "both": "lines+markers"}
 
@@ -85,14 +85,15 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
     """Build the figure of the charts over time: panes with a common time axis."""
     panes = views.panes
     names = ["y", *(f"y{number}" for number in range(2, len(panes) + 1))]
-    named = list(zip(names, panes, strict=True))
-    axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in named}
+    named_panes = list(zip(names, panes, strict=True))
+    axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in named_panes}
     is_single = len(views.runs) == 1
-    pane_series = [(name, series) for name, pane in named for series in pane.series]
-    first = {series.name: index for index, (_, series) in reversed([*enumerate(pane_series)])}
+    pane_series = [(name, series) for name, pane in named_panes for series in pane.series]
+    first_index = {series.name: index for index, (_, series) in reversed([*enumerate(pane_series)])}
     traces = [
         # A name that occurs in several panes has one legend entry.
-        _trace(series) | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first[series.name] == index}
+        _trace(series)
+        | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first_index[series.name] == index}
         for index, (name, series) in enumerate(pane_series)
     ]
     return {
@@ -104,7 +105,7 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
             "grid": {"rows": len(panes), "columns": 1, "subplots": [[f"x{name}"] for name in names], "ygap": 0.15}
             | {"xside": "bottom plot"},
             "height": _PANE_HEIGHT * len(panes),
-            "shapes": [_shape(mark, name) for name, pane in named for mark in pane.marks],
+            "shapes": [_shape(mark, name) for name, pane in named_panes for mark in pane.marks],
             "showlegend": is_single,
             # One tooltip shows the values of all panes at the same time.
             "hovermode": "x unified" if is_single else "closest",
@@ -150,7 +151,7 @@ def _trace(series: Series) -> dict[str, Any]:
     trace["marker"] = {
         "color": colour,
         "symbol": symbol,
-        "size": 7 if len(series.x) < _DENSE else 3,
+        "size": 7 if len(series.x) < _MIN_DENSE_POINTS else 3,
         "line": {"color": "#fff", "width": 1},
     }
     return trace | ({"error_y": _interval(series)} if len(series.low) else {})
@@ -158,14 +159,14 @@ def _trace(series: Series) -> dict[str, Any]:
 
 def _interval(series: Series) -> dict[str, Any]:
     y = np.array(series.y, dtype=float)
-    reach = {"array": np.array(series.high, dtype=float) - y, "arrayminus": y - np.array(series.low, dtype=float)}
-    return {"type": "data", "symmetric": False, "thickness": 1.2} | reach
+    distances = {"array": np.array(series.high, dtype=float) - y, "arrayminus": y - np.array(series.low, dtype=float)}
+    return {"type": "data", "symmetric": False, "thickness": 1.2} | distances
 
 
 def _shape(mark: Mark, y: str) -> dict[str, Any]:
     ends: Sequence[Any] = (mark.value, mark.value)
-    along, across = ("x", "y") if mark.upright else ("y", "x")
-    line = {f"{along}0": ends[0], f"{along}1": ends[1], f"{across}0": 0, f"{across}1": 1}
+    value_axis, line_axis = ("x", "y") if mark.upright else ("y", "x")
+    line = {f"{value_axis}0": ends[0], f"{value_axis}1": ends[1], f"{line_axis}0": 0, f"{line_axis}1": 1}
     domains = {"xref": "x" if mark.upright else "x domain", "yref": f"{y} domain" if mark.upright else y}
-    label = {"text": escape(mark.text), "textposition": "end", "font": {"size": 11, "color": _QUIET}}
-    return {"type": "line", "line": {"color": _QUIET, "dash": "dot", "width": 1.5}, "label": label} | line | domains
+    label = {"text": escape(mark.text), "textposition": "end", "font": {"size": 11, "color": _MARK_GREY}}
+    return {"type": "line", "line": {"color": _MARK_GREY, "dash": "dot", "width": 1.5}, "label": label} | line | domains

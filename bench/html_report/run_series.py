@@ -41,16 +41,16 @@ def run_series(
     points
         Maximum number of ticks.
     labels
-        Toggles of a run that is compared with others; the runs with the same value of "path" share a reference. None
-        for a single run, which also shows the estimate, the poses, the true twist, the error along the path, and the
-        limits of `config`.
+        Values of the toggles, by toggle, for a run that is compared with others; runs with the same value of "path"
+        share a reference. None for a single run, whose charts also show the estimate, the measured poses, the true
+        twist, the error along the path, and the limits of `config`.
     style
         Index of the style of a compared run.
     config
         Configuration of the controller; None for a peer.
     """
-    single, labels, ticks = labels is None, labels or {}, kept_ticks(run, points)
-    of_path = {"path": labels["path"]} if "path" in labels else {}
+    single, labels, ticks = labels is None, labels or {}, select_ticks(run, points)
+    reference_labels = {"path": labels["path"]} if "path" in labels else {}
     time = rounded_list(run.time[ticks], 3)
 
     def line(title: str, x: Sequence[float | None], values: FloatArray, digits: int, number: int = 0) -> Series:
@@ -58,7 +58,7 @@ def run_series(
         return Series(legend[0], x, rounded_list(values, digits), legend[1], "line", labels=labels, group=name)
 
     def reference(x: Sequence[float | None], values: FloatArray) -> Series:
-        return Series("reference", x, rounded_list(values, 3), kind="reference", labels=of_path)
+        return Series("reference", x, rounded_list(values, 3), kind="reference", labels=reference_labels)
 
     def in_plane(title: str, xy: FloatArray, number: int = 0) -> Series:
         return line(title, rounded_list(xy[:, 0], 3), xy[:, 1], 3, number)
@@ -76,7 +76,7 @@ def run_series(
             for channel, title in enumerate(TWIST)
         },
         STEP: [line("step time", time, 1e3 * run.step_time[ticks], 3, 1)],
-        METHOD: [_words(run, name, labels, 1 if single else style)],
+        METHOD: [_method_series(run, name, labels, 1 if single else style)],
     }
     marks = {}
     if single:
@@ -91,8 +91,8 @@ def run_series(
     return RunSeries(name, plane, panes, marks)
 
 
-def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
-    """Return at most `points` ticks of a run: of every group of adjacent ticks that with the maximum position error."""
+def select_ticks(run: Run, points: int) -> NDArray[np.intp]:
+    """Select at most `points` ticks of a run: in every group of adjacent ticks, the tick with the maximum error."""
     count = len(run.time)
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)
@@ -110,13 +110,15 @@ def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in np.round(values, digits)]
 
 
-def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
-    """Return a step series of the solver's method, or the state at a fallback, a missed deadline or the end."""
+def _method_series(run: Run, name: str, labels: Labels, style: int) -> Series:
+    """Build a step series of the solver's method, or of the state at a fallback, a missed deadline or the end."""
     special = {*FALLBACK_MODES, "FINISHED", "LATE"}
-    words = [state if state in special else word for state, word in zip(run.states, run.solver_methods, strict=True)]
-    changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
-    time = rounded_list(run.time[[*changes, len(words) - 1]], 3)
-    return Series(name, time, [words[k] for k in (*changes, len(words) - 1)], style, "steps", labels=labels)
+    values = [
+        state if state in special else method for state, method in zip(run.states, run.solver_methods, strict=True)
+    ]
+    changes = [k for k in range(len(values)) if k == 0 or values[k] != values[k - 1]]
+    time = rounded_list(run.time[[*changes, len(values) - 1]], 3)
+    return Series(name, time, [values[k] for k in (*changes, len(values) - 1)], style, "steps", labels=labels)
 
 
 def _limits(run: Run, config: ControllerConfig) -> dict[str, list[Mark]]:

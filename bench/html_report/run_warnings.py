@@ -9,20 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.html_report.page import Warned
+from diffdrive_mpc.bench.html_report.page import PageWarning
 from diffdrive_mpc.bench.run_row import SolverShares
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.two_sided import sides_at
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 
-_SAME = 1e-6
+_LIMIT_TOLERANCE = 1e-6
 """Distance from the limit below which a command counts as at the limit [m/s, rad/s]."""
-_SHOWN = 3
+_MAX_MESSAGES = 3
+"""Maximum number of messages in a warning."""
 
 
 class Remedies(StrictModel):
-    """Thresholds and remedies of the warnings; see the file."""
+    """Thresholds and remedies of the warnings; `remedies.yaml` describes each threshold."""
 
     share_at_limit: float
     share_on_backend: float
@@ -39,11 +40,11 @@ class Remedies(StrictModel):
 
 @cache
 def remedies() -> Remedies:
-    """Load the remedies of this package."""
+    """Load `remedies.yaml`."""
     return load_checked(Remedies, Path(__file__).parent / "remedies.yaml")
 
 
-def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[Warned]:
+def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[PageWarning]:
     """List the warnings about a run in descending order of severity.
 
     Parameters
@@ -51,23 +52,23 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     run
         The run.
     config
-        Configuration of the controller, for the limits; None for a peer.
+        Configuration of the controller, which contains the limits; None for a peer.
     name
         Prefix of each warning if there are several runs.
     """
-    remedies_of_kinds = remedies()
+    settings = remedies()
     sentences = [
-        (_incomplete(run), remedies_of_kinds.not_completed),
-        (_fallbacks(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
-        (_fallbacks(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
-        (_missed_deadlines(run), remedies_of_kinds.late),
-        (_missing_poses(run, remedies_of_kinds), remedies_of_kinds.poses_lost),
-        (_at_limit(run, config, remedies_of_kinds), remedies_of_kinds.at_limit),
-        (_on_backend(run, config, remedies_of_kinds), remedies_of_kinds.backend),
-        (_messages(run), remedies_of_kinds.messages),
+        (_incomplete(run), settings.not_completed),
+        (_fallbacks(run, ("BRAKING", "STOPPED")), settings.waited),
+        (_fallbacks(run, ("REUSED_PLAN",)), settings.fallback),
+        (_missed_deadlines(run), settings.late),
+        (_missing_poses(run, settings), settings.poses_lost),
+        (_at_limit(run, config, settings), settings.at_limit),
+        (_on_backend(run, config, settings), settings.backend),
+        (_messages(run), settings.messages),
     ]
     prefix = f"{name}: " if name else ""
-    return [Warned(prefix + sentence, remedy) for sentence, remedy in sentences if sentence]
+    return [PageWarning(prefix + sentence, remedy) for sentence, remedy in sentences if sentence]
 
 
 def _incomplete(run: Run) -> str:
@@ -77,7 +78,7 @@ def _incomplete(run: Run) -> str:
 
 
 def _fallbacks(run: Run, modes: Sequence[str]) -> str:
-    """Describe the number of counted ticks in one of the `modes`, and the time of the first of these ticks."""
+    """Describe the number of counted ticks in each of the `modes`, and the time of the first of these ticks."""
     entered = [
         (mode, t)
         for mode, t, counted in zip(run.modes, run.time, run.counted, strict=True)
@@ -98,13 +99,13 @@ def _missed_deadlines(run: Run) -> str:
     return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the maximum was {max_time:.1f} ms."
 
 
-def _missing_poses(run: Run, remedy: Remedies) -> str:
+def _missing_poses(run: Run, thresholds: Remedies) -> str:
     arrived = run.time[np.isfinite(run.measured_pose[:, 0])]
     if len(arrived) < 3:
         return "" if len(arrived) or not len(run.time) else "No pose arrived."
     pauses = np.diff([*arrived, run.time[-1]])
     median_pause = float(np.median(pauses[:-1]))
-    too_long = pauses > remedy.pose_gap * median_pause
+    too_long = pauses > thresholds.pose_gap * median_pause
     if not too_long.any():
         return ""
     first = arrived[np.flatnonzero(too_long)[0]]
@@ -114,19 +115,19 @@ def _missing_poses(run: Run, remedy: Remedies) -> str:
     )
 
 
-def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> str:
+def _at_limit(run: Run, config: ControllerConfig | None, thresholds: Remedies) -> str:
     if config is None:
         return ""
     command, demanded = run.command[run.counted], np.abs(run.reference_twist[run.counted])
     sides = (config.limits.v, config.limits.omega)
     limits = np.column_stack([sides_at(limit, column) for limit, column in zip(sides, command.T, strict=True)])
     command = np.abs(command)
-    # No warning for ticks at which the path itself demands the limit.
-    shares = 100.0 * np.mean((command >= limits - _SAME) & (demanded < limits - _SAME), axis=0)
+    # Ticks at which the reference itself reaches the limit do not count.
+    shares = 100.0 * np.mean((command >= limits - _LIMIT_TOLERANCE) & (demanded < limits - _LIMIT_TOLERANCE), axis=0)
     sentences = [
         f"{name} at {share:.0f} %"
         for name, share in zip(("v", "omega"), shares, strict=True)
-        if share > remedy.share_at_limit
+        if share > thresholds.share_at_limit
     ]
     return (
         f"Commands are at their limit although the path demands less: {' and '.join(sentences)} of the ticks."
@@ -135,20 +136,20 @@ def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> st
     )
 
 
-def _on_backend(run: Run, config: ControllerConfig | None, remedy: Remedies) -> str:
+def _on_backend(run: Run, config: ControllerConfig | None, thresholds: Remedies) -> str:
     """Describe the share of ticks solved by a backend, unless the configuration demands a backend."""
     if config is not None and config.solver.method != "auto":
         return ""
-    share = SolverShares.of_run(run).method_backend_percent
-    return f"A backend had to solve {share:.0f} % of the ticks." if share > remedy.share_on_backend else ""
+    share = SolverShares.from_run(run).method_backend_percent
+    return f"A backend had to solve {share:.0f} % of the ticks." if share > thresholds.share_on_backend else ""
 
 
 def _messages(run: Run) -> str:
     messages = [message for message in dict.fromkeys(run.messages) if message]
     if not messages:
         return ""
-    more = f" And {len(messages) - _SHOWN} more." if len(messages) > _SHOWN else ""
-    return "The controller reported: " + " ".join(f"“{message}”" for message in messages[:_SHOWN]) + more
+    more = f" And {len(messages) - _MAX_MESSAGES} more." if len(messages) > _MAX_MESSAGES else ""
+    return "The controller reported: " + " ".join(f"“{message}”" for message in messages[:_MAX_MESSAGES]) + more
 
 
 def _ticks(count: int) -> str:

@@ -21,8 +21,11 @@ GAINS = Path(__file__).with_name("gains.yaml")
 """File with the gains of the laws in this folder, by name of the peer; tuned by the study `peers`."""
 _KINDS = {"pursuit": "PursuitLaw", "kanayama": "KanayamaLaw", "lqr": "LqrLaw"}
 LAWS = tuple(name + option for name in _KINDS for option in ("", "+slip"))
-"""Peers of this folder: tracking laws that use the predictive controller's estimate, predicted over the robot's delay.
-A peer with "+slip" also compensates the estimated side-slip."""
+"""Names of the tracking laws of this folder.
+
+A law uses the estimate of the predictive controller, predicted over the delay of the robot. A name with "+slip" also
+compensates the estimated side-slip.
+"""
 PEERS = (*LAWS, *plug_in_names("peers"))
 """Names of all peers. Peers have no option for the model."""
 
@@ -31,13 +34,13 @@ class TrackingLaw(NamedTuple):
     """Peer that consists of a tracking law and its gains."""
 
     kind: Any
-    """class that satisfies `tracking_peer.Law`"""
+    """Class that satisfies `tracking_peer.Law`."""
     gains: Path = GAINS
-    """file of gains by name of the peer"""
+    """File of gains by name of the peer."""
 
 
 def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
-    """Return the law of a peer, or the class of a peer without a law; raise MissingPackageError for an unknown peer."""
+    """Return the law of a peer, or the class of any other peer; raise MissingPackageError for an unknown peer."""
     if name not in LAWS:
         peer: TrackingLaw | Callable[[], TrackingController] = plug_in("peers", name)
         return peer
@@ -46,7 +49,7 @@ def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
 
 
 def accepts_settings(name: str) -> bool:
-    """Return True if a peer accepts configuration values, because it uses the predictive controller's estimator."""
+    """Return True if a peer accepts configuration values; peers with a tracking law use the controller's estimator."""
     return isinstance(find_peer(name), TrackingLaw)
 
 
@@ -60,10 +63,10 @@ def make_peer(
     name
         One of `PEERS`.
     overrides
-        Configuration values of the robot by dotted key, for a peer with a tracking law: its estimator then has the
-        same parameters as that of the predictive controller. Other peers support the papers' robot only.
+        Configuration values of the robot by dotted key, for the estimator of a peer with a tracking law. Other peers
+        support the robot of the papers only.
     gains
-        Gains that replace those of the file.
+        Gains that replace the gains of the file.
     """
     peer = find_peer(name)
     if not isinstance(peer, TrackingLaw):

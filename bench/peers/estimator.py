@@ -1,7 +1,7 @@
-"""Estimator of all peers: the predictive controller's estimate, predicted over the robot's delay.
+"""Estimator of all peers: the estimate of the predictive controller, predicted over the delay of the robot.
 
-A command takes effect after a delay, so feedback of the current pose is late. The velocity model predicts the effect
-of the commands that have already been sent.
+A command takes effect after a delay, so feedback of the current pose would be outdated. The velocity model predicts the
+effect of the commands that have already been sent.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _HOLD = Hold("it only estimates")
 
 
 class HeldEstimator:
-    """Estimator of the predictive controller: the same compiled tick on hold, so that it does not solve.
+    """Estimator of the predictive controller: its compiled tick on hold, which estimates but does not solve.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class HeldEstimator:
 
     @property
     def model(self) -> VelocityModel:
-        """Velocity model with the extra dead time."""
+        """Velocity model with the extra dead time of the configuration."""
         model = self._controller.model
         assert isinstance(model, VelocityModel)
         return model
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Restart with `reference` and `t0` [s], which `Controller.start` checks."""
+        """Restart with `reference`, whose time 0 is `t0` [s]; raise the errors of `Controller.start`."""
         self._controller.start(reference, t0)
 
     def step(self, t: float, measurement: Measurement) -> Estimate | None:
@@ -52,8 +52,8 @@ class HeldEstimator:
             measurement = replace(measurement, sent=self._sent)
         return self._controller.step(t, measurement, _HOLD).estimate
 
-    def sent(self, command: FloatArray) -> None:
-        """Store the command (2,) of this tick; without it, a controller on hold assumes a braking command."""
+    def record_command(self, command: FloatArray) -> None:
+        """Store the command (2,) of this tick; otherwise the controller on hold assumes its own braking command."""
         self._sent = (float(command[0]), float(command[1]))
 
 
@@ -67,12 +67,12 @@ class PredictedMotion(NamedTuple):
 
 
 class DelayPredictor:
-    """Prediction of an estimate with the commands that have been sent; the last command is repeated.
+    """Prediction of an estimate from the past commands; the last command is held until the end of the prediction.
 
     Parameters
     ----------
     model
-        Velocity model with its dead time.
+        Velocity model.
     dt
         Sample time [s].
     lead
@@ -86,8 +86,7 @@ class DelayPredictor:
         full_samples = int(np.floor(lead / dt + 1e-9))
         self._durations = np.append(np.full(full_samples, dt), max(0.0, lead - full_samples * dt))
         self._share = self._durations[-1] / dt
-        # The outputs are linear in state and commands, so the responses to unit vectors are the columns of their
-        # matrix.
+        # The outputs are linear in state and commands, so the responses to unit vectors are the columns of the matrix.
         ticks, n = full_samples + 2, sampled.order
         units = np.eye(2 * self._memory).reshape(-1, self._memory, 2)
         state_responses = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]
@@ -96,10 +95,10 @@ class DelayPredictor:
         self._past = np.zeros((self._memory, 2))
 
     def reset(self) -> None:
-        """Reset all past commands to zero, as for a robot at rest."""
+        """Set all past commands to zero, because the robot starts at rest."""
         self._past[:] = 0.0
 
-    def sent(self, command: FloatArray) -> None:
+    def record_command(self, command: FloatArray) -> None:
         """Store the command (2,) of this tick."""
         self._past = np.vstack([self._past[1:], command])
 

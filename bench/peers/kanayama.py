@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, LawInput, NotNegative
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Gains, LawInput, NotNegative, RobotParameters
 from diffdrive_mpc.models.interface import FloatArray, Reference
 
 
@@ -19,13 +19,15 @@ class KanayamaGains(Gains):
     along: AboveZero = Field(description="gain of the error along the path [1/s]")
     across: AboveZero = Field(description="gain of the error across the path [1/m^2]")
     heading: AboveZero = Field(description="gain of the sine of the heading error, per travelled distance [1/m]")
-    turn: NotNegative = Field(0.0, description="gain of the sine of the heading error at rest, not in the paper [1/s]")
+    turn: NotNegative = Field(
+        0.0, description="gain of the sine of the heading error at rest, which is not in the paper [1/s]"
+    )
 
 
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
     """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of `LawInput.error` (3,).
 
-    The heading term contains |v|, so that the law is also stable in reverse.
+    The heading term contains |v|, so that the law is also stable while the robot reverses.
     """
     v, omega = feed_forward
     ahead, left, heading = error
@@ -36,12 +38,12 @@ def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatA
 
 
 class KanayamaLaw:
-    """Kanayama's law on the predicted motion."""
+    """Kanayama's law, applied to the predicted motion."""
 
     gains = KanayamaGains
 
-    def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
-        del robot  # the law needs no parameters of the robot
+    def __init__(self, gains: KanayamaGains, robot: RobotParameters) -> None:
+        del robot  # the law does not depend on parameters of the robot
         self._gains = gains
 
     def start(self, reference: Reference) -> None:

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, r
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
-from diffdrive_mpc.models.two_sided import reached
+from diffdrive_mpc.models.two_sided import limit_step
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimate import Estimate
@@ -34,16 +34,16 @@ def slew_step(limits: Limits, dt: float) -> FloatArray:
 
 
 def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
-    """Return the nearest command (2,) within the range that can be reached from `last` (2,) within the slew limits."""
+    """Return the command (2,) nearest to `command` (2,) within the range and the slew limits from `last` (2,)."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     max_rise, max_fall = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
-    return reached(last, np.clip(command, -lower, upper), max_rise, max_fall)
+    return limit_step(last, np.clip(command, -lower, upper), max_rise, max_fall)
 
 
-STANDING = 0.01
-"""Maximum speed of a reference that counts as standing or turning on the spot [m/s]."""
+REST_SPEED = 0.01
+"""Maximum speed of a reference that counts as at rest or turning on the spot [m/s]."""
 MODEL = "sm"
-"""Configuration and model of every peer with a tracking law: SM, which separates dead time and lag."""
+"""Model and built-in configuration of all peers with a tracking law: SM, which separates dead time and lag."""
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -66,7 +66,7 @@ class LawInput:
     motion
         Predicted pose (3,) and twist (2,); with compensation of side-slip, the heading is the direction of travel.
     reference
-        Pose (3,) of the reference; its heading differs by at most pi from the robot's heading.
+        Pose (3,) of the reference; its heading differs by at most pi from that of `motion`.
     feed_forward
         Twist (2,) of the reference, each channel sampled one lag later [m/s, rad/s].
     """
@@ -84,7 +84,7 @@ class LawInput:
 
 
 @dataclass(frozen=True)
-class Delayed:
+class RobotParameters:
     """Parameters of the robot that a law may use in addition to the prediction.
 
     Attributes
@@ -105,7 +105,7 @@ class Delayed:
 class Law(Protocol):
     """Tracking law, which maps its input to the desired twist of the body.
 
-    A law is constructed from its gains and a `Delayed`; the class attribute `gains` is the type of the gains.
+    A law is constructed from its gains and a `RobotParameters`; the class attribute `gains` is the type of the gains.
     """
 
     def start(self, reference: Reference) -> None:
@@ -130,11 +130,10 @@ class TrackingPeer:
     lead
         Prediction time of the state on which the law acts [s].
     side_slip
-        Whether to compensate the estimated side-slip: the robot then points into the curve, so that its direction of
-        travel is along the path.
+        True to compensate the estimated side-slip: the robot then points into the curve, so that its direction of
+        travel is tangential to the path.
     config
-        Configuration of limits, estimator and velocity model; by default the built-in configuration of SM, the model
-        with separate dead time and lag.
+        Configuration with limits, estimator and velocity model; by default the built-in configuration of `MODEL`.
     """
 
     def __init__(
@@ -157,58 +156,58 @@ class TrackingPeer:
         self._reference, self._t0 = reference, t0
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
-        """Compute the command for the tick at `t` [s]; without a recent pose, brake.
+        """Compute the command for the tick at `t` [s]; brake if there is no recent pose.
 
-        Raises RuntimeError if `start` was not called.
+        Raise RuntimeError if `start` was not called.
         """
         start = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
         estimate = self._estimator.step(t, measurement)
-        since_start = self._since_start(t, estimate)
-        demanded, mode, message, law_time = np.zeros(2), "TRACKING", "", 0.0
+        reference_time = self._reference_time(t, estimate)
+        desired_command, mode, message, law_time = np.zeros(2), "TRACKING", "", 0.0
         failure = self._config.failure
         if estimate is None or not estimate.pose_age <= max(failure.max_pose_age, failure.dead_reckoning):
             mode, message = "BRAKING", "no recent pose"
-        elif since_start >= self._reference.duration:
+        elif reference_time >= self._reference.duration:
             mode = "FINISHED"
         else:
             slip = estimate.slip
             motion = self._predictor.predict(estimate.pose, estimate.state, slip)
-            law_input = self._law_input(self._reference, since_start, motion, slip if self._side_slip else Slip())
+            law_input = self._law_input(self._reference, reference_time, motion, slip if self._side_slip else Slip())
             law_start = time.perf_counter()
-            twist, message = self._allowed(self._law.decide(law_input), law_input)
+            twist, message = self._limit_twist(self._law.decide(law_input), law_input)
             law_time = time.perf_counter() - law_start
             mode = "BRAKING" if message else mode
-            demanded = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
-        command = nearest_command(demanded, self._config.limits, self._config.sample_time, self._last)
-        self._estimator.sent(command)
-        self._predictor.sent(command)
+            desired_command = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
+        command = nearest_command(desired_command, self._config.limits, self._config.sample_time, self._last)
+        self._estimator.record_command(command)
+        self._predictor.record_command(command)
         self._last = command
         return PeerStep(command, mode, message, time.perf_counter() - start, law_time)
 
-    def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        """Return the time since the start of the reference at `t` [s]; a subclass may use the estimate."""
+    def _reference_time(self, t: float, estimate: Estimate | None) -> float:
+        """Return the time of the reference at time `t` [s]; subclasses may use the estimate instead of the clock."""
         del estimate
         return t - self._t0
 
-    def _allowed(self, twist: FloatArray, law_input: LawInput) -> tuple[FloatArray, str]:
-        """Limit the desired twist (2,) of the law; return the limited twist and the reason for the limit."""
+    def _limit_twist(self, twist: FloatArray, law_input: LawInput) -> tuple[FloatArray, str]:
+        """Limit the desired twist (2,) of the law; return the limited twist and a reason if the robot must brake."""
         del law_input
         return twist, ""
 
-    def _law_input(self, reference: Reference, since_start: float, motion: PredictedMotion, slip: Slip) -> LawInput:
+    def _law_input(self, reference: Reference, reference_time: float, motion: PredictedMotion, slip: Slip) -> LawInput:
         dt = self._config.sample_time
-        sample = reference.sample(since_start + np.array([self._lead, *self._lag, self._lag[0] + dt]))
+        sample = reference.sample(reference_time + np.array([self._lead, *self._lag, self._lag[0] + dt]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         acceleration = (sample.twist[3, 0] - feed_forward[0]) / dt
         # A turn on the spot has no direction of travel.
         side_slip_angle = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
-        side_slip_angle = side_slip_angle if abs(feed_forward[0]) > STANDING else 0.0
+        side_slip_angle = side_slip_angle if abs(feed_forward[0]) > REST_SPEED else 0.0
         travel = motion.pose - np.array([0.0, 0.0, side_slip_angle])
         pose = sample.pose[0].copy()
         pose[2] = travel[2] + float(wrap_angle(pose[2] - travel[2]))
-        return LawInput(since_start + self._lead, PredictedMotion(travel, motion.twist), pose, feed_forward)
+        return LawInput(reference_time + self._lead, PredictedMotion(travel, motion.twist), pose, feed_forward)
 
 
 def make_tracking_peer(
@@ -219,31 +218,31 @@ def make_tracking_peer(
 ) -> TrackingPeer:
     """Create the peer of a tracking law, by default with the built-in gains and configuration.
 
-    "NAME+slip" is the law NAME with compensation of side-slip and its own gains. `overrides` replace values of the
-    built-in configuration.
+    "NAME+slip" is the law NAME with compensation of side-slip and with separate gains. `overrides` replace values of
+    the built-in configuration.
     """
     kind = law_kind(name)
     config = config or load_config(MODEL, dict(overrides or {}))
     gains = gains or load_gains(name)
-    robot = law_data(config)
+    robot = robot_parameters(config)
     return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
 
 
-def law_data(config: ControllerConfig) -> Delayed:
-    """Return the parameters that a law needs of the robot in a configuration."""
+def robot_parameters(config: ControllerConfig) -> RobotParameters:
+    """Return the parameters of the robot in a configuration that a law may use."""
     model = load_linear_model(config.model)
-    return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
+    return RobotParameters(config.sample_time, model.lag - model.dead_time, config.limits)
 
 
 def law_kind(name: str) -> Any:  # noqa: ANN401 - the type of the gains depends on the law
-    """Return the class of the law of a peer; raise ConfigError for a peer without a law."""
+    """Return the class of the law of a peer; raise ConfigError if the peer does not have a law."""
     return _law(name).kind
 
 
 def load_gains(name: str, path: Path | None = None) -> Gains:
     """Read the gains of a peer from a file, by default the file of its law.
 
-    Raises ConfigError if the file is invalid.
+    Raise ConfigError if the file is invalid.
     """
     law = _law(name)
     file = path or law.gains

@@ -1,4 +1,4 @@
-"""Cache of compiled libraries, keyed by their sources; only intact libraries of this user are loaded.
+"""Cache of compiled libraries, keyed by their sources; only intact libraries in private folders are loaded.
 
 The file name of a library contains the digests of its sources and of its content, so that one atomic rename installs
 both. The content digest is checked before each load, because loading a library runs code.
@@ -75,11 +75,11 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build_folder:
         built = build(Path(build_folder))
         path = folder / f"{stem}-{content_digest(built)}.so"
-        # The content reaches the disk before its name: a name with a digest promises whole content.
-        _to_disk(built)
-        # Atomic: another process may install the same library.
+        # Flush the content before the name, so that a name with a digest never refers to incomplete content.
+        _flush_to_disk(built)
+        # The rename is atomic, because another process may install the same library at the same time.
         built.replace(path)
-        _to_disk(folder)
+        _flush_to_disk(folder)
     return load(path)
 
 
@@ -91,7 +91,7 @@ def _is_intact(path: Path) -> bool:
         return False
 
 
-def _to_disk(path: Path) -> None:
+def _flush_to_disk(path: Path) -> None:
     """Flush a file or folder to disk, so that a power cut does not leave a name without its content."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -101,7 +101,7 @@ def _to_disk(path: Path) -> None:
 
 
 def _folders() -> Iterator[Path]:
-    """Yield folders that no other user can write to, best first: the user's cache, then private temporary folders."""
+    """Yield folders to which no other user can write: first the user's cache, then private temporary folders."""
     for folder in (user_folder, _shared_private_folder):
         try:
             path = folder()
@@ -113,15 +113,15 @@ def _folders() -> Iterator[Path]:
             yield path
         elif folder is user_folder:
             _log.warning("no compiled library is stored in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
-    # A folder of this process always works, but its library is compiled again in each process.
+    # A folder of this process is always available, but the library is then compiled again in each process.
     yield _process_folder()
 
 
 def user_folder() -> Path:
-    """Return the configured folder, or else the user's cache; raise RuntimeError without a home folder."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named).expanduser().resolve()
+    """Return the configured folder, or else the user's cache; raise RuntimeError if there is no home folder."""
+    configured = os.environ.get(CACHE_VARIABLE)
+    if configured:
+        return Path(configured).expanduser().resolve()
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache").resolve() / "diffdrive-mpc"
 
@@ -143,7 +143,7 @@ _process_folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def _access_fault(folder: Path) -> str | None:
-    """Describe why another user may have written to `folder` (no link); None if no other user can."""
+    """Describe why another user could have written to `folder`, which is not a link; None if this is impossible."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is not a folder"

@@ -1,4 +1,4 @@
-"""The C compiler: choice, flags and time limit. Needs only Python's standard library."""
+"""C compiler: selection, flags and time limit. This module needs only Python's standard library."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _FLAGS = (
     "-fno-semantic-interposition",
     "-fPIC",
 )
-# GCC 12 wrongly assumes alignment in loop remainders, which crashes the process: disable that optimisation.
-PLAIN_REST = "--param=vect-epilogues-nomask=0"
-# Flags for the fastest instructions of this machine, best first; not every compiler accepts all of them.
+# Disable an optimisation in which GCC 12 wrongly assumes alignment in loop remainders, because it crashes the process.
+NO_VECTOR_EPILOGUES = "--param=vect-epilogues-nomask=0"
+# Not every compiler accepts all flags for the fastest instructions of this machine.
 NATIVE: tuple[tuple[str, ...], ...] = (
-    ("-march=native", "-mprefer-vector-width=512", PLAIN_REST),
+    ("-march=native", "-mprefer-vector-width=512", NO_VECTOR_EPILOGUES),
     ("-march=native", "-mprefer-vector-width=512"),
     ("-march=native",),
     ("-mcpu=native",),
@@ -41,7 +41,7 @@ _COMPILE_TIMEOUT, _VERSION_TIMEOUT = 120.0, 10.0  # [s]
 
 
 class NotCompiledError(DiffdriveMpcError, RuntimeError):
-    """Error if there is no compiled library and none can be built: one line with reason and remedy."""
+    """Error if a library is neither available nor can be compiled: one line with reason and remedy."""
 
 
 def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequence[str]]) -> Path:
@@ -88,7 +88,7 @@ def _compile_error(command: Sequence[str], folder: Path) -> str:
     Raises
     ------
     NotCompiledError
-        If the compiler takes too long.
+        If the compiler exceeds its time limit.
     """
     try:
         code, _, output = _run(command, _COMPILE_TIMEOUT, folder)
@@ -157,23 +157,23 @@ def _run(command: Sequence[str], timeout: float, folder: Path | None = None) -> 
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        # A group of its own, so that the compiler's children can be killed with it.
+        # A separate process group, so that the compiler's children can be killed with it.
         start_new_session=True,
     )
     with process:
         try:
-            out, printed = process.communicate(timeout=timeout)
+            output, errors = process.communicate(timeout=timeout)
         except BaseException as error:
             os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
-                raise TimeoutError(f"{command[0]}: no end after {timeout:g} s") from error
+                raise TimeoutError(f"{command[0]}: not finished after {timeout:g} s") from error
             raise
-    return process.returncode, out, printed
+    return process.returncode, output, errors
 
 
 @cache
 def _machine() -> str:
-    """Describe the processor with its features: code compiled for one processor may not run on another."""
+    """Describe the processor with its features, because code for one processor may not run on another."""
     known = ("model name", "flags", "Features", "CPU part")
     return platform.machine() + "".join(sorted({line for line in processor_lines() if line.startswith(known)}))
 

@@ -1,4 +1,4 @@
-"""Compiled libraries of the package: a wheel holds one per architecture level; otherwise compiled at first use."""
+"""Compiled libraries of the package: wheels contain one per architecture level, source trees compile on first use."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Packaged:
         return [folder / self._manifest.name, *(folder / entry["file"] for entry in libraries.values())]
 
     def libraries(self) -> Iterator[Path]:
-        """Yield the libraries that this processor can run, best first; skip incomplete or outdated ones."""
+        """Yield the intact libraries that match the sources and that this processor can run, best first."""
         try:
             manifest = json.loads(self._manifest.read_text(encoding="utf-8"))
             if (manifest["origin"], manifest["machine"]) != (self.origin, platform.machine()):
@@ -105,15 +105,15 @@ class Packaged:
                 pass
             _log.warning("%s is damaged; reinstall diffdrive-mpc", path)
 
-    def load(self, texts: Mapping[str, str], declarations: str, complaint: str) -> tuple[cffi.FFI, Any]:
-        """Load the library of the only level; compile `texts` if none is packaged. See `load_library`."""
+    def load(self, texts: Mapping[str, str], declarations: str, error_format: str) -> tuple[cffi.FFI, Any]:
+        """Load the library of the only level; compile `texts` if it is not packaged. See `load_library`."""
         (level,) = self.levels.values()
 
         def build(folder: Path) -> Path:
             return build_library(texts, folder, [level.flags])
 
         build_inputs = {**texts, "flags": repr(level.flags)}
-        return load_library(self.name, declarations, self.libraries(), build_inputs, build, complaint)
+        return load_library(self.name, declarations, self.libraries(), build_inputs, build, error_format)
 
     @property
     def _manifest(self) -> Path:
@@ -126,9 +126,9 @@ def load_library(
     packaged: Iterable[Path],
     build_inputs: Mapping[str, str],
     build: Callable[[Path], Path],
-    complaint: str,
+    error_format: str,
 ) -> tuple[cffi.FFI, Any]:
-    """Load declarations and library: a packaged library, or else a compiled and cached one.
+    """Load declarations and library; if no packaged library can be loaded, compile and cache one.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def load_library(
         Source texts by name, for the key of the cache.
     build
         Function that compiles the library in an empty folder and returns its path.
-    complaint
-        Format of the error message; `{}` is replaced by the reason and by how to get a compiler or a wheel.
+    error_format
+        Format of the error message; `{}` is replaced by the reason and the remedy.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def load_library(
         return ffi, load_cached(name, build_digest(build_inputs), build, lambda path: ffi.dlopen(str(path)))
     except NotCompiledError as error:
         remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)"
-        raise NotCompiledError(complaint.format(f"{error}; {remedy}")) from error
+        raise NotCompiledError(error_format.format(f"{error}; {remedy}")) from error
 
 
 def _processor_features() -> frozenset[str]:

@@ -1,13 +1,14 @@
 """Trial of mapping changes proposed by findings; only changes that improve the prediction become advice.
 
 For each proposal, the mapping is changed, the log is read again, an SM is fitted to the thinned training rows, and the
-SM predicts the held-out rows. The rows before and after the change are identical. FIT is invariant to units and signs,
+SM predicts the held-out rows. The same rows are used before and after the change. FIT is invariant to units and signs,
 and a free dead time absorbs time shifts. Therefore the coherence of the streams, under gains and delays of a plausible
 robot, is also scored. A proposal is accepted if FIT or coherence improves significantly, FIT decreases in no channel,
 and coherence does not decrease on average. FIT and coherence do not depend on rate and direction of the clock, so poses
 must confirm a change of the clock. A proposal that only states the reader's default is accepted if it removes an error
-of the reader. The best proposal is applied, and the remaining proposals are then tried with it, until none is accepted.
-A cut of the log is scored on the held-out rows of the remaining part; the previous model is not fitted to these rows.
+of the reader. The best proposal is applied, and the remaining proposals are then tried in addition to it, until no
+proposal is accepted. A cut of the log is scored on the held-out rows of the remaining part; the model without the cut
+is not fitted to these rows.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.diagnosis.coherence import coherence
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.mapping import LogMapping
-from diffdrive_mpc.models.logs.mapping_changes import base_mapping, changed, mapping_text
+from diffdrive_mpc.models.logs.mapping_changes import apply_changes, base_mapping, format_mapping
 from diffdrive_mpc.models.logs.record import MappingChange, UnsoundLogError
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.validation import fit_percents, simulate_records
@@ -105,13 +106,13 @@ class Advice:
 
     @property
     def file(self) -> str:
-        """File name of the mapping; different from the name of the original mapping file."""
+        """File name of the mapping, which differs from the name of the original mapping file."""
         mapping = self.selection.mapping
         return FIXED_AGAIN if isinstance(mapping, str | Path) and Path(mapping).name == FIXED_FILE else FIXED_FILE
 
     def text(self) -> str:
         """Format the mapping as the text of a file."""
-        return mapping_text(self.mapping)
+        return format_mapping(self.mapping)
 
     def write(self, folder: Path) -> None:
         """Write the mapping file to `folder`; raise OSError on failure."""
@@ -227,7 +228,7 @@ def _is_cut(changes: Changes) -> bool:
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
-    """List the distinct proposals of the findings; of several values for one key of the mapping, keep the first."""
+    """List the distinct proposals of the findings; only the first of several values for one key is included."""
     distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
     for finding in findings:
         if finding.changes:
@@ -257,7 +258,7 @@ class _Trial:
         """Read the logs with the changed mapping; return None if a change cannot be applied or a log cannot be read."""
         logs: list[Log] = []
         try:
-            mapping = changed(mapping, changes)
+            mapping = apply_changes(mapping, changes)
             for path in (*selection.logs, *selection.validate):
                 dt = logs[0].records[0].dt if logs else None
                 logs.append(read_log(path, mapping, dt, diagnosed=False))
@@ -344,7 +345,7 @@ def _subtract(spans: Spans, removed: Spans) -> Spans:
 
 
 def _cut(record: Record, spans: Spans) -> list[Record]:
-    """Cut a record into spans [s]; time grids with slightly different starts result in the same rows."""
+    """Extract the parts of a record within `spans` [s]; rows do not depend on small differences of the start time."""
     pieces = []
     for span in spans:
         first, last = (round((time - record.start) / record.dt) for time in span)

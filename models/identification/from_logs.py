@@ -40,7 +40,7 @@ from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.record import UnsoundLogError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.stated_robot import MakersRobot, load_stated_robot
+from diffdrive_mpc.models.stated_robot import ManufacturerRobot, load_stated_robot
 from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -106,7 +106,7 @@ class Identification:
 
     @property
     def refusal(self) -> str:
-        """Reasons in one line for which no controller should use this model; empty if the model is usable."""
+        """Reasons in one line why no controller should use this model; empty if the model is usable."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
@@ -174,7 +174,7 @@ def identify(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a velocity model from logs, and grade the trust in it.
+    """Identify a velocity model from logs, and grade it.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def identify_data(
     order: int | None = None,
     effects: bool = False,
     predictor: str | None = None,
-    robot: MakersRobot | None = None,
+    robot: ManufacturerRobot | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """Identify a model from records that are already divided into training and validation data.
@@ -337,7 +337,7 @@ def identify_data(
         mapping_track=data.stated_track,
         keep_sample_time=predictor is not None,
         sensors=data.sensors,
-        notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
+        notes=tuple(finding.message for finding in data.findings if finding.kind == "no heading"),
     )
     if robot is not None:
         configuration = apply_stated_values(configuration, robot)
@@ -409,7 +409,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
 
 
 def _origin(report: IdentificationReport) -> dict[str, Any]:
-    """Return the part of a model file's provenance that the logs determine."""
+    """Return the part of the provenance in a model file that depends on the logs."""
     data = report.data
     return {
         "source": ", ".join(data.logs),
@@ -422,7 +422,7 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
 def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | None]:
     """Return the structure `name` and None; for a predictor, return the accompanying structure and `name`.
 
-    Raises OptionError if the options are incompatible, and MissingPackageError if the predictor's package is missing.
+    Raise OptionError if the options are incompatible, and MissingPackageError if the predictor's package is missing.
     """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.pose_twist import with_twist_of_poses
-from diffdrive_mpc.models.logs.record import Topics, refuse
+from diffdrive_mpc.models.logs.record import Topics, raise_on_error
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
@@ -57,7 +57,7 @@ class LogData:
     held_out
         Description of the validation records.
     yaw
-        Sensor of omega: the gyro; without a gyro the encoders; without encoders the poses.
+        Sensor of omega: the gyro, the encoders if there is no gyro, or the poses if there are no encoders.
     findings
         Notes and warnings of all logs; with `force` also errors.
     warnings
@@ -133,7 +133,7 @@ def read_data(
     def report_findings(findings: Sequence[Finding]) -> None:
         on_findings([finding for finding in findings if force or finding.severity != "error"])
         if not force:
-            refuse(findings)
+            raise_on_error(findings)
 
     all_logs = _read_logs((*logs, *validate), mapping, on_log or (lambda _: None), report_findings)
     records = [record for log in all_logs for record in log.records]
@@ -223,19 +223,19 @@ def _note_omitted(parts: Mapping[str, Sequence[Record]], max_rows: int) -> list[
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
     """Divide records into the first `share` [-] of all rows and the rest; a record at the boundary is cut."""
     remaining = round(share * sum(len(record.command) for record in records))
-    start: list[Record] = []
-    last: list[Record] = []
+    head: list[Record] = []
+    tail: list[Record] = []
     for record in records:
         count = len(record.command)
         if remaining >= count:
-            start.append(record)
+            head.append(record)
         elif remaining <= 0:
-            last.append(record)
+            tail.append(record)
         else:
-            start.append(record.part(0, remaining))
-            last.append(record.part(remaining, count))
+            head.append(record.part(0, remaining))
+            tail.append(record.part(remaining, count))
         remaining -= count
-    return start, last
+    return head, tail
 
 
 def most_informative(records: Sequence[Record], max_rows: int) -> list[Record]:

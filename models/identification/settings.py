@@ -13,15 +13,17 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class JudgementSettings(StrictModel):
-    """Thresholds for doubts about a model."""
+    """Thresholds for warnings about a model."""
 
-    low_fit: float = Field(description="FIT below which a doubt is raised [%]")
+    low_fit: float = Field(description="FIT below which a warning is issued [%]")
     refused_fit: float = Field(description="FIT below which no configuration is written [%]")
     unknown_delay: Positive = Field(description="relative standard deviation of an unknown delay [-]")
     min_unknown_delay: Positive = Field(description="minimum standard deviation of an unknown delay [s]")
-    fit_drop: Positive = Field(description="decrease of FIT from training to validation [percentage points]")
-    unexplained: Positive = Field(description="ratio of a correlation of residuals with commands to its 95 % bound [-]")
-    lever_arm: Positive = Field(description="distance of the pose point from the centre of rotation [m]")
+    fit_drop: Positive = Field(description="maximum decrease of FIT from training to validation [percentage points]")
+    unexplained: Positive = Field(
+        description="maximum ratio of a correlation of residuals with commands to its 95 % bound [-]"
+    )
+    lever_arm: Positive = Field(description="maximum distance of the pose point from the centre of rotation [m]")
 
 
 class AdviceSettings(StrictModel):
@@ -48,7 +50,9 @@ class SlipSettings(StrictModel):
     """Prior of each slip parameter: mean, standard deviation, and standard deviation between surfaces."""
 
     side_slip: tuple[Positive, Positive, Positive] = Field(description="ratio of outward lateral speed to v omega [s]")
-    load_shift: tuple[Positive, Positive, Positive] = Field(description="turning point's shift per acceleration [s^2]")
+    load_shift: tuple[Positive, Positive, Positive] = Field(
+        description="shift of the turning point per acceleration [s^2]"
+    )
 
 
 class IdentificationSettings(StrictModel):

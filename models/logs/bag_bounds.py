@@ -17,14 +17,14 @@ _REMEDY = "record it in smaller chunks, or uncompressed"
 
 
 class Budget:
-    """Budget of unpacked bytes for a file of `size` bytes at `path`."""
+    """Limit of the total unpacked size of a file with `size` bytes at `path`."""
 
     def __init__(self, path: Path, size: int) -> None:
         self._path, self._remaining = path, max(BASE_SIZE, MAX_RATIO * size)
         self._budget = self._remaining
 
     def take(self, count: int) -> None:
-        """Count unpacked bytes; raise ConfigError if they exceed the budget."""
+        """Subtract `count` unpacked bytes from the budget; raise ConfigError if it is exceeded."""
         self._remaining -= count
         if self._remaining < 0:
             raise ConfigError(
@@ -33,7 +33,7 @@ class Budget:
             )
 
 
-def unpacked(path: Path, data: bytes | memoryview, compression: str, size: int | None = None) -> bytes | memoryview:
+def unpack(path: Path, data: bytes | memoryview, compression: str, size: int | None = None) -> bytes | memoryview:
     """Unpack `data` of a file, up to its declared size or `MAX_UNPACKED`.
 
     Parameters
@@ -58,7 +58,7 @@ def unpacked(path: Path, data: bytes | memoryview, compression: str, size: int |
             f"{path}: a chunk has {max_size / MEGABYTE:,.0f} MB, the limit is {MAX_UNPACKED / MEGABYTE:g}; {_REMEDY}"
         )
     try:
-        # One byte more than permitted, to notice larger content without unpacking it.
+        # Request one byte more than permitted, to detect larger content without unpacking all of it.
         content = _unpack(data, compression, max_size + 1)
     except Exception as error:  # the types depend on the library
         raise ConfigError(f"{path}: a chunk cannot be unpacked ({' '.join(str(error).split())})") from error

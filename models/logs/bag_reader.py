@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import open_input
-from diffdrive_mpc.models.logs.bag_bounds import Budget, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import Budget, unpack
 from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
 from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
@@ -29,7 +29,7 @@ class Connection(NamedTuple):
 
 
 class Bag:
-    """A bag, opened by its folder or by one .mcap or .db3 file.
+    """Bag, given by its folder or by one .mcap or .db3 file.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Bag:
     Attributes
     ----------
     connections
-        Topics of the bag. The number of messages is the maximum of the counted number and that of metadata.yaml.
+        Topics of the bag. The number of messages is the maximum of the count in the files and in metadata.yaml.
     duration
         Time from the first message to the last [ns].
 
@@ -65,7 +65,7 @@ class Bag:
             counts[topic, kind] += time is not None
             if time is not None:
                 first, last = min(time, time if first is None else first), max(time, last)
-        # A truncated file holds fewer messages than stated; the reader then reports it.
+        # A truncated file has fewer messages than metadata.yaml states; `read_topics` then reports the difference.
         self.connections = [
             Connection(topic, kind, max(count, stated_counts.get(topic, 0))) for (topic, kind), count in counts.items()
         ]
@@ -73,27 +73,27 @@ class Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Return without action, because no file stays open."""
+        """End the context; no file is open between calls."""
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time of receipt [ns] and bytes of the messages of `connections`, in the order of the files."""
-        wanted = {(known.topic, known.msgtype) for known in connections}
+        selected = {(known.topic, known.msgtype) for known in connections}
         budget = Budget(self._path, sum(file.stat().st_size for file in self._files))
-        for topic, kind, time, data in self._messages(wanted):
-            if time is not None and (topic, kind) in wanted:
+        for topic, kind, time, data in self._messages(selected):
+            if time is not None and (topic, kind) in selected:
                 content = bytes(data)
                 if self._is_packed:
-                    content = bytes(unpacked(self._path, content, "zstd"))
+                    content = bytes(unpack(self._path, content, "zstd"))
                     budget.take(len(content))
                 yield topic, time, content
 
     def _messages(
-        self, wanted: Collection[tuple[str, str]]
+        self, selected: Collection[tuple[str, str]]
     ) -> Iterator[tuple[str, str, int | None, bytes | memoryview]]:
         for file in self._files:
             head = _head(file)
             if head.startswith(SQLITE_MAGIC):
-                yield from sqlite_messages(file, wanted)
+                yield from sqlite_messages(file, selected)
             elif head.startswith(MCAP_MAGIC):
                 for content in mcap_content(file):
                     if isinstance(content, McapMessage) and content.channel.encoding == "cdr":
@@ -132,7 +132,7 @@ class Bag:
                 "(`ros2 bag convert`)"
             )
         self._files = [self._path / name for name in names]
-        # Links may give one file several names, and its messages would count several times.
+        # Links may give one file several names, and its messages would be read several times.
         inodes = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
         if len(inodes) < len(names):
             raise ConfigError(f"{path}: gives several names for one file; name each file once")

@@ -1,4 +1,4 @@
-"""Topics of a ROS 2 bag as arrays of numbers. No code of a bag is executed."""
+"""Conversion of topics of a ROS 2 bag to arrays of numbers. No code from a bag is executed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ COMMANDS: dict[str, Callable[[Any], Reading]] = {
 ODOMETRY: dict[str, Callable[[Any], Reading]] = {
     "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
 }
-"""v [m/s], omega [rad/s]. The pose of an odometry is the integral of its twist and contains no further information."""
+"""v [m/s], omega [rad/s]. The pose of the odometry is the integral of its twist and adds no information."""
 
 IMU: dict[str, Callable[[Any], Reading]] = {
     "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),
@@ -76,9 +76,9 @@ def motor_readers(topic: MotorTopic) -> dict[str, Callable[[Any], Reading]]:
         return {"std_msgs/msg/Float32": _NUMBER, "std_msgs/msg/Float64": _NUMBER}
 
     def efforts(message: Any) -> Reading:  # noqa: ANN401
-        named = dict(zip(message.name, message.effort, strict=False))
-        # NaN for absent joints; messages that are not finite are left out later.
-        return tuple(float(named.get(joint, math.nan)) for joint in joints)
+        effort_by_joint = dict(zip(message.name, message.effort, strict=False))
+        # Missing joints yield NaN; messages that are not finite are left out later.
+        return tuple(float(effort_by_joint.get(joint, math.nan)) for joint in joints)
 
     return {"sensor_msgs/msg/JointState": efforts}
 
@@ -105,7 +105,7 @@ class TopicRows:
     value
         (n, width) values, not checked for finiteness.
     stride
-        Step between the messages that were read; 1 for all.
+        n if every n-th message was read; 1 if all messages were read.
     kind
         Message type.
     """
@@ -124,7 +124,7 @@ class TopicRows:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Bag]:
+def open_bag(path: Path) -> Iterator[Bag]:
     """Open a rosbag2 by its folder or by one .mcap or .db3 file.
 
     Raises
@@ -145,16 +145,16 @@ def opened(path: Path) -> Iterator[Bag]:
 
 
 def connections_of(reader: Bag, topic: Topic, decoders: Decoders) -> list[Connection]:
-    """Return the connections of a topic, one per message type; the last is to be read.
+    """Return the connections of a topic, one per message type, in ascending order of preference.
 
-    It is the connection with the most messages among the types with a decoder.
+    The last connection should be read: among the types with a decoder, it has the largest number of messages.
     """
-    named = [known for known in reader.connections if known.topic == topic.topic]
-    return sorted(named, key=lambda known: (known.msgtype in decoders, known.msgcount, known.msgtype))
+    candidates = [connection for connection in reader.connections if connection.topic == topic.topic]
+    return sorted(candidates, key=lambda item: (item.msgtype in decoders, item.msgcount, item.msgtype))
 
 
 def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
-    """Raise ConfigError with all topics that are missing from the bag or have a type without a decoder."""
+    """Raise ConfigError that lists all topics that are missing from the bag or have no decoder for their type."""
     sentences, missing = [], []
     for topic, decoders in wanted:
         kinds = [connection.msgtype for connection in connections_of(reader, topic, decoders)]
@@ -174,7 +174,7 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
 
 
 class TopicRequest(NamedTuple):
-    """Topic to read, decoders of its message types, and step between the messages to read."""
+    """Topic to read, decoders of its message types, and stride n to read every n-th message."""
 
     topic: Topic
     decoders: Decoders
@@ -197,13 +197,13 @@ def read_topics(
         Path of the bag, for messages.
     requests
         Requests by role.
+    definitions
+        Files of message definitions by type.
 
     Returns
     -------
     dict
         Rows by role.
-    definitions
-        Files of message definitions by type.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Reader of ROS 2 bags as logs: topics on a common clock."""
+"""Reader of ROS 2 bags as logs: conversion of topics to signals on a common clock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     TopicRows,
     connections_of,
     motor_readers,
-    opened,
+    open_bag,
     read_topics,
     require_topics,
 )
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.command_bursts import check_bursts, silences
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.imu_mount import imu_decoders
-from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
+from diffdrive_mpc.models.logs.long_logs import decimation_finding, most_excited_rows, required_stride, subset_finding
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     LogMapping,
@@ -38,9 +38,9 @@ from diffdrive_mpc.models.logs.mapping import (
     Topics,
     draft_command,
 )
-from diffdrive_mpc.models.logs.record import Finding, ranges
+from diffdrive_mpc.models.logs.record import Finding, format_ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
-from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
+from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap, usual_step
 
 _WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
 _DECODERS: dict[str, Decoders] = {
@@ -77,15 +77,15 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         If the bag is damaged, a topic is missing, empty or of another type, the stamps come from two clocks, or the
         command and the sensors have no time in common.
     """
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         recorded = {known.topic for known in reader.connections}
         topics = mapping.topics if mapping else Topics()
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
-        topics = topics.named(recorded)
+        topics = topics.resolve(recorded)
         requested = _requested_topics(path, topics, recorded)
         readers = dict(_DECODERS)
-        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, sign: -1 replaces the transforms
+        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, sign -1 is used instead of transforms
             readers["imu"] = imu_decoders(reader)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
@@ -95,7 +95,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         for role, topic in requested.items():
             types = [known.msgtype for known in connections_of(reader, topic, readers[role])]
             if len(types) > 1:
-                message = f"of {', '.join(sorted(types))} only {types[-1]}, with the most messages, is read"
+                message = (
+                    f"the topic has types {', '.join(sorted(types))}; only {types[-1]}, the most frequent, is read"
+                )
                 findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", message))
         requests = {
             role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))
@@ -114,11 +116,11 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     if topics.command.on_change:
         command = _repeat_commands(command, response.time)
     stretch = _stretch(path, command, measured)
-    # Commands on change are irregular; the sensor shows whether the clock is even.
+    # Commands that are sent on change are irregular, so the clock of the sensor is checked for gaps instead.
     clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock
     stretch = RawStretch(clock, stretch.command, {**stretch.measured, **power})
     stretches = _most_driven_parts(path, stretch, findings)
-    # The shorter step preserves the times of both commands and readings.
+    # The shorter of both steps preserves the times of commands and readings.
     sample_time = usual_step([response.time])
     silence = None if topics.command.on_change else silences(stretch.command, check_settings())
     if silence is not None:
@@ -130,7 +132,13 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
 
 
 def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topic]:
-    """Select topics of command and sensors by role; raise ConfigError for missing or miscounted fields."""
+    """Select the topics of command and sensors by role.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If no sensor is available, or a topic has the wrong number of fields.
+    """
     requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
     if not set(requested) & set(_FIELDS):
         missing = "" if topics.command.topic in recorded else f", nor is the command {topics.command.topic}"
@@ -146,7 +154,7 @@ def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[st
 
 
 def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:
-    """Return signals of battery and motors and, with either, wheel speeds from the odometry; {} without both."""
+    """Return signals of battery and motors, and with them wheel speeds from the odometry; {} if both are missing."""
     power_signals: dict[str, Signal] = {}
     if "battery" in signals:
         power_signals["battery"] = signals["battery"]
@@ -176,36 +184,36 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
 
 
 def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
-    """Return n to read every n-th message of a topic; 1 for commands."""
+    """Return the stride n to read every n-th message of a topic; 1 for commands."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:
         return 1
     period = 1e-9 * reader.duration / count
-    stride = needed_stride(period, check_settings())
+    stride = required_stride(period, check_settings())
     if stride > 1:
-        findings.append(decimated(f"{path.name}, {topic.topic}", "message", stride, period))
+        findings.append(decimation_finding(f"{path.name}, {topic.topic}", "message", stride, period))
     return stride
 
 
 def _most_driven_parts(path: Path, stretch: RawStretch, findings: list[Finding]) -> tuple[RawStretch, ...]:
     """Reduce a bag with too many commands to the parts with the largest changes of commands."""
-    command, max_rows = stretch.command, check_settings().most_rows
+    command, max_rows = stretch.command, check_settings().max_rows
     if len(command.time) <= max_rows:
         return (stretch,)
-    rows = most_driven(list(command.value.T), max_rows)
-    findings.append(subset(path.name, "commands", len(rows), len(command.time)))
+    rows = most_excited_rows(list(command.value.T), max_rows)
+    findings.append(subset_finding(path.name, "commands", len(rows), len(command.time)))
     spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return tuple(stretch.between(command.time[span[0]], command.time[span[-1]]) for span in spans)
 
 
 def _repeat_commands(command: Signal, clock: FloatArray) -> Signal:
-    """Repeat commands that are sent on change at the times `clock` (n,) [s], from the first command on."""
+    """Repeat the last command at each of the times `clock` (n,) [s] for commands that are sent on change."""
     time = np.union1d(command.time, clock[clock >= command.time[0]])
     return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
 
 
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
-    """Return the times of each topic's messages [ns]: stamps if available, else times of receipt."""
+    """Return the times of each topic's messages [ns]: header stamps if available, else times of receipt."""
     if topics.clock == "receive":
         return {role: topic.received for role, topic in rows.items()}
     delays = {
@@ -224,15 +232,15 @@ def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: lis
 def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
     """Build the signal of one topic in order of time, without invalid or out-of-order messages."""
     prefix = f"{path.name}, {rows.topic}, message "
-    finite = (np.abs(rows.value) < ABSURD).all(axis=1)
-    ordered = increasing(time)
+    finite = (np.abs(rows.value) < MAX_VALUE).all(axis=1)
+    ordered = is_increasing(time)
     for is_good, kind, reason in (
         (finite, "NaN rows", "messages are not finite"),
         (ordered, "time backwards", "messages are not later than an earlier message"),
     ):
         if not is_good.all():
             message = f"{(~is_good).sum()} {reason} and are left out"
-            place = prefix + ranges(rows.stride * np.flatnonzero(~is_good) + 1)
+            place = prefix + format_ranges(rows.stride * np.flatnonzero(~is_good) + 1)
             findings.append(Finding(kind, "warning", place, message))
     keep = finite & ordered
     value = rows.value[keep]
@@ -241,7 +249,7 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
         remedy = f"check the joints {', '.join(joints)}" if joints else "leave it out of the mapping"
         raise ConfigError(f"{path}: topic '{rows.topic}' holds no usable number; {remedy}")
     if role == "pose":
-        value = unwrapped(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
+        value = unwrap(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
     elif role in _SIDES:
         assert isinstance(topic, MotorTopic)
         value = topic.sign * FACTORS[topic.unit] * value

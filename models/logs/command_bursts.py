@@ -1,4 +1,4 @@
-"""Detection of commands in bursts, as from a pressed key, whose rate is not the sample rate of the log."""
+"""Detection of commands in bursts, as from a pressed key; their rate is not the sample rate of the log."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Silences(NamedTuple):
 
 
 def silences(command: Signal, settings: CheckSettings) -> Silences | None:
-    """Return the silences of commands in bursts; None for steady commands with rare pauses."""
+    """Return the silences between bursts of commands; None for steady commands with rare pauses."""
     steps = np.diff(command.time)
-    indices = np.flatnonzero(steps > settings.longest_step(usual_step([command.time])))
+    indices = np.flatnonzero(steps > settings.max_step(usual_step([command.time])))
     share = float(steps[indices].sum() / steps.sum()) if len(steps) else 0.0
-    if len(indices) < settings.fewest_silences or share < settings.silent_share:
+    if len(indices) < settings.min_silences or share < settings.silent_share:
         return None
     return Silences(command.time[indices], command.time[indices + 1], command.value[indices])
 
@@ -46,18 +46,18 @@ def check_bursts(
     place: str, silence: Silences, measured: Mapping[str, Signal], settings: CheckSettings
 ) -> list[Finding]:
     """Return a finding if the robot continues its last command during silences."""
-    if not _continues(silence, measured, settings):
+    if not _holds_last_command(silence, measured, settings):
         return []
     message = (
-        f"commands come in bursts with {len(silence.start)} silences of {np.median(silence.end - silence.start):.2g} s "
-        "that are left out, although the robot continues its last command"
+        f"commands arrive in bursts; {len(silence.start)} silences of {np.median(silence.end - silence.start):.2g} s "
+        "are left out, although the robot continues its last command"
     )
     return [
         Finding("silent commands", "warning", place, message, changes=(MappingChange("command", "on_change", True),))
     ]
 
 
-def _continues(silence: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> bool:
+def _holds_last_command(silence: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> bool:
     """Return True if readings in the second half of silences follow the last command, without a time-out."""
     response = commanded = 0.0
     for name, channels in _CHANNELS.items():
@@ -65,7 +65,7 @@ def _continues(silence: Silences, measured: Mapping[str, Signal], settings: Chec
             continue
         signal = measured[name]
         index = np.searchsorted(silence.start, signal.time, side="right") - 1
-        # Early in a silence the robot still moves by its lag; a base with a time-out has stopped in the second half.
+        # In the first half of a silence the robot may coast; a base with a time-out has stopped by the second half.
         is_late = (
             (index >= 0)
             & (signal.time < silence.end[index])
@@ -75,4 +75,4 @@ def _continues(silence: Silences, measured: Mapping[str, Signal], settings: Chec
         scale = np.maximum(np.abs(silence.command[:, channels]).max(axis=0), np.finfo(float).tiny)
         response += float((signal.value[is_late] * last / scale**2).sum())
         commanded += float(((last / scale) ** 2).sum())
-    return commanded > 0.0 and response > settings.silent_answer * commanded
+    return commanded > 0.0 and response > settings.silent_response * commanded

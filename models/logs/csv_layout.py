@@ -39,8 +39,8 @@ class CsvLayout:
     first_row: int
 
 
-class _RecodedStream(io.RawIOBase):
-    """Raw stream that recodes a UTF-16 file to UTF-8."""
+class _Utf8Stream(io.RawIOBase):
+    """Raw stream that converts a UTF-16 file to UTF-8."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._text = io.TextIOWrapper(file, encoding="utf-16", newline="")
@@ -50,7 +50,7 @@ class _RecodedStream(io.RawIOBase):
         return True
 
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
-        """Fill the buffer with as many characters as fit, at four bytes or less per character of UTF-8."""
+        """Fill the buffer with as many characters as fit; a character has at most four bytes in UTF-8."""
         block = self._text.read(len(buffer) // 4).encode()
         buffer[: len(block)] = block
         return len(block)
@@ -68,7 +68,7 @@ def open_csv(path: Path) -> io.BufferedReader:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
     if file.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        return io.BufferedReader(_RecodedStream(file))
+        return io.BufferedReader(_Utf8Stream(file))
     return file
 
 
@@ -110,7 +110,7 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
 
 
 def plain_separator(separator: str) -> str:
-    """Return the printable name of a separator."""
+    """Return a printable name of a separator."""
     return "tab" if separator == "\t" else separator
 
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
 from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
-from diffdrive_mpc.models.logs.long_logs import chosen_rows
+from diffdrive_mpc.models.logs.long_logs import reduce_table
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     FOUR_WHEELS,
@@ -30,14 +30,14 @@ from diffdrive_mpc.models.logs.mapping import (
     draft_command,
     load_mapping,
 )
-from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges, refuse
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
-from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
+from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
-OWN_FORMAT = "simulate"
-"""Mapping of logs written by `diffdrive-mpc simulate --log`, which are recognised by their columns."""
+SIMULATION_MAPPING = "simulate"
+"""Mapping of logs from `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class RowSignal:
     time
         (n,) times of the values [s].
     value
-        (n, width) in SI units; NaN where the row has no reading.
+        (n, width) values in SI units; NaN in rows without a reading.
     fresh
-        (n,) False where the row repeats the reading of the previous row.
+        (n,) False for rows that repeat the reading of the previous row.
     counts
         True if the values are running counts; the signal is their rate.
     """
@@ -64,7 +64,7 @@ class RowSignal:
     def signal(self, rows: Rows) -> Signal:
         """Return the readings in `rows`, which must be in order of time."""
         rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
-        rows = rows[increasing(self.time[rows])]
+        rows = rows[is_increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
         if self.counts:
             # A difference of counts yields the mean speed of the interval, valid at its centre.
@@ -89,16 +89,15 @@ class RowReader:
         self.findings: list[Finding] = []
 
     def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
-        """Return values (n,) in SI units, NaN for missing ones, and (n,) True for cells with NaN or infinity."""
+        """Return values (n,) in SI units with NaN for empty cells, and (n,) True for cells with NaN or infinity."""
         values, empty = self.table.numbers(column.column)
         if empty.all():
             raise ConfigError(
                 f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, "
-                "or leave it "
-                "out of the mapping"
+                "or leave it out of the mapping"
             )
         # Squares of larger values would overflow.
-        values = np.where(np.abs(values) < ABSURD, values, np.nan)
+        values = np.where(np.abs(values) < MAX_VALUE, values, np.nan)
         bad = np.isnan(values) & ~empty
         if bad.all():
             raise ConfigError(
@@ -106,13 +105,13 @@ class RowReader:
                 "column, or leave it out of the mapping"
             )
         if bad.any():
-            place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
+            place = f"{self.table.path.name}, line {format_ranges(self.table.lines[bad])}"
             message = f"column '{column.column}' is not finite in {bad.sum()} rows; these rows are left out"
             self.findings.append(Finding("NaN rows", "warning", place, message))
         return column.sign * self._factor(column) * values, bad
 
     def command(self, command: CommandColumns) -> tuple[FloatArray, FloatArray | None, BoolArray]:
-        """Return commands (n, 2) as v, omega; (n, 2) as left, right, or None; and (n,) True for non-finite commands."""
+        """Return twist commands (n, 2), wheel commands (n, 2) or None, and a mask (n,) of non-finite commands."""
         names = ("v", "omega") if command.has("v") else SIDES
         values, bad = self._columns(command, names)
         if command.has("v"):
@@ -120,7 +119,7 @@ class RowReader:
         return self._twist(values, "command"), values, bad
 
     def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
-        """Return the fields of a record from the encoders, and True if they are running counts."""
+        """Return the fields of a record from the encoders, and True if the columns are running counts."""
         fields: dict[str, FloatArray] = {}
         if encoders.has(*FOUR_WHEELS):
             fields["wheel_speeds"] = self._columns(encoders, FOUR_WHEELS)[0]
@@ -133,7 +132,7 @@ class RowReader:
             fields["twist"] = self._twist(fields["wheels"], "encoders")
         units = {column.unit for name in (*SIDES, *FOUR_WHEELS) if (column := getattr(encoders, name)) is not None}
         if "ticks" in units and (len(units) > 1 or encoders.has("v")):
-            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or no column in ticks")
+            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or none")
         return fields, "ticks" in units
 
     def _columns(self, group: CommandColumns | EncoderColumns, names: tuple[str, ...]) -> tuple[FloatArray, BoolArray]:
@@ -162,10 +161,10 @@ class RowReader:
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
-    """Mark rows (n,) of held values (n, width) that contain a new reading: one per period, even if it is equal.
+    """Mark rows (n,) of held values (n, width) that contain a new reading, one per hold period.
 
-    A changed value is a new reading. A value that stays the same counts as a new reading after each period. Without a
-    clear period, the 95th percentile of the hold times replaces it. Repeated values occur at rest or constant speed.
+    A changed value is a new reading. An unchanged value, at rest or at constant speed, counts as a new reading after
+    each period. If the period is unclear, the 95th percentile of the hold times replaces it.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
@@ -197,9 +196,9 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
     header = read_header(path)
-    columns = columns.found_in(header)
-    table = read_table(path, columns.names())
-    require_columns(path, header, columns.names())
+    columns = columns.without_absent_sensors(header)
+    table = read_table(path, columns.column_names())
+    require_columns(path, header, columns.column_names())
     return log_of_table(_selected_rows(table, columns), columns, wheels)
 
 
@@ -216,7 +215,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
         Parameters of the wheels from the mapping; None if it has none.
     """
     settings, path = check_settings(), whole.path
-    table, findings = chosen_rows(whole, columns, settings)
+    table, findings = reduce_table(whole, columns, settings)
     findings = [*table.findings, *findings]
     del whole
     reader = RowReader(table, wheels)
@@ -226,20 +225,20 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     sent = time - columns.command.delay
     command = RowSignal(sent, commands, all_rows)
     wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, all_rows)
-    measured = _measured(reader, columns, time)
+    measured = _measured_signals(reader, columns, time)
     findings += reader.findings
     is_timed = np.isfinite(time)
-    # Any measured signal serves: its smoothness shows the true order of the rows.
+    # The smoothness of any measured signal indicates the true order of the rows.
     reference = next(iter(measured.values())).value[is_timed, -1]
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
-        refuse([finding])
+        raise_on_error([finding])
     stretches = []
     for rows in _split_stretches(table, columns, time, is_invalid, findings):
         signal = command.signal(rows)
         if len(signal.time):
             parts = {field: row_signal.signal(rows) for field, row_signal in measured.items()}
             if "pose" in parts:
-                parts["pose"] = Signal(parts["pose"].time, unwrapped(parts["pose"].value))
+                parts["pose"] = Signal(parts["pose"].time, unwrap(parts["pose"].value))
             sides = None if wheel_command is None else wheel_command.signal(rows)
             stretches.append(RawStretch(time[rows], signal, parts, sides))
     if not stretches:
@@ -248,19 +247,19 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
 
 
 def _own_mapping(path: Path) -> LogMapping:
-    mapping, header = load_mapping(OWN_FORMAT), read_header(path)
+    mapping, header = load_mapping(SIMULATION_MAPPING), read_header(path)
     assert mapping.columns is not None
-    if header and not mapping.columns.found_in(header).names() <= set(header):
+    if header and not mapping.columns.without_absent_sensors(header).column_names() <= set(header):
         remedy = f"Give a mapping file, {draft_command(path)}"
         raise ConfigError(f"{path}: the columns {', '.join(header)} are unknown without a mapping. {remedy}")
     return mapping
 
 
 def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
-    """Select the rows that satisfy 'where' of the mapping."""
+    """Select the rows that satisfy `where` of the mapping."""
     keep = np.ones(len(table.row), dtype=bool)
-    for name, wanted in columns.where.items():
-        values = wanted if isinstance(wanted, tuple) else (wanted,)
+    for name, required in columns.where.items():
+        values = required if isinstance(required, tuple) else (required,)
         keep &= np.isin(table.cells(name), [table.cell(value) for value in values])
     if not keep.any():
         raise ConfigError(f"{table.path}: no row satisfies 'where' in the mapping: {columns.where}")
@@ -281,7 +280,7 @@ def _seconds(table: CsvTable, time: TimeColumn) -> FloatArray:
     return seconds if time.nanosec is None else seconds + 1e-9 * table.numbers(time.nanosec)[0]
 
 
-def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
+def _measured_signals(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
     """Return the measured signals, keyed by field of `Record`."""
     signals: dict[str, RowSignal] = {}
 
@@ -331,14 +330,11 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
 
 
 def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """Return a finding if rows clearly hold each of the readings (n, width) for a period."""
+    """Return a finding if each of the readings (n, width) is clearly repeated over several rows."""
     period = hold_period(readings, check_settings())
     if period is None or period == 1:
         return []
-    message = (
-        f"the readings of the {sensor} change only every {period} rows or a multiple of that: rows repeat the last "
-        "reading"
-    )
+    message = f"the readings of the {sensor} change only after multiples of {period} rows: rows repeat the last reading"
     change = MappingChange(sensor, "held", True)
     return [Finding("held readings", "note", table.path.name, message, changes=(change,))]
 
@@ -346,17 +342,17 @@ def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Fi
 def _split_stretches(
     table: CsvTable, columns: Columns, time: FloatArray, is_invalid: BoolArray, findings: list[Finding]
 ) -> list[Rows]:
-    """Split the rows into parts of one segment with increasing times and finite commands."""
+    """Split the rows at changes of the segment, steps back in time, omitted rows and commands that are not finite."""
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
-        lines = ranges(table.lines[np.isnan(time)])
+        lines = format_ranges(table.lines[np.isnan(time)])
         findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time and is left out"))
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
     repeated = rows[1:][steps == 0]
     if len(repeated):
         message = f"{len(repeated)} rows have the time of the row before; the last row of each time is used"
-        findings.append(Finding("time stands still", "warning", where + ranges(table.lines[repeated]), message))
+        findings.append(Finding("time stands still", "warning", where + format_ranges(table.lines[repeated]), message))
     is_cut = steps < 0
     for row, step in zip(rows[1:][is_cut], steps[is_cut], strict=True):
         message = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch starts"
@@ -364,7 +360,7 @@ def _split_stretches(
     if columns.segment is not None:
         segment = table.cells(columns.segment)[rows]
         is_cut |= segment[1:] != segment[:-1]
-    # Rows were omitted: a gap in the row numbers that exceeds the stride ends a stretch.
+    # After an omission of rows, a gap in the row numbers that exceeds the stride ends a stretch.
     if table.row[-1] - table.row[0] >= len(table.row):
         steps_of_rows = np.diff(table.row)
         is_after_omission = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
@@ -372,5 +368,5 @@ def _split_stretches(
     is_cut |= is_invalid[rows[1:]]
     parts = np.split(rows, np.flatnonzero(is_cut) + 1)
     parts = [part[~is_invalid[part]] for part in parts]
-    # Of rows with equal times the last one is used.
+    # Use the last of the rows with equal times.
     return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]

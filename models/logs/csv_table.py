@@ -1,4 +1,4 @@
-"""Block-by-block reader of the mapped columns of a CSV file as numbers; errors name the line."""
+"""Block-wise reader of columns of a CSV file as numbers; error messages name the line."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 from diffdrive_mpc.models.table import plain_line
 
-# Growing array of numbers for long logs; its peak memory is little more than its final size.
+# Growing array of numbers for long logs; its peak memory is only slightly more than its final size.
 
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _GROWTH = 8
-"""Divisor of the size by which the array grows at a time, so that it is rarely copied."""
+"""The array grows by its size divided by this number, so that it is rarely copied."""
 
 
-class Growing(Generic[_Scalar]):
+class GrowingArray(Generic[_Scalar]):
     """Growing array of values of one type.
 
     Parameters
@@ -60,17 +60,17 @@ class Growing(Generic[_Scalar]):
         self._count = end
 
     def array(self) -> NDArray[_Scalar]:
-        """Return all values (n,); do not extend afterwards."""
+        """Return all values (n,); the array must not be extended afterwards."""
         self._values.resize(self._count, refcheck=False)
         return self._values
 
 
 _BLOCK = 1 << 24
-"""Number of bytes parsed at a time."""
+"""Number of bytes that are parsed at a time."""
 # Maximum number of characters of an invalid cell in a message.
 _MAX_CELL = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
-"""Words in lower case that mean a missing reading, as an empty cell does. NaN is a number: a failed reading."""
+"""Lower-case words that mark a missing reading, like an empty cell. NaN is not a word; it marks a failed reading."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
@@ -88,11 +88,11 @@ class CsvTable:
     row, lines
         (n,) index of each row in the file, from 0, and its line number.
     values
-        (n,) cells of each column that was read; numbers at or below `_FIRST_WORD` represent words.
+        (n,) cells of each selected column; numbers at or below `_FIRST_WORD` represent words.
     empty
-        (n,) True for empty cells; only for columns with empty cells.
+        (n,) True for empty cells, for columns with empty cells.
     words
-        Number that represents each word.
+        Number that represents each word in a cell.
     findings
         Findings from parsing the file.
     """
@@ -137,12 +137,12 @@ class CsvTable:
         return np.where(np.isfinite(values), values, np.nan), empty
 
     def cells(self, name: str) -> FloatArray:
-        """Return the cells (n,) of a column, words as numbers; raise ConfigError if the column is missing."""
+        """Return the cells (n,) of a column with words as numbers; raise ConfigError if the column is missing."""
         require_columns(self.path, self.header, [name])
         return self.values[name]
 
     def cell(self, text: str | float) -> float:
-        """Return the value that represents a number or word in `cells`; NaN if no cell holds the word."""
+        """Return the value by which `cells` represents a number or word; NaN if no cell contains the word."""
         try:
             return _parse_number(str(text))
         except ValueError:
@@ -158,7 +158,7 @@ class CsvTable:
 
 
 _FIRST_WORD = -1e300
-"""Number of the first word; further words have smaller numbers."""
+"""Number that represents the first word; further words have lower numbers."""
 
 
 def read_header(path: Path) -> list[str]:
@@ -168,7 +168,7 @@ def read_header(path: Path) -> list[str]:
 
 
 def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -> None:
-    """Raise ConfigError with all of `names` that are not in the header, and a similar name for each."""
+    """Raise ConfigError that lists all `names` missing from the header, each with a similar name if there is one."""
     sentences = []
     for name in sorted(set(names) - set(header)):
         near = difflib.get_close_matches(name, header, n=1, cutoff=0.5)
@@ -181,16 +181,16 @@ def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -
 def read_table(path: Path, names: Collection[str]) -> CsvTable:
     """Read columns of a CSV file with comma, semicolon or tab as separator.
 
-    Files with semicolons or tabs may have decimal commas. Memory holds one block of text, eight bytes for each cell of
-    the columns `names`, and temporary copies of two columns.
+    Files with semicolons or tabs may have decimal commas. Peak memory is one block of text, eight bytes for each cell
+    of the columns `names`, and temporary copies of two columns.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is empty, a column name occurs twice, or a line has too few or too many cells.
-        A truncated last line is left out, with a finding.
+        If the file cannot be read or is empty, a column name occurs twice, or a line has too few or too many cells. A
+        truncated last line is not an error; it is left out with a finding.
     """
-    lines: Growing[np.int64] = Growing(np.int64)
+    lines: GrowingArray[np.int64] = GrowingArray(np.int64)
     words: dict[str, float] = {}
     findings: list[Finding] = []
     with open_csv(path) as file:
@@ -199,22 +199,22 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         duplicate, count = Counter(filter(None, header)).most_common(1)[0] if any(header) else ("", 0)
         if count > 1:
             raise ConfigError(f"{path}: column '{duplicate}' occurs twice; rename one")
-        wanted = list(dict.fromkeys(name for name in header if name in names))
-        values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
-        missing: dict[str, Growing[np.bool_]] = {}
+        selected = list(dict.fromkeys(name for name in header if name in names))
+        values: dict[str, GrowingArray[np.float64]] = {name: GrowingArray(np.float64) for name in selected}
+        missing: dict[str, GrowingArray[np.bool_]] = {}
         line = layout.first_row
         try:
             for text, last in _blocks(path, file):
-                parsed = _parse_quickly(text, separator, header, wanted)
+                parsed = _parse_with_numpy(text, separator, header, selected)
                 if parsed is None:
                     parsed = _parse_cells(
-                        path, text, separator, header, wanted, line, words, findings if last else None
+                        path, text, separator, header, selected, line, words, findings if last else None
                     )
                 parsed_cells, empty, numbers = parsed
-                for name in wanted:
+                for name in selected:
                     values[name].extend(parsed_cells[name])
                     if name in empty or name in missing:
-                        missing.setdefault(name, Growing(np.bool_, len(lines))).extend(
+                        missing.setdefault(name, GrowingArray(np.bool_, len(lines))).extend(
                             empty.get(name, np.zeros(len(numbers), dtype=bool))
                         )
                 lines.extend(line + numbers)
@@ -241,21 +241,21 @@ def _blocks(path: Path, file: BinaryIO) -> Iterator[tuple[str, bool]]:
 _Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
 
 
-def _parse_quickly(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
-    """Parse a block of numbers and empty cells; return None if it has quotes, words or short lines."""
+def _parse_with_numpy(text: str, separator: str, header: list[str], selected: list[str]) -> _Parsed | None:
+    """Parse a block of numbers and empty cells with NumPy; return None if it has quotes, words or short lines."""
     count = text.count("\n") + (not text.endswith("\n"))
-    if '"' in text or "\n\n" in text or not wanted or not _is_even(text, separator, len(header), count):
+    if '"' in text or "\n\n" in text or not selected or not _is_rectangular(text, separator, len(header), count):
         return None
-    # Decimal commas. With points in the block, the parser of cells decides for each column.
+    # Decimal commas; if the block also has points, `_parse_cells` distinguishes the columns.
     if separator != "," and "," in text:
         if "." in text:
             return None
         text = text.replace(",", ".")
     filled = _fill_empty_cells(text, separator)
-    # With filled cells, NaN must mean an empty cell only.
+    # After filling, NaN must represent empty cells only.
     if filled is not text and "nan" in text.lower():
         return None
-    columns = [header.index(name) for name in wanted]
+    columns = [header.index(name) for name in selected]
     try:
         table = np.loadtxt(io.StringIO(filled), delimiter=separator, usecols=columns, comments=None, ndmin=2)
     except ValueError:
@@ -264,12 +264,12 @@ def _parse_quickly(text: str, separator: str, header: list[str], wanted: list[st
         return None
     empty = {}
     if filled is not text:
-        empty = {name: np.isnan(table[:, i]) for i, name in enumerate(wanted) if np.isnan(table[:, i]).any()}
-    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(wanted)}, empty, np.arange(count)
+        empty = {name: np.isnan(table[:, i]) for i, name in enumerate(selected) if np.isnan(table[:, i]).any()}
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(selected)}, empty, np.arange(count)
 
 
-def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
-    """Return True if each of `count` lines has one cell per column; equal numbers of empty cells may follow."""
+def _is_rectangular(text: str, separator: str, columns: int, count: int) -> bool:
+    """Return True if each of `count` lines has one cell per column, plus an equal number of trailing empty cells."""
     tail, remainder = divmod(text.count(separator) - count * (columns - 1), count)
     if tail <= 0 or remainder:
         return tail == remainder == 0
@@ -278,7 +278,7 @@ def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
 
 
 def _fill_empty_cells(text: str, separator: str) -> str:
-    """Fill empty cells of the text with "nan"."""
+    """Replace empty cells of the text by "nan"."""
     duplicate, first, last = 2 * separator, f"\n{separator}", f"{separator}\n"
     if not (duplicate in text or first in text or last in text or text[0] == separator or text[-1] == separator):
         return text
@@ -295,19 +295,19 @@ def _parse_cells(
     text: str,
     separator: str,
     header: list[str],
-    wanted: list[str],
+    selected: list[str],
     line: int,
     words: dict[str, float],
     findings: list[Finding] | None,
 ) -> _Parsed:
-    """Parse a block that starts at `line` by cells; `findings` is set for the last block, which may be truncated."""
+    """Parse a block cell by cell; it starts at `line`. `findings` is set for the last block, which may be truncated."""
     reader = csv.reader(io.StringIO(text), delimiter=separator)
-    numbered = [(reader.line_num - 1, row) for row in reader if row]
-    if findings is not None and numbered and len(numbered[-1][1]) < len(header):
-        place = f"{path.name}, line {line + numbered[-1][0]}"
+    numbered_rows = [(reader.line_num - 1, row) for row in reader if row]
+    if findings is not None and numbered_rows and len(numbered_rows[-1][1]) < len(header):
+        place = f"{path.name}, line {line + numbered_rows[-1][0]}"
         findings.append(Finding("incomplete line", "note", place, "the line is truncated and left out"))
-        numbered.pop()
-    for offset, row in numbered:
+        numbered_rows.pop()
+    for offset, row in numbered_rows:
         if len(row) < len(header) or any(row[len(header) :]):
             hint = ""
             if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
@@ -316,20 +316,20 @@ def _parse_cells(
                 f"{path}, line {line + offset}: {len(row)} cells, expected {len(header)} as in the header{hint}"
             )
     values, missing = {}, {}
-    for name in wanted:
+    for name in selected:
         index = header.index(name)
-        cells = [row[index].strip() for _, row in numbered]
-        values[name] = as_numbers(cells, words, decimal_comma=separator != ",")
+        cells = [row[index].strip() for _, row in numbered_rows]
+        values[name] = to_numbers(cells, words, decimal_comma=separator != ",")
         empty = np.array([not cell for cell in cells], dtype=bool)
         if empty.any():
             missing[name] = empty
-    return values, missing, np.array([offset for offset, _ in numbered], dtype=np.int64)
+    return values, missing, np.array([offset for offset, _ in numbered_rows], dtype=np.int64)
 
 
-def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
+def to_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
     """Convert cells (n,) to numbers, with NaN for empty cells; add other texts to `words`.
 
-    If `decimal_comma`, a column without points may have decimal commas.
+    With `decimal_comma`, commas are decimal separators unless a cell contains a point.
     """
     texts = cells
     if decimal_comma and not any("." in cell for cell in cells):
@@ -360,5 +360,5 @@ def _number(text: str, cell: str, words: dict[str, float]) -> float:
                 f"a cell holds '{plain_line(cell, _MAX_CELL)}', after {len(words):,} other words; name columns of "
                 "numbers"
             ) from None
-        # Doubles of this size are widely spaced; a step of 1e294 separates the words.
+        # Doubles of this magnitude are widely spaced; a step of 1e294 distinguishes the words.
         return words.setdefault(cell, _FIRST_WORD * (1 + len(words) / 1e6))

@@ -1,4 +1,4 @@
-"""Draft of a mapping for an unknown log: guesses from names and values with reasons, for correction by hand."""
+"""Draft of a mapping for an unknown log, guessed from names and values with reasons, for manual correction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, opened
+from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, open_bag
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
@@ -35,20 +35,20 @@ from diffdrive_mpc.models.table import plain_line
 
 
 class _Table(StrictModel):
-    """Words and plausible ranges of values; see `draft_words.yaml`."""
+    """Words and plausible ranges of values, read from `draft_words.yaml`."""
 
     sources: dict[str, str]
     quantities: dict[str, str]
     rates: str
     ignored: str
     units: dict[str, str]
-    largest: dict[str, tuple[float, str]]
+    max_values: dict[str, tuple[float, str]]
     epochs: dict[str, float]
-    largest_lag: int
-    least_likeness: float
+    max_lag_rows: int
+    min_correlation: float
     topics: dict[str, dict[str, str]]
-    localised: str
-    goals: str
+    localisation_words: str
+    goal_words: str
 
 
 @cache
@@ -78,7 +78,7 @@ _UNITS: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class _Column:
-    """Column with quantity, source and unit as inferred from its name; source and unit are "" if unknown."""
+    """Column with quantity, source and unit as inferred from name and values; source and unit are "" if unknown."""
 
     name: str
     quantity: str
@@ -146,10 +146,10 @@ def _draft_from_table(log: Path) -> list[str]:
 
 
 def _format_wheels(used: _Assignment) -> list[str]:
-    """Format the entry of the wheels for the user to fill in; return an empty list if the mapping does not need it."""
+    """Format the entry of the wheels, to be completed by the user; return [] if the mapping does not need it."""
     units = {column.unit for fields in used.values() for column in fields.values() if column.quantity in _WHEELS}
-    sides_alone = bool(units) and not ("v" in used["command"] and used["encoders"].keys() >= {"v"})
-    if not (sides_alone or units & {"ticks", "ticks/s", "m/s"}):
+    has_sides_only = bool(units) and not ("v" in used["command"] and used["encoders"].keys() >= {"v"})
+    if not (has_sides_only or units & {"ticks", "ticks/s", "m/s"}):
         return []
     ticks = ", ticks_per_turn: " if units & {"ticks", "ticks/s"} else ""
     return [f"wheels: {{radius: , track: {ticks}}}    # fill in, radius and track in m: needed for speeds of wheels"]
@@ -160,12 +160,12 @@ def _format_unused(names: Iterable[str]) -> list[str]:
 
 
 def _column(table: CsvTable, name: str) -> _Column | None:
-    """Interpret the name of a column; return None if a mapping cannot use it or a cell is not a number."""
-    # Words of camelCase are separated like those of snake_case.
+    """Interpret the name of a column; return None if a mapping has no use for it or a cell is not a number."""
+    # Split words of camelCase like words of snake_case.
     text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
     known, unit, reasons = _table(), "", []
     for candidate, pattern in known.units.items():
-        # A unit is a whole word. `\b` would not match at an underscore.
+        # A unit must be a whole word. The pattern `\b` would not match at an underscore.
         if match := re.search(rf"(?<![^\W_])({pattern})(?![^\W_])", text):
             unit, text = candidate, text[: match.start()] + " " + text[match.end() :]
             reasons = [f"'{match[0]}' in its name"]
@@ -176,12 +176,12 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     if _common_words(words, known.ignored):
         return None
     quantity = next((key for key, meaning in known.quantities.items() if _common_words(words, meaning)), "")
-    # A rate of the heading is a yaw rate.
+    # The rate of change of a heading is a yaw rate.
     if _common_words(words, known.quantities["theta"]) and _common_words(words, known.rates):
         quantity = "omega"
-    # Only the forward speed and the yaw rate are mapped, not other components of a twist.
-    sideways = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
-    if not quantity or words & sideways:
+    # A mapping uses only the forward speed and the yaw rate of a twist.
+    other_axes = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
+    if not quantity or words & other_axes:
         return None
     source, word = next(
         ((key, min(shared)) for key, meaning in known.sources.items() if (shared := _common_words(words, meaning))),
@@ -205,7 +205,7 @@ def _column(table: CsvTable, name: str) -> _Column | None:
 def _guess_unit(column: _Column) -> None:
     """Infer a missing unit from the range of the values, and add the reason."""
     values = column.values[np.isfinite(column.values)]
-    largest = float(np.percentile(np.abs(values), 99))
+    maximum = float(np.percentile(np.abs(values), 99))
     if column.quantity == "time":
         steps, (low, high) = np.diff(values), check_settings().sample_times
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
@@ -217,26 +217,26 @@ def _guess_unit(column: _Column) -> None:
     elif not column.unit:
         unit, (limit, alternative) = (
             _UNITS[column.quantity][0],
-            _table().largest.get("wheel" if column.quantity in _WHEELS else column.quantity, (np.inf, "")),
+            _table().max_values.get("wheel" if column.quantity in _WHEELS else column.quantity, (np.inf, "")),
         )
         if column.quantity == "theta":
-            unit = "deg" if largest > 2 * np.pi and in_degrees(values) else unit
+            unit = "deg" if maximum > 2 * np.pi and in_degrees(values) else unit
         elif column.quantity in _WHEELS and _are_counts(values):
             unit = "ticks"
-        elif (np.ptp(values) if column.quantity in ("x", "y") else largest) > limit:
+        elif (np.ptp(values) if column.quantity in ("x", "y") else maximum) > limit:
             unit = alternative
         column.unit = unit
-        column.reasons.append(f"no unit in its name, but values up to {largest:.3g}")
+        column.reasons.append(f"no unit in its name, but values up to {maximum:.3g}")
 
 
 def _are_counts(values: FloatArray) -> bool:
-    """Return True if values (n,) are whole numbers that run up or down over a wide range, like encoder counts."""
+    """Return True if values (n,) are integers with a range much wider than their steps, like encoder counts."""
     typical = float(np.mean(np.abs(np.diff(values))))
     return bool((values == np.round(values)).all()) and float(np.ptp(values)) > 20 * max(typical, 1.0)
 
 
 def _is_increasing(column: _Column) -> bool:
-    """Return True if the values never decrease and often increase, like times."""
+    """Return True if the values never decrease and increase frequently, like times."""
     steps = np.diff(column.values[np.isfinite(column.values)])
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
 
@@ -267,16 +267,16 @@ def _evenly_spaced_column(table: CsvTable) -> _Column | None:
 
 
 def _assign_roles(columns: list[_Column]) -> _Assignment:
-    """Assign columns to roles and fields, without incomplete groups."""
+    """Assign columns to roles and fields; omit incomplete groups."""
     commanded = {column.quantity for column in columns if column.source == "command"}
     quantities = {column.quantity for column in columns if column.source in ("", "command", "encoders")}
     is_twist = commanded.issuperset(_TWIST) or (quantities.issuperset(_TWIST) and not commanded.issuperset(SIDES))
     used: _Assignment = {"command": {}, "encoders": {}, "gyro": {}, "pose": {}}
     for quantity in (*_TWIST, *_WHEELS):
-        alike = [
+        candidates = [
             column for column in columns if column.quantity == quantity and column.source in ("", "command", "encoders")
         ]
-        command, measured = _command_and_measured(alike, quantity in (_TWIST if is_twist else SIDES))
+        command, measured = _command_and_measured(candidates, quantity in (_TWIST if is_twist else SIDES))
         used["command"] |= {quantity: command} if command else {}
         used["encoders"] |= {quantity: measured} if measured else {}
     used["gyro"] = _select_columns(columns, ("gyro",), {"yaw_rate": "omega"})
@@ -296,60 +296,64 @@ def _assign_roles(columns: list[_Column]) -> _Assignment:
 
 
 def _select_columns(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, str]) -> dict[str, _Column]:
-    """Select a column of each field's quantity, from the first possible source; return {} if any column is missing."""
+    """Select a column for each field by quantity, from the first source that has it; return {} if one is missing."""
     group = {}
     for field, quantity in fields.items():
-        alike = [column for column in columns if column.quantity == quantity and column.source in sources]
-        if alike:
-            group[field] = min(alike, key=lambda column: sources.index(column.source))
+        candidates = [column for column in columns if column.quantity == quantity and column.source in sources]
+        if candidates:
+            group[field] = min(candidates, key=lambda column: sources.index(column.source))
     return group if len(group) == len(fields) else {}
 
 
-def _complete_groups(group: dict[str, _Column], kinds: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
-    """Return the fields of those `kinds` that are complete."""
-    return {field: group[field] for kind in kinds if set(kind) <= set(group) for field in kind}
+def _complete_groups(columns: dict[str, _Column], groups: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
+    """Return the columns of all `groups` of fields that are complete."""
+    return {field: columns[field] for group in groups if set(group) <= set(columns) for field in group}
 
 
-def _command_and_measured(alike: list[_Column], may_command: bool) -> tuple[_Column | None, _Column | None]:
-    """Select command and measurement among columns of one quantity; use the delay if the names are ambiguous."""
-    command = next((column for column in alike if column.source == "command" and may_command), None)
-    measured = next((column for column in alike if column.source == "encoders"), None)
-    plain = [column for column in alike if not column.source]
-    if command is None and may_command and plain:
-        if len(plain) > 1 and measured is None and _delay_and_correlation(plain[0].values, plain[1].values)[0] < 0:
-            # The column that moves first is the command.
-            plain[:2] = plain[1::-1]
-        command = plain.pop(0)
+def _command_and_measured(candidates: list[_Column], is_command: bool) -> tuple[_Column | None, _Column | None]:
+    """Select command and measurement among columns of one quantity; use the delay if the names are ambiguous.
+
+    If `is_command` is False, the quantity is not commanded and the command is None.
+    """
+    command = next((column for column in candidates if column.source == "command" and is_command), None)
+    measured = next((column for column in candidates if column.source == "encoders"), None)
+    unnamed = [column for column in candidates if not column.source]
+    if command is None and is_command and unnamed:
+        # Of two columns without a source, the column that changes first is the command.
+        is_ambiguous = len(unnamed) > 1 and measured is None
+        if is_ambiguous and _delay_and_correlation(unnamed[0].values, unnamed[1].values)[0] < 0:
+            unnamed[:2] = unnamed[1::-1]
+        command = unnamed.pop(0)
         command.reasons.append("no other column is named as a command")
-    if measured is None and plain:
-        measured = plain[0]
+    if measured is None and unnamed:
+        measured = unnamed[0]
         measured.reasons.append("no source in its name")
     return command, measured
 
 
 def _add_comparison(command: _Column | None, measured: _Column) -> None:
-    """Add the correlation or delay of the measured column to its reasons."""
+    """Add the delay of the measured column after the command, or a warning, to its reasons."""
     if command is None:
         return
     rows, correlation = _delay_and_correlation(command.values, measured.values)
-    if abs(correlation) < _table().least_likeness:
+    if abs(correlation) < _table().min_correlation:
         measured.reasons.append(f"CHECK: hardly follows '{command.name}'")
     elif rows < 0:
-        measured.reasons.append(f"CHECK: moves {-rows} rows before '{command.name}'; are the two swapped?")
+        measured.reasons.append(f"CHECK: changes {-rows} rows before '{command.name}'; the two may be exchanged")
     else:
         measured.reasons.append(f"follows '{command.name}' by {rows} rows")
 
 
 def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, float]:
     """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
-    # Changes instead of values: offsets and slow drifts would hide the delay.
+    # Correlate changes instead of values, because offsets and slow drifts would hide the delay.
     u, y = (np.diff(_interpolate_missing(values)) for values in (first, second))
-    max_lag = min(_table().largest_lag, len(u) // 4)
+    max_lag = min(_table().max_lag_rows, len(u) // 4)
     lags = range(-max_lag, max_lag + 1)
     size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)
     products = [float(u[max(-lag, 0) : len(u) - max(lag, 0)] @ y[max(lag, 0) : len(y) + min(lag, 0)]) for lag in lags]
-    best = int(np.argmax(np.abs(products)))
-    return lags[best], products[best] / size
+    peak = int(np.argmax(np.abs(products)))
+    return lags[peak], products[peak] / size
 
 
 def _interpolate_missing(values: FloatArray) -> FloatArray:
@@ -363,7 +367,7 @@ _TYPES = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES, 
 
 def _draft_from_bag(log: Path) -> list[str]:
     counts: Counter[tuple[str, str]] = Counter()
-    with opened(log) as reader:
+    with open_bag(log) as reader:
         for connection in reader.connections:
             counts[connection.topic, connection.msgtype] += connection.msgcount
     lines, used = ["topics:"], set()
@@ -385,10 +389,10 @@ def _draft_from_bag(log: Path) -> list[str]:
             continue
         score, count, topic, kind = ranked[0]
         used.add(topic)
-        others = f"; it could also be {', '.join(row[2] for row in ranked[1:])}" if ranked[1:] else ""
-        why = ", and its name fits" if score > 0 else ""
+        others = f"; alternatives: {', '.join(row[2] for row in ranked[1:])}" if ranked[1:] else ""
+        reason = ", and its name matches" if score > 0 else ""
         lines.append(
-            f"  {role}: {_format_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{why}{others}')}"
+            f"  {role}: {_format_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{reason}{others}')}"
         )
     lines.append("# wheels: {track: }    # in m, of the odometry: fill it in for `--structure mbm` and `--for`")
     return [*lines, *_format_unused(sorted(topic for topic, _ in counts if topic not in used))]
@@ -400,9 +404,9 @@ def _topic_score(role: str, topic: str, kind: str) -> int | None:
     An Odometry topic is a pose of a localisation only if its name indicates it. A goal is not a measured pose.
     """
     words = set(re.findall("[a-z]+", topic.lower()))
-    localised = bool(_common_words(words, _table().localised))
-    is_goal = role == "pose" and bool(_common_words(words, _table().goals))
-    if is_goal or (kind in ODOMETRY and localised != (role == "pose")):
+    is_localisation = bool(_common_words(words, _table().localisation_words))
+    is_goal = role == "pose" and bool(_common_words(words, _table().goal_words))
+    if is_goal or (kind in ODOMETRY and is_localisation != (role == "pose")):
         return None
     known = _table().topics.get(role, {"for": "", "against": ""})
     return len(_common_words(words, known["for"])) - 2 * len(_common_words(words, known["against"]))

@@ -1,4 +1,4 @@
-"""Wheel radius and tracks of logs and models from wheel speeds, twists and gyro."""
+"""Estimation of the wheel radius and the tracks of a robot from wheel speeds, twists and gyro."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class WheelGeometry(NamedTuple):
 
 
 def wheel_geometry(records: Sequence[Record]) -> WheelGeometry | None:
-    """Fit radius and track by least squares over all records with wheels and twist; return None without such records.
+    """Fit radius and track by least squares over all records with wheels and twist; None if undetermined.
 
     v = radius (right + left) / 2, omega = radius (right - left) / track.
     """
@@ -43,7 +43,7 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
     Parameters
     ----------
     records
-        Records with wheels and gyro; without a gyro, omega of the model is that of the wheels.
+        Records with wheels and gyro; without a gyro, omega of the model must be that of the wheels.
     geometry
         Geometry of the log's robot.
     dc_gain
@@ -58,7 +58,7 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
     if pairs:
         both = np.concatenate(pairs)
         both = both[np.isfinite(both).all(axis=1)]
-        # Without means, so that the bias of the gyro has no effect.
+        # Subtract the means, so that the bias of the gyro has no effect.
         wheel_rate, yaw_rate = (both - both.mean(axis=0)).T if len(both) else both.T
         product = float(wheel_rate @ yaw_rate)
         if product <= 0:

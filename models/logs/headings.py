@@ -1,8 +1,9 @@
 """Headings of a robot with measured positions only (motion capture of one marker, RTK, beacons).
 
-The motion is predicted from gyro, encoders or, without these, commands. Gain, dead time and two lags of each are fitted
-to the positions, with an unknown start in each window. The heading is the prediction plus a random walk, smoothed with
-the positions (Rauch, Tung, Striebel, AIAA Journal 1965, 3(8), 1445-1450; here as one sparse least-squares problem).
+The motion is predicted from gyro and encoders, or from the commands if both are missing. Gain, dead time and two lags
+of v and omega are fitted to the positions, with an unknown start pose in each window. The heading is the prediction
+plus a random walk, smoothed with the positions (Rauch, Tung, Striebel, AIAA Journal 1965, 3(8), 1445-1450; solved here
+as one sparse least-squares problem).
 """
 
 from __future__ import annotations
@@ -17,26 +18,27 @@ from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, Record
 
 _WINDOWS = (2.0, 6.0)
-"""Duration of the windows of the first search and of the fit [s]; a poor initial gain requires short windows."""
-# Bounds of gain, dead time [s] and two lags [s] of v and of omega, and of the measured point ahead and to the left [m].
-_LOW = np.array([0.05, -0.3, 1e-3, 1e-3, -3.0, -0.3, 1e-3, 1e-3, -2.0, -2.0])
-_HIGH = np.array([3.0, 0.8, 1.0, 1.0, 3.0, 0.8, 1.0, 1.0, 2.0, 2.0])
+"""Window durations of the first and the final fit [s]; a poor initial gain requires short windows."""
+# Bounds of the parameters: gain, dead time [s] and two lags [s] of v and of omega, and position of the measured point
+# ahead and to the left of the robot's origin [m].
+_LOWER_BOUNDS = np.array([0.05, -0.3, 1e-3, 1e-3, -3.0, -0.3, 1e-3, 1e-3, -2.0, -2.0])
+_UPPER_BOUNDS = np.array([3.0, 0.8, 1.0, 1.0, 3.0, 0.8, 1.0, 1.0, 2.0, 2.0])
 _SCALE = np.array([1.0, 0.1, 0.1, 0.1, 1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
-_STARTS = [np.array([0.9, 0.1, 0.15, 0.02, gain, 0.1, 0.15, 0.02, 0.0, 0.0]) for gain in (0.5, 0.9, -0.9)]
-_TURN = 4
+_INITIAL_PARAMETERS = [np.array([0.9, 0.1, 0.15, 0.02, gain, 0.1, 0.15, 0.02, 0.0, 0.0]) for gain in (0.5, 0.9, -0.9)]
+_OMEGA_GAIN = 4
 """Index of the gain of omega, which is negative for mirrored positions."""
-_EVALUATIONS = (10, 20)
+_MAX_EVALUATIONS = (10, 20)
 _COST_TOLERANCE = 1e-5
 """Relative decrease of the cost below which the search stops."""
 _DISTURBANCES = (0.05, 0.3)
 """Standard deviations of travel [m] and heading [rad] relative to the prediction after 1 s."""
-_ITERATIONS = 4
+_ITERATIONS = 4  # of Gauss-Newton, for each smoothed record
 _MAX_ROWS = 30_000
 _MIN_POSITIONS = 20
 
 
 class _Positions(NamedTuple):
-    """Inputs of the prediction (K, 2), sample time [s], rows (n,) with a position, and positions x + iy (n,) [m]."""
+    """Inputs v, omega (K, 2), sample time [s], rows (n,) with a position, and positions x + iy (n,) [m]."""
 
     inputs: FloatArray
     dt: float
@@ -52,8 +54,8 @@ def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], li
     log
         Name of the log.
     records
-        Records with x and y of poses. theta is replaced, and mirrored positions are corrected. Poses of records with
-        few positions are removed.
+        Records with x and y of poses. The result has computed theta and corrected mirrored positions; poses of records
+        with few positions are removed.
     """
     data = [_positions(record) for record in records]
     sensors = [
@@ -67,19 +69,21 @@ def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], li
     findings = [Finding("computed heading", "note", log, message)]
     if not sensors:
         message += (
-            "; the forward direction is that of the command, and a controller needs a gyro or encoders in addition to "
-            "such poses"
+            "; the sign of the command defines the forward direction, and a controller needs a gyro or encoders in "
+            "addition to such poses"
         )
         findings = [Finding("no heading", "warning", log, message)]
-    parameters = _fit(usable) if usable else _STARTS[0]
-    side = float(np.sign(parameters[_TURN]))
+    parameters = _fit(usable) if usable else _INITIAL_PARAMETERS[0]
+    side = float(np.sign(parameters[_OMEGA_GAIN]))
     if side < 0:
         message = (
-            f"the positions turn in the opposite direction of the {source}: they are mirrored, or x and y are exchanged"
+            f"the positions turn in the opposite direction to the {source}: they are mirrored, or x and y are exchanged"
         )
         findings.append(Finding("mirrored pose", "error", log, message, changes=(MappingChange("pose", "y.sign", -1),)))
         # Mirroring y also mirrors the lateral offset of the measured point.
-        parameters = parameters * np.where(np.isin(np.arange(len(parameters)), (_TURN, len(parameters) - 1)), -1.0, 1.0)
+        parameters = parameters * np.where(
+            np.isin(np.arange(len(parameters)), (_OMEGA_GAIN, len(parameters) - 1)), -1.0, 1.0
+        )
     results: list[Record] = []
     for record, part in zip(records, data, strict=True):
         if part is None or record.pose is None:
@@ -106,7 +110,7 @@ def _positions(record: Record) -> _Positions | None:
 
 
 def _fit(data: Sequence[_Positions]) -> FloatArray:
-    """Fit the parameters of the prediction to the positions, rigidly aligned in each window."""
+    """Fit the parameters of the prediction to the positions; each window is aligned by a rotation and translation."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly
 
     parts = [part for i, part in enumerate(data) if not i or sum(len(p.inputs) for p in data[:i]) < _MAX_ROWS]
@@ -118,12 +122,12 @@ def _fit(data: Sequence[_Positions]) -> FloatArray:
             errors.append(measured - predicted * turn)
         return np.concatenate(errors).view(float)
 
-    best = min(_STARTS, key=lambda start: float(np.sum(residuals(start, _WINDOWS[0]) ** 2)))
-    for window, evaluations in zip(_WINDOWS, _EVALUATIONS, strict=True):
+    best = min(_INITIAL_PARAMETERS, key=lambda start: float(np.sum(residuals(start, _WINDOWS[0]) ** 2)))
+    for window, evaluations in zip(_WINDOWS, _MAX_EVALUATIONS, strict=True):
         best = least_squares(
             residuals,
             best,
-            bounds=(_LOW, _HIGH),
+            bounds=(_LOWER_BOUNDS, _UPPER_BOUNDS),
             x_scale=_SCALE,
             max_nfev=evaluations,
             ftol=_COST_TOLERANCE,
@@ -133,11 +137,11 @@ def _fit(data: Sequence[_Positions]) -> FloatArray:
 
 
 def _predict_motion(part: _Positions, parameters: FloatArray) -> tuple[FloatArray, AnyArray]:
-    """Return predicted headings (K,) [rad] and positions x + iy (n,) [m] of the measured point, starting at zero."""
+    """Predict headings (K,) [rad] and positions x + iy (n,) [m] of the measured point from a start at zero."""
     v, omega = (_response(part.inputs[:, i], part.dt, parameters[4 * i : 4 * i + 4]) for i in (0, 1))
     turns = 0.5 * part.dt * (omega[1:] + omega[:-1])
     heading = np.concatenate([[0.0], np.cumsum(turns)])
-    # Exact arcs: the chord is the length of the arc times sinc of half its turn, along the mean heading.
+    # Exact arcs: the chord has the direction of the mean heading and the length of the arc times sinc of half its turn.
     moves = 0.5 * part.dt * (v[1:] + v[:-1]) * np.sinc(turns / (2 * np.pi)) * np.exp(1j * (heading[:-1] + 0.5 * turns))
     path = np.concatenate([[0.0], np.cumsum(moves)]) + complex(*parameters[8:]) * np.exp(1j * heading)
     return heading, path[part.rows]
@@ -151,7 +155,7 @@ def _response(values: FloatArray, dt: float, parameters: FloatArray) -> FloatArr
     response = gain * np.interp(grid - dead_time / dt, grid, values)
     for i, lag in enumerate(lags):
         pole = np.exp(-dt / lag)
-        # The first lag is exact for held values, the second for linear interpolation between samples.
+        # Discretise the first lag exactly for a held input, and the second for linear interpolation between samples.
         mean_step = (1 - pole) * lag / dt
         taps = [1 - mean_step, mean_step - pole] if i else [0.0, 1 - pole]
         initial = signal.lfilter_zi(taps, [1.0, -pole]) * response[0]
@@ -160,7 +164,7 @@ def _response(values: FloatArray, dt: float, parameters: FloatArray) -> FloatArr
 
 
 def _align_windows(part: _Positions, path: AnyArray, window: float) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Return measured and predicted positions (n,) minus their window means, and the rotation (n,) between them."""
+    """Return measured and predicted positions (n,) relative to their window means, and the rotations (n,)."""
     index = np.unique((part.rows * part.dt) // window, return_inverse=True)[1]
     count = np.bincount(index)
 
@@ -173,20 +177,20 @@ def _align_windows(part: _Positions, path: AnyArray, window: float) -> tuple[Any
 
 
 def _smooth_headings(part: _Positions, parameters: FloatArray) -> FloatArray:
-    """Return headings (K,) [rad]: the prediction plus a random walk that fits the positions."""
+    """Compute headings (K,) [rad] as the prediction plus a random walk that fits the positions."""
     from scipy import sparse  # noqa: PLC0415 - loads slowly
     from scipy.sparse.linalg import spsolve  # noqa: PLC0415
 
     heading, path = _predict_motion(part, parameters)
     steps, count = np.diff(path), len(part.rows)
     spread = np.sqrt(np.diff(part.rows) * part.dt)
-    # The third difference of white noise has 20 times its variance in each of two axes.
+    # The third difference of white noise has 20 times the variance of the noise, in each of two axes.
     noise = 1e-4 + float(np.std(np.diff(part.measured, 3))) / np.sqrt(40.0)
     identity = sparse.identity(count, format="csr")
     change, mean = identity[1:] - identity[:-1], 0.5 * (identity[1:] + identity[:-1])
     travel_weight, turn_weight = (sparse.diags(1.0 / (size * spread)) for size in _DISTURBANCES)
     positions, walk = part.measured, np.unwrap(np.angle(_align_windows(part, path, _WINDOWS[1])[2]))
-    # Gauss-Newton: only the direction of the moves depends nonlinearly on the random walk.
+    # Gauss-Newton iterations; only the direction of the moves is nonlinear in the random walk.
     for _ in range(_ITERATIONS):
         moves = steps * np.exp(1j * (mean @ walk))
         rows = [

@@ -1,4 +1,4 @@
-"""Decoding of a gyro's yaw rate about the vertical axis from /tf_static of a bag, as in the node."""
+"""Decoders of a gyro's yaw rate about the vertical axis, which is known from /tf_static as in the node."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NORM_TOLERANCE, _MIN_COMPONENT = 1e-2, 1e-3
 
 
 def imu_decoders(reader: Bag) -> Decoders:
-    """Return decoders of the yaw rate [rad/s] about the vertical; z of the gyro's frame without static transforms."""
+    """Return decoders of the yaw rate [rad/s] about the vertical axis, or about z of the gyro without transforms."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     known = next((known for known in reader.connections if known[:2] == (_TOPIC, _TYPE)), None)
@@ -36,17 +36,18 @@ def imu_decoders(reader: Bag) -> Decoders:
 
     @cache
     def vertical(frame: str) -> FloatArray:
-        # The root of the static frames is the robot's body. A loop of frames ends at its first frame.
+        # The root of the static frames is the body. Each frame is removed when visited, so a loop of frames ends.
         if frame not in parents:
             return np.array([0.0, 0.0, 1.0])
         parent, rotation = parents.pop(frame)
         axis, u = vertical(parent), rotation[:3]
-        # Inverse rotation of `axis` by the quaternion: the parent's vertical in the frame of the child.
-        across = 2.0 * np.cross(u, axis)
-        return np.asarray(axis - rotation[3] * across + np.cross(u, across))
+        # Rotate the vertical from the parent to the child by the inverse of the unit quaternion.
+        cross = 2.0 * np.cross(u, axis)
+        return np.asarray(axis - rotation[3] * cross + np.cross(u, cross))
 
-    def yaw_rate(message: Any) -> Reading:  # noqa: ANN401 - rosbags makes the types
+    def yaw_rate(message: Any) -> Reading:  # noqa: ANN401 - rosbags creates the types
         axis, rate = vertical(message.header.frame_id.removeprefix("/")), message.angular_velocity
+        # An unused axis may be NaN in the message and must not affect the sum.
         is_used = np.abs(axis) > _MIN_COMPONENT
         return (float(axis[is_used] @ np.array([rate.x, rate.y, rate.z])[is_used]),)
 

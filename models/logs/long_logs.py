@@ -12,11 +12,11 @@ from diffdrive_mpc.models.logs.mapping import FACTORS, Column, Columns
 from diffdrive_mpc.models.logs.record import Finding
 
 _PART = 20_000
-"""Number of rows that are selected together."""
+"""Number of rows of a part; parts are selected or omitted as a whole."""
 
 
-def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
-    """Reduce a table to the rate that the fastest base needs, and to its most informative parts.
+def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
+    """Reduce a table to the sample rate that the fastest base needs, and to its most informative parts.
 
     Parameters
     ----------
@@ -29,34 +29,34 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
     """
     findings = []
     if columns.time is None:
-        period = columns.sample_time or settings.needed_step
+        period = columns.sample_time or settings.decimated_step
     else:
         sample = table.cells(columns.time.column)[:_PART]
         steps = np.diff(sample[np.isfinite(sample)])
         period = FACTORS[columns.time.unit] * float(np.median(steps)) if len(steps) else 0.0
-    stride = needed_stride(period, settings)
+    stride = required_stride(period, settings)
     if stride > 1:
-        findings.append(decimated(table.path.name, "row", stride, period))
+        findings.append(decimation_finding(table.path.name, "row", stride, period))
         table = table.part(np.arange(0, len(table.row), stride))
-    if len(table.row) <= settings.most_rows:
+    if len(table.row) <= settings.max_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]
-    # Cells with words need conversion; otherwise a copy is avoided, because the columns are long.
+    # Convert cells only if some contain words; conversion copies the long columns.
     commands = [table.numbers(name)[0] if table.words else table.cells(name) for name in names]
-    selected = most_driven(commands, settings.most_rows)
-    findings.append(subset(table.path.name, "rows", len(selected), len(table.row)))
+    selected = most_excited_rows(commands, settings.max_rows)
+    findings.append(subset_finding(table.path.name, "rows", len(selected), len(table.row)))
     return table.part(selected), findings
 
 
-def needed_stride(period: float, settings: CheckSettings) -> int:
-    """Return the maximum stride of readings `period` [s] apart that is short enough for all bases."""
-    # A shorter step than that of any robot is a wrong unit or a burst, which is reported separately.
-    is_too_fast = settings.sample_times[0] <= period < settings.shortest_step
-    return round(settings.needed_step / period) if is_too_fast else 1
+def required_stride(period: float, settings: CheckSettings) -> int:
+    """Return the maximum stride that is short enough for all bases; readings are `period` [s] apart."""
+    # A step shorter than that of any robot indicates a wrong unit or a burst, which is reported separately.
+    is_too_fast = settings.sample_times[0] <= period < settings.min_step
+    return round(settings.decimated_step / period) if is_too_fast else 1
 
 
-def decimated(place: str, noun: str, stride: int, period: float) -> Finding:
-    """Return the note that only one `noun` in `stride` is used; all are `period` [s] apart."""
+def decimation_finding(place: str, noun: str, stride: int, period: float) -> Finding:
+    """Return the note that one row or message (`noun`) in `stride` is used; their distance is `period` [s]."""
     message = (
         f"one {noun} in {stride} is used, every {stride * period:.3g} s: no base responds faster, and no controller "
         "runs faster"
@@ -64,8 +64,8 @@ def decimated(place: str, noun: str, stride: int, period: float) -> Finding:
     return Finding("decimated", "note", place, message)
 
 
-def subset(place: str, noun: str, selected: int, count: int) -> Finding:
-    """Return the note that `selected` of `count` rows or commands are used."""
+def subset_finding(place: str, noun: str, selected: int, count: int) -> Finding:
+    """Return the note that `selected` of `count` rows or commands (`noun`) are used."""
     message = (
         f"{selected} of {count} {noun} are used, the parts with the largest changes of commands; to select other "
         "parts, set 'times' or 'where' in the mapping"
@@ -73,7 +73,7 @@ def subset(place: str, noun: str, selected: int, count: int) -> Finding:
     return Finding("subset", "note", place, message)
 
 
-def most_driven(commands: list[FloatArray], max_rows: int, part: int = _PART) -> NDArray[np.intp]:
+def most_excited_rows(commands: list[FloatArray], max_rows: int, part: int = _PART) -> NDArray[np.intp]:
     """Select at most `max_rows` rows in order, from the parts of `part` rows with the largest changes of commands (n,).
 
     A single part is selected even if it is longer.

@@ -68,7 +68,7 @@ class _NameOrFields(StrictModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - content of the file, not yet checked
+    def _expand_plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - content of the file, not yet checked
         return {next(iter(cls.model_fields)): data} if isinstance(data, str) else data
 
     @classmethod
@@ -78,7 +78,7 @@ class _NameOrFields(StrictModel):
 
 
 class Column(_NameOrFields):
-    """One column; a plain name means a column in SI units."""
+    """One column; a plain string is the name of a column in SI units."""
 
     column: str = Field(min_length=1, description="name in the header")
 
@@ -87,7 +87,7 @@ class TimeColumn(Column):
     """A column of times."""
 
     unit: TimeUnit = "s"
-    nanosec: str | None = Field(None, min_length=1, description="column of nanoseconds, which are added")
+    nanosec: str | None = Field(None, min_length=1, description="column of nanoseconds to add")
 
 
 class _SignedColumn(Column):
@@ -155,13 +155,13 @@ class _TwistOrWheels(StrictModel):
         return all(getattr(self, name) is not None for name in names)
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_groups(self) -> Self:
         groups = [("v", "omega"), SIDES, *([FOUR_WHEELS] if hasattr(self, FOUR_WHEELS[0]) else [])]
         for group in groups:
-            named = [name for name in group if self.has(name)]
-            if named and len(named) < len(group):
-                absent = next(name for name in group if name not in named)
-                raise ValueError(f"'{named[0]}' also needs '{absent}'")
+            present = [name for name in group if self.has(name)]
+            if present and len(present) < len(group):
+                missing = next(name for name in group if name not in present)
+                raise ValueError(f"'{present[0]}' also needs '{missing}'")
         if not any(self.has(*group) for group in groups):
             raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
         return self
@@ -173,7 +173,7 @@ class CommandColumns(_TwistOrWheels):
     delay: float = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
 
     @model_validator(mode="after")
-    def _no_counts(self) -> Self:
+    def _check_units(self) -> Self:
         if self.has("v") and self.has("left"):
             raise ValueError("name the columns of v and omega, or of left and right, not both")
         for side in (self.left, self.right):
@@ -193,7 +193,7 @@ class SensorColumns(StrictModel):
 
 
 class EncoderColumns(_TwistOrWheels, SensorColumns):
-    """Columns of the encoders: (v, omega), sides, four wheels, or several of these."""
+    """Columns of the encoders: (v, omega), both sides, four wheels, or several of these groups."""
 
     front_left: WheelColumn | None = None
     front_right: WheelColumn | None = None
@@ -208,11 +208,11 @@ class GyroColumns(SensorColumns):
 
 
 class PoseColumns(SensorColumns):
-    """Columns of the robot's pose from a source that is more accurate than the encoders, in one frame per segment."""
+    """Columns of the robot's pose in one frame per segment; the source must be more accurate than the encoders."""
 
     x: LengthColumn
     y: LengthColumn
-    theta: AngleColumn | None = Field(None, description="heading; without it, computed from x and y")
+    theta: AngleColumn | None = Field(None, description="heading; if it is missing, it is computed from x and y")
     heading_offset: float = Field(0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]")
 
 
@@ -230,7 +230,7 @@ class BatteryColumns(PowerColumns):
 
 
 class MotorColumns(PowerColumns):
-    """Columns of the motor currents: one total per side, or one of each of four motors."""
+    """Columns of the motor currents: the total of each side, or the current of each of four motors."""
 
     left: CurrentColumn | None = None
     right: CurrentColumn | None = None
@@ -245,7 +245,7 @@ class MotorColumns(PowerColumns):
         return tuple(name for name in (*SIDES, *FOUR_WHEELS) if getattr(self, name) is not None)
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_groups(self) -> Self:
         if self.named_columns not in (SIDES, FOUR_WHEELS):
             raise ValueError(f"name the columns of {', '.join(SIDES)}, or of {', '.join(FOUR_WHEELS)}")
         return self
@@ -268,7 +268,7 @@ class Columns(StrictModel):
     motors: MotorColumns | None = Field(None, description="columns of the motor currents; used for torques only")
 
     @model_validator(mode="after")
-    def _timed_and_measured(self) -> Self:
+    def _check_time_and_sensors(self) -> Self:
         if (self.time is None) == (self.sample_time is None):
             raise ValueError(
                 "give either 'time', the column of times, or 'sample_time' [s] for a log without time stamps"
@@ -277,18 +277,18 @@ class Columns(StrictModel):
             raise ValueError("no sensor is mapped: name the columns of 'encoders', 'gyro' or 'pose'")
         return self
 
-    def found_in(self, recorded: Collection[str]) -> Self:
+    def without_absent_sensors(self, recorded: Collection[str]) -> Self:
         """Remove optional sensors unless all their columns are in `recorded`."""
-        absent = [
+        missing = [
             key
             for key, group in (("battery", self.battery), ("motors", self.motors))
             if group is not None
             and group.optional
             and not {part.column for _, part in group if isinstance(part, Column)} <= set(recorded)
         ]
-        return self.model_copy(update=dict.fromkeys(absent))
+        return self.model_copy(update=dict.fromkeys(missing))
 
-    def names(self) -> set[str]:
+    def column_names(self) -> set[str]:
         """Return the names of all columns that the mapping uses."""
         groups = [self.command, self.encoders, self.gyro, self.pose, self.battery, self.motors]
         parts = [part for group in groups if group is not None for _, part in group]
@@ -299,13 +299,13 @@ class Columns(StrictModel):
 
 
 class Topic(_NameOrFields):
-    """One topic of a bag; a plain name means a topic without sign and delay."""
+    """One topic of a bag; a plain string is the name of a topic with sign 1 and no delay."""
 
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="factor of yaw rates, headings and currents; -1 for a sensor mounted upside down")
     delay: float = Field(0.0, description="delay of the stamps after the measurement [s]")
     fields: tuple[str, ...] | None = Field(
-        None, description="fields with the values in a message of another type, such as twist.linear.x or data.0"
+        None, description="fields of the values if the message type is not supported, such as twist.linear.x or data.0"
     )
     on_change: bool = Field(
         False, description="true for commands that are sent only when they change; each holds until the next"
@@ -315,7 +315,8 @@ class Topic(_NameOrFields):
 class MotorTopic(Topic):
     """Topic of the motor currents of one side.
 
-    Several values are added up. A plain name means a topic of std_msgs Float32 or Float64.
+    The current of the side is the sum of all values. A plain string is the name of a topic of std_msgs Float32 or
+    Float64.
     """
 
     joints: tuple[str, ...] | None = Field(
@@ -324,21 +325,21 @@ class MotorTopic(Topic):
     unit: CurrentUnit = "A"
 
     @model_validator(mode="after")
-    def _one_place(self) -> Self:
+    def _check_source(self) -> Self:
         if self.joints is not None and self.fields is not None:
             raise ValueError("give 'joints' or 'fields', not both")
         return self
 
 
 class MotorTopics(StrictModel):
-    """Topics of the motor currents of both sides; both may be on the same topic."""
+    """Topics of the motor currents of both sides, which may be the same topic."""
 
     left: MotorTopic
     right: MotorTopic
 
 
 class Topics(StrictModel):
-    """The topics of a bag. Without named sensors, /odom and /imu are used if present."""
+    """The topics of a bag. If no sensor is named, /odom and /imu are used if present."""
 
     command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
     odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
@@ -357,32 +358,38 @@ class Topics(StrictModel):
         default_factory=dict, description="files of message definitions, relative to the mapping, by type: pkg/msg/Name"
     )
 
-    def named(self, recorded: Collection[str]) -> Self:
-        """Add /odom and /imu if they are in `recorded` and no sensor is named; resolve namespaces otherwise."""
+    def resolve(self, recorded: Collection[str]) -> Self:
+        """Add the recorded ones of /odom and /imu if no sensor is named; otherwise resolve namespaces."""
         if self.odometry or self.imu or self.pose:
             return self._in_namespace(recorded)
-        usual = {"odometry": "/odom", "imu": "/imu"}
-        return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in recorded})
+        defaults = {"odometry": "/odom", "imu": "/imu"}
+        return self.model_copy(update={role: Topic(topic=name) for role, name in defaults.items() if name in recorded})
 
     def _in_namespace(self, recorded: Collection[str]) -> Self:
-        """Resolve relative names in the only namespace of `recorded` with the odometry; keep absolute names."""
+        """Resolve relative names in the only recorded namespace with the odometry topic; keep absolute names.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError
+            If no namespace or several namespaces have the odometry topic.
+        """
         if self.odometry is None or self.odometry.topic.startswith("/"):
             return self
-        ending = f"/{self.odometry.topic}"
-        spaces = sorted(name.removesuffix(ending) for name in recorded if name.endswith(ending))
-        if len(spaces) != 1:
-            reason = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
+        suffix = f"/{self.odometry.topic}"
+        namespaces = sorted(name.removesuffix(suffix) for name in recorded if name.endswith(suffix))
+        if len(namespaces) != 1:
+            reason = f"several namespaces have it: {', '.join(namespaces)}" if namespaces else "no namespace has it"
             remedy = f"give a mapping file; the bag has {', '.join(sorted(recorded))}"
             raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {reason}; {remedy}")
-        named: dict[str, Topic | None] = {}
+        resolved: dict[str, Topic | None] = {}
         for role in ("command", "odometry", "imu"):
             topic: Topic | None = getattr(self, role)
             if topic is not None and not topic.topic.startswith("/"):
-                name = f"{spaces[0]}/{topic.topic}"
-                # The gyro is optional in a bag.
-                absent = role == "imu" and name not in recorded
-                named[role] = None if absent else topic.model_copy(update={"topic": name})
-        return self.model_copy(update=named)
+                name = f"{namespaces[0]}/{topic.topic}"
+                # The gyro is optional in a bag; command and odometry are required, and their absence is reported later.
+                is_missing = role == "imu" and name not in recorded
+                resolved[role] = None if is_missing else topic.model_copy(update={"topic": name})
+        return self.model_copy(update=resolved)
 
 
 class MappedWheels(StrictModel):
@@ -403,14 +410,15 @@ class LogMapping(StrictModel):
     times: tuple[tuple[float, float], ...] = Field(
         (), description="start and end of each part to use, on the log's clock [s]; empty for the whole log"
     )
-    gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
+    gap: Positive | None = Field(None, description="maximum time between two commands or rows of one stretch [s]")
 
-    def unused(self) -> list[str]:
+    def unused_entries(self) -> list[str]:
         """List entries of the mapping that have no effect, one sentence each."""
         groups = (self.columns.command, self.columns.encoders) if self.columns else ()
         columns = [part for group in groups if group is not None for _, part in group if isinstance(part, WheelColumn)]
         motors = self.topics is not None and self.topics.motors is not None
         lines = []
+        # Bags with motor topics use the radius to compute wheel speeds from the odometry.
         if self.wheels is not None and self.wheels.radius is not None and not (columns or motors):
             lines.append("wheels.radius is not used: no column in the mapping is the speed of a wheel")
         if (
@@ -421,9 +429,9 @@ class LogMapping(StrictModel):
             lines.append("wheels.ticks_per_turn is not used: no column has the unit ticks or ticks/s")
         for role, topic in self.topics or ():
             if isinstance(topic, Topic) and topic.on_change and role != "command":
-                lines.append(f"topics.{role}.on_change is not used: only commands can have it")
+                lines.append(f"topics.{role}.on_change is not used: it applies to commands only")
         if self.topics is not None and self.topics.command.sign != 1:
-            lines.append("topics.command.sign is not used: only yaw rates, headings and currents can have a sign")
+            lines.append("topics.command.sign is not used: only yaw rates, headings and currents have a sign")
         return lines
 
     def sources(self) -> dict[str, str]:
@@ -450,7 +458,7 @@ def load_mapping(name: str | Path) -> LogMapping:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such mapping or it has a mistake.
+        If there is no such mapping or it is invalid.
     """
     path = named_file("mapping", MAPPINGS, name)
     mapping = load_checked(LogMapping, path)

@@ -1,4 +1,4 @@
-"""Application of proposed changes to a mapping, and export of a mapping as YAML."""
+"""Application of proposed changes to a mapping, and formatting of a mapping as YAML."""
 
 from __future__ import annotations
 
@@ -11,47 +11,46 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.logs.bags import is_bag
-from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
-from diffdrive_mpc.models.logs.drive_log.reader import OWN_FORMAT as DRIVE_FORMAT
-from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
+from diffdrive_mpc.models.logs.csv_log import SIMULATION_MAPPING
+from diffdrive_mpc.models.logs.drive_log.reader import DRIVE_MAPPING, is_drive_log
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
 from diffdrive_mpc.models.logs.record import MappingChange
 
 _TOPICS = {"encoders": "odometry", "gyro": "imu"}
 _SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
-"""Keys of columns that share the sign of a topic."""
+"""Key of a topic that corresponds to each sign of a column."""
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
 
 
 def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
-    """Return the mapping to read a log with."""
+    """Return the mapping that `read_log` uses for a log: the given one, or the default for the type of the log."""
     if isinstance(mapping, LogMapping):
         return mapping
     if mapping is not None:
         return load_mapping(mapping)
     if is_drive_log(path):
-        return load_mapping(DRIVE_FORMAT)
+        return load_mapping(DRIVE_MAPPING)
     if not is_bag(path):
-        return load_mapping(OWN_FORMAT)
-    from diffdrive_mpc.models.logs.bag_topics import opened  # noqa: PLC0415 - only bags need it
+        return load_mapping(SIMULATION_MAPPING)
+    from diffdrive_mpc.models.logs.bag_topics import open_bag  # noqa: PLC0415 - only bags need it
 
-    with opened(path) as reader:
-        return LogMapping(topics=Topics().named({known.topic for known in reader.connections}))
+    with open_bag(path) as reader:
+        return LogMapping(topics=Topics().resolve({known.topic for known in reader.connections}))
 
 
 def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
-    """Convert changes from the keys of columns to those of topics, where all readings share one sign."""
+    """Convert changes of columns to changes of topics, in which all readings share one sign."""
     return tuple(
         replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
         for change in changes
     )
 
 
-def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
+def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Return the mapping with all changes applied.
 
-    Signs are inverted and delays added, so a finding does not need the current values. For wheels, v is inverted by the
-    signs and an exchange of the sides, and omega by the exchange alone.
+    Changes are relative: a sign is inverted and a delay is added, so a finding does not depend on the current values.
+    For columns of wheels, an exchange of the sides inverts omega; inverted signs and an exchange together invert v.
 
     Raises
     ------
@@ -64,7 +63,7 @@ def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping
     return check(LogMapping, data, "changed mapping")
 
 
-def mapping_text(mapping: LogMapping) -> str:
+def format_mapping(mapping: LogMapping) -> str:
     """Format a mapping as YAML with absolute paths."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     if definitions := data.get("topics", {}).get("definitions"):
@@ -108,7 +107,7 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
 
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
-    """Change the sign, unit or place of columns of one stream."""
+    """Change the sign or unit of columns of one stream, or exchange its columns."""
     if change.key == "sides":
         _exchange(stream, _SIDES)
         return
@@ -116,18 +115,18 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
         _exchange(stream, (("x", "y"),))
         return
     name, _, key = change.key.rpartition(".")
-    named = [name] if name in stream else []
+    names = [name] if name in stream else []
     wheels = [side for pair in _SIDES for side in pair if side in stream]
     if name in ("v", "omega"):
-        # Wheels have no v and omega: to invert v, change the signs and exchange the sides; for omega, only exchange.
-        named += wheels if name == "v" else []
+        # Columns of wheels: inverted signs and exchanged sides invert v; exchanged sides alone invert omega.
+        names += wheels if name == "v" else []
         if key == "sign":
             _exchange(stream, _SIDES)
-        elif name == "omega" and not named:
+        elif name == "omega" and not names:
             raise ConfigError("wheels have no unit of omega")
-    if not named and not (name == "omega" and wheels):
+    if not names and not (name == "omega" and wheels):
         raise ConfigError(f"the mapping has no column '{name}' to change")
-    for column_name in named:
+    for column_name in names:
         column = stream[column_name] = _expand_name(stream[column_name], "column")
         if key == "sign":
             _invert_sign(column)
@@ -136,7 +135,7 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
 
 
 def _expand_name(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - content of the mapping
-    """Expand a column or topic that is given as a plain name to a group."""
+    """Expand a plain name of a column or topic to a mapping with the key `first`."""
     return {first: value} if isinstance(value, str) else value
 
 

@@ -1,6 +1,6 @@
-"""Sequential reader of MCAP files, which does not rely on an index and unpacks one chunk at a time.
+"""Sequential reader of MCAP files that needs no index and unpacks one chunk at a time.
 
-Records: https://mcap.dev/spec.
+Format of the records: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from zlib import crc32
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import MEGABYTE, open_input
-from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, Budget, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, Budget, unpack
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 _KINDS = (_SCHEMA, _CHANNEL, _MESSAGE, _METADATA)
+# Opcode and length of a record; channel, sequence number, log time and publish time of a message.
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _MAX_NAME = 10_000
@@ -41,7 +42,7 @@ class McapMessage(NamedTuple):
 
 
 class McapMetadata(NamedTuple):
-    """Metadata record: name and texts by key."""
+    """Metadata record: name, and values by key."""
 
     name: str
     values: dict[str, str]
@@ -88,7 +89,7 @@ def mcap_content(path: Path) -> Iterator[McapContent]:
 
 
 def _text(record: memoryview, offset: int, max_length: int = _MAX_NAME) -> tuple[str, int]:
-    """Read a length-prefixed text at `offset`; return it and the offset after it."""
+    """Read a length-prefixed string at `offset`; return the string and the offset of its end."""
     (length,) = struct.unpack_from("<I", record, offset)
     end = offset + 4 + length
     if end > len(record) or length > max_length:
@@ -98,11 +99,11 @@ def _text(record: memoryview, offset: int, max_length: int = _MAX_NAME) -> tuple
 
 def _text_map(record: memoryview, offset: int) -> dict[str, str]:
     (length,) = struct.unpack_from("<I", record, offset)
-    offset, end, texts = offset + 4, offset + 4 + length, dict[str, str]()
+    offset, end, values = offset + 4, offset + 4 + length, dict[str, str]()
     while offset < end:
         key, offset = _text(record, offset)
-        texts[key], offset = _text(record, offset, MAX_UNPACKED)
-    return texts
+        values[key], offset = _text(record, offset, MAX_UNPACKED)
+    return values
 
 
 def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
@@ -118,7 +119,7 @@ def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
             if kind == 0:
                 raise ValueError("a record contains only zeros")
             if kind not in (*_KINDS, _CHUNK):
-                # In pieces, because a forged length must not allocate memory.
+                # Skip in blocks, because a forged length must not allocate memory.
                 while length > 0:
                     length -= len(_read_exactly(file, min(length, MEGABYTE)))
                 continue
@@ -153,7 +154,7 @@ def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
     data = record[40 + name :]
     if len(data) != packed:
         raise ValueError(f"a chunk declares {packed:,} bytes and has {len(data):,}")
-    content = unpacked(path, data, compression, size)
+    content = unpack(path, data, compression, size)
     # Records that are not compressed cannot exceed the size of the file.
     budget.take(len(content) if compression else 0)
     if checksum and crc32(content) != checksum:

@@ -1,4 +1,4 @@
-"""Twist of a robot from poses by differences over arcs."""
+"""Twist of a robot from differences of poses along circular arcs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _MIN_SPAN = 0.3
 def with_twist_of_poses(records: Sequence[Record]) -> tuple[Record, ...]:
     """Return records with `twist` computed from the poses; records with fewer than two poses are unchanged.
 
-    Between two poses the robot is assumed to drive an arc, so chord and change of heading give mean v and omega. Each
-    mean is assigned to the sample halfway between the poses, which adds no delay. Only these samples are fresh.
+    The robot is assumed to drive a circular arc between two poses, so the chord and the change of heading give the mean
+    v and omega. Each mean is assigned to the sample halfway between the poses, which adds no delay. Only these samples
+    are marked as fresh.
     """
     return tuple(_with_twist(record) for record in records)
 
@@ -29,7 +30,7 @@ def _with_twist(record: Record) -> Record:
         return record
     rows = np.flatnonzero(fresh)
     steps = np.diff(rows)
-    # A sample halfway between two poses exists only if their distance is even.
+    # A sample halfway between two poses exists only if they are an even number of samples apart.
     min_span = max(2, int(np.ceil(_MIN_SPAN / record.dt - 1e-9)))
     max_span = 2 * max(min_span, 2 * int(np.median(steps)))
     twist, is_fresh = np.full((len(pose), 2), np.nan), np.zeros(len(pose), dtype=bool)
@@ -56,7 +57,7 @@ def _mean_twist(before: FloatArray, after: FloatArray, duration: float) -> tuple
     """Return the mean v [m/s] and omega [rad/s] of the arc between two poses (x, y, theta)."""
     dx, dy, turn = after - before
     middle = before[2] + 0.5 * turn
-    # The chord of an arc lies along the mean heading; the component across is slip or noise.
+    # The chord of an arc is parallel to the mean heading; the lateral component is slip or noise.
     chord = np.cos(middle) * dx + np.sin(middle) * dy
     # The chord of an arc is its length times sin(turn / 2) / (turn / 2).
     return chord / np.sinc(0.5 * turn / np.pi) / duration, turn / duration

@@ -1,4 +1,4 @@
-"""Reading of a log from a file: stretches, even sampling and checks."""
+"""Reading of a log from a file: splitting into stretches, resampling and checks."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.headings import with_headings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import to_topic_keys
-from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
+from diffdrive_mpc.models.logs.record import Finding, Log, Record, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
-from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
+from diffdrive_mpc.models.logs.sampling import RawLog, resample, split_at_pauses, usual_step
 
 
 def read_log(
@@ -46,15 +46,15 @@ def read_log(
         Name of a shipped mapping, path of a mapping file, or its content. None for a log of
         `diffdrive-mpc simulate --log`, a recording of the node, and a bag with /cmd_vel and /odom or /imu.
     sample_time
-        Sample time of the records [s]; None for that of the log.
+        Sample time of the records [s]; None for the sample time of the log.
     diagnosed
-        Whether to compare commands and sensors with each other, which takes most of the time.
+        True to compare commands and sensors with each other, which takes most of the time.
 
     Returns
     -------
     Log
-        The usable stretches and all findings. Data are never repaired: omitted data and ends of stretches are reported
-        in findings.
+        The usable stretches and all findings. Data are never repaired; findings report omitted data and the ends of
+        stretches.
 
     Raises
     ------
@@ -70,19 +70,21 @@ def read_log(
         raise ConfigError(f"{path}: there is no such file or folder")
     loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     settings = check_settings()
-    raw = without_spikes(_raw(path, loaded), settings)
+    raw = without_spikes(_read_raw(path, loaded), settings)
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
-    # Sampling with a wrong unit of time would be pointless, so this error ends the reading.
+    # With a wrong unit of time, all later checks would report consequences of it, so this error ends the reading.
     if finding := check_period(raw.name, period, settings):
-        refuse([finding])
-    longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
-    records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
+        raise_on_error([finding])
+    max_step = (loaded.gap if loaded else None) or settings.max_step(period)
+    records, findings = _build_records(raw, dt, max_step, loaded.times if loaded else (), settings)
     source = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
-    unused = [Finding("unused value", "note", source, message) for message in (loaded.unused() if loaded else ())]
-    findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
+    unused_notes = [
+        Finding("unused value", "note", source, message) for message in (loaded.unused_entries() if loaded else ())
+    ]
+    findings = [*unused_notes, *raw.findings, *check_timing(raw, period, settings), *findings]
     # Stuck readings are removed before headings and streams are computed from them.
     records, stuck = check_sensors(records, settings)
     poses = [part.measured["pose"] for part in raw.stretches if "pose" in part.measured]
@@ -92,56 +94,57 @@ def read_log(
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
-        hidden = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
-        faults = [*hidden, *diagnose(raw.name, streams, settings)]
+        # Resampling hides short zeros and dead zones, so these two checks use the raw log.
+        raw_faults = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
+        faults = [*raw_faults, *diagnose(raw.name, streams, settings)]
         findings += [replace(fault, changes=to_topic_keys(fault.changes)) for fault in faults] if raw.topics else faults
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 
-def _raw(path: Path, mapping: LogMapping | None) -> RawLog:
+def _read_raw(path: Path, mapping: LogMapping | None) -> RawLog:
     """Read a log with the reader for its type."""
     if (mapping is None or mapping.columns is not None) and is_drive_log(path):
         return read_drive(path, mapping)
     return (read_bag if is_bag(path) else read_csv)(path, mapping)
 
 
-def _records(
+def _build_records(
     raw: RawLog,
     dt: float,
-    longest_step: float,
+    max_step: float,
     times: Sequence[tuple[float, float]],
     settings: CheckSettings,
 ) -> tuple[list[Record], list[Finding]]:
-    """Build records of stretches of sufficient length, with findings about gaps and shorter stretches."""
+    """Build the records of all sufficiently long stretches, with findings about gaps and shorter stretches."""
     records: list[Record] = []
     findings: list[Finding] = []
-    max_count, end, remaining = 0, np.inf, settings.most_samples
+    max_count, end, remaining = 0, np.inf, settings.max_samples
     for stretch in raw.stretches:
-        for first, last in pieces(stretch, longest_step, times):
-            if not times and first - end > longest_step:
+        for first, last in split_at_pauses(stretch, max_step, times):
+            if not times and first - end > max_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
-            remaining -= int(min((last - first) / dt + 1, 2 * settings.most_samples))
+            remaining -= int(min((last - first) / dt + 1, 2 * settings.max_samples))
             if remaining < 0:
                 raise ConfigError(
-                    f"{raw.name}, {first:.1f} to {last:.1f} s: sampled every {dt:.3g} s, the log is more than "
-                    f"{settings.most_samples:,} samples; give a shorter 'gap' in the mapping "
-                    f"(now {longest_step:.3g} s), other 'times', or a longer sample time"
+                    f"{raw.name}, {first:.1f} to {last:.1f} s: sampled every {dt:.3g} s, the log has more than "
+                    f"{settings.max_samples:,} samples; give a shorter 'gap' in the mapping "
+                    f"(now {max_step:.3g} s), other 'times', or a longer sample time"
                 )
             record = resample(raw.name, stretch, first, last, dt, settings)
             count = 0 if record is None else len(record.command)
             max_count = max(max_count, count)
-            if record is not None and count >= settings.fewest_samples:
+            if record is not None and count >= settings.min_samples:
                 records.append(record)
             else:
-                words = f"{count} samples, fewer than {settings.fewest_samples}; the stretch is left out"
+                message = f"{count} samples, fewer than {settings.min_samples}; the stretch is left out"
                 place = f"{raw.name}, {first:.1f} to {last:.1f} s"
-                findings.append(Finding("short stretch", "note", place, words, (first, last)))
+                findings.append(Finding("short stretch", "note", place, message, (first, last)))
     if not records:
-        bursts = [finding.words for finding in raw.findings if finding.kind == "silent commands"]
-        silent = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
+        bursts = [finding.message for finding in raw.findings if finding.kind == "silent commands"]
+        hint = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
         raise ConfigError(
-            f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
-            f"record for longer, or give a longer 'gap' in the mapping (now {longest_step:.3g} s){silent}"
+            f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.min_samples} are needed; "
+            f"record for longer, or give a longer 'gap' in the mapping (now {max_step:.3g} s){hint}"
         )
     return records, findings

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import VERDICTS, DoubtRelevance
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.table import escape
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.diagnosis.streams import Streams
@@ -22,6 +22,7 @@ BoolArray = NDArray[np.bool_]
 Severity = Literal["note", "warning", "error"]
 
 _WIDTHS = {"command": 2, "twist": 2, "wheels": 2, "wheel_speeds": 4, "wheel_commands": 2, "pose": 3}
+"""Number of columns of each signal; signals without an entry are one-dimensional."""
 _MASKS = {
     "twist": "fresh_twist",
     "wheels": "fresh_twist",
@@ -29,14 +30,15 @@ _MASKS = {
     "yaw_rate": "fresh_yaw_rate",
     "pose": "fresh_pose",
 }
+"""Mask of each measured signal; signals of one sensor share a mask."""
 
 
 @dataclass(frozen=True)
 class Record:
     """One contiguous, evenly sampled stretch of a log with K samples. Sample k is at time `start + k dt`.
 
-    Measured signals are interpolated between readings, and NaN if the log has no reading nearby. The `fresh` masks mark
-    the samples that are separate readings. If a mask is None, every finite sample is marked.
+    Measured signals are interpolated between readings, and NaN far from readings. The `fresh` masks are
+    True for samples at a reading and False for interpolated samples. A missing mask is True for every finite sample.
 
     Attributes
     ----------
@@ -47,13 +49,13 @@ class Record:
     dt
         Sample time [s].
     command
-        (K, 2) commanded v [m/s], omega [rad/s], which apply from sample k on.
+        (K, 2) commanded v [m/s], omega [rad/s]; row k is held from sample k to sample k + 1.
     twist
-        (K, 2) v [m/s], omega [rad/s] from the encoders; None without encoders.
+        (K, 2) v [m/s], omega [rad/s] from the encoders; None if not logged.
     yaw_rate
-        (K,) yaw rate of the gyro [rad/s]; None without a gyro.
+        (K,) yaw rate of the gyro [rad/s]; None if not logged.
     pose
-        (K, 3) x [m], y [m], theta [rad, unwrapped] in one fixed frame; None without poses.
+        (K, 3) x [m], y [m], theta [rad, unwrapped] in one fixed frame; None if not logged.
     wheels
         (K, 2) measured wheel speeds left, right [rad/s], averaged per side for four wheels; None if not logged.
     wheel_speeds
@@ -61,13 +63,13 @@ class Record:
     wheel_commands
         (K, 2) commanded wheel speeds left, right [rad/s]; None if the log commands (v, omega).
     battery
-        (K, 2) voltage [V], current [A] of the battery, NaN without a nearby reading; None if not logged.
+        (K, 2) voltage [V], current [A] of the battery; NaN far from readings, None if not logged.
     motor_current
-        (K, 2) total motor current left, right [A], NaN without a nearby reading; None if not logged.
+        (K, 2) total motor current left, right [A]; NaN far from readings, None if not logged.
     motor_currents
         (K, 4) motor currents front left, front right, rear left, rear right [A]; None unless all four are logged.
     fresh_twist, fresh_yaw_rate, fresh_pose
-        (K,) True for samples with a reading of the encoders (twist and wheels), the gyro or the pose.
+        (K,) True for samples with a new reading of the encoders (twist and wheels), the gyro or the pose.
     twist_span
         Number of samples over which each reading of `twist` is a mean, half before and half after its sample; 0 for
         readings of one instant.
@@ -114,12 +116,12 @@ class Record:
                 raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {shape}")
             finite = np.isfinite(value).reshape(count, -1).all(axis=1)
             if name not in _MASKS:
-                checked = np.ones(count, dtype=bool)
+                required = np.ones(count, dtype=bool)
             else:
                 if getattr(self, _MASKS[name]) is None:
                     object.__setattr__(self, _MASKS[name], finite)
-                checked = getattr(self, _MASKS[name])
-            if not finite[checked].all():
+                required = getattr(self, _MASKS[name])
+            if not finite[required].all():
                 raise ValueError(
                     f"record '{self.name}': {name} holds a value that is not finite; split the record there"
                 )
@@ -138,14 +140,17 @@ class Record:
         """Return the mask (K,) of samples with new readings of a signal; None if it has no mask or is not logged."""
         return getattr(self, _MASKS[name]) if name in _MASKS and getattr(self, name) is not None else None
 
-    def pose_windows(self, steps: int, known: BoolArray) -> list[int]:
-        """Return first samples of disjoint windows of `steps` steps inside `known` with fresh poses at both ends."""
+    def pose_windows(self, steps: int, usable: BoolArray) -> list[int]:
+        """Return the first samples of disjoint windows of `steps` steps with fresh poses at both ends.
+
+        All samples of a window except the last are True in `usable` (K,).
+        """
         starts, k = [], 0
         while self.fresh_pose is not None and k + steps < len(self.fresh_pose):
-            usable = self.fresh_pose[k] and self.fresh_pose[k + steps] and known[k : k + steps].all()
-            if usable:
+            is_window = self.fresh_pose[k] and self.fresh_pose[k + steps] and usable[k : k + steps].all()
+            if is_window:
                 starts.append(k)
-            k += steps if usable else 1
+            k += steps if is_window else 1
         return starts
 
     def part(self, first: int, stop: int) -> Record:
@@ -155,12 +160,12 @@ class Record:
             raise ValueError(f"record '{self.name}': samples {first} to {stop} are outside its {count} samples")
         start = self.start + first * self.dt
         end = self.start + (stop - 1) * self.dt
-        cut: dict[str, Any] = {
+        arrays: dict[str, Any] = {
             entry.name: value[first:stop]
             for entry in fields(self)
             if isinstance(value := getattr(self, entry.name), np.ndarray)
         }
-        return replace(self, name=f"{self.name} (part {start:.1f} to {end:.1f} s)", start=start, **cut)
+        return replace(self, name=f"{self.name} (part {start:.1f} to {end:.1f} s)", start=start, **arrays)
 
 
 Topics = Mapping[str, tuple[str, str]]
@@ -177,8 +182,8 @@ class MappingChange:
         "command", "encoders", "gyro", "pose"; "time" for the clock of the log; "log" for the whole log.
     key
         Dotted key in the mapping of the stream: "delay", "held", "on_change", "yaw_rate.sign", "left.unit",
-        "heading_offset". "sides" and "axes" are exchanged; "times" belongs to "log". "v" and "omega" are also valid if
-        wheels are mapped.
+        "heading_offset"; "sides" and "axes" for an exchange of columns; "times" for the stream "log". Keys of "v" and
+        "omega" are also valid if wheels are mapped.
     value
         New value. For "delay" and "heading_offset" the increment [s, rad]; for "sign" -1, which inverts the sign; for
         "times" start and end [s], as "0.0 to 61.5".
@@ -206,30 +211,30 @@ class Finding:
         "note": information only; "warning": the model may be less accurate; "error": the model would be wrong.
     place
         Place in the log as text: times, and rows or messages.
-    words
-        One sentence with the finding and, unless `changes` hold it, the remedy.
+    message
+        One sentence with the finding, and with the remedy unless `changes` contains it.
     span
         Start and end [s] on the log's clock; None if the finding has no time.
     changes
-        Changes of the mapping that together may correct the finding; empty if no mapping can.
+        Changes of the mapping that together may correct the fault; empty if the mapping cannot correct it.
     """
 
     kind: str
     severity: Severity
     place: str
-    words: str
+    message: str
     span: tuple[float, float] | None = None
     changes: tuple[MappingChange, ...] = ()
 
     @property
     def verdict(self) -> DoubtRelevance | None:
-        """Relevance for driving; None for a note."""
+        """Relevance of the finding for driving; None for a note."""
         return None if self.severity == "note" else VERDICTS[self.kind]
 
     def __str__(self) -> str:
         """Format the finding as one line."""
         remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
-        return escaped(f"{self.place}: {self.words}{remedy}")
+        return escape(f"{self.place}: {self.message}{remedy}")
 
 
 @dataclass(frozen=True)
@@ -241,7 +246,7 @@ class Log:
     name
         Name of the file or bag.
     records
-        Usable stretches in the order of the log, all with the same sample time.
+        Usable stretches in chronological order, all with the same sample time.
     findings
         Errors, warnings and notes in order of detection.
     streams
@@ -266,11 +271,11 @@ class Log:
 
     def require_sound(self) -> None:
         """Raise UnsoundLogError with the first error, if there is any."""
-        refuse(self.findings)
+        raise_on_error(self.findings)
 
 
 class UnsoundLogError(ConfigError):
-    """Raised if a model from a log would be wrong.
+    """Raised if a model that is identified from the log would be wrong.
 
     Attributes
     ----------
@@ -280,44 +285,47 @@ class UnsoundLogError(ConfigError):
 
     def __init__(self, findings: Sequence[Finding]) -> None:
         errors = [finding for finding in findings if finding.severity == "error"]
-        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        super().__init__(f"{errors[0]}{more}")
+        suffix = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        super().__init__(f"{errors[0]}{suffix}")
         self.findings = tuple(findings)
 
 
-def refuse(findings: Sequence[Finding]) -> None:
+def raise_on_error(findings: Sequence[Finding]) -> None:
     """Raise UnsoundLogError with the first error among findings, if there is any."""
     if any(finding.severity == "error" for finding in findings):
         raise UnsoundLogError(findings)
 
 
-def counted(findings: Sequence[Finding], max_per_kind: int = 2) -> list[str]:
-    """Format the first `max_per_kind` findings of each kind as lines, with relevance and the number of the others."""
-    lines, by_kind = [], Counter(finding.kind for finding in findings)
-    shown: Counter[str] = Counter()
+def format_findings(findings: Sequence[Finding], max_per_kind: int = 2) -> list[str]:
+    """Format the first `max_per_kind` findings of each kind as lines with their relevance.
+
+    The last line of a kind ends with the number of omitted findings.
+    """
+    lines, totals = [], Counter(finding.kind for finding in findings)
+    counts: Counter[str] = Counter()
     for finding in findings:
-        shown[finding.kind] += 1
-        if shown[finding.kind] <= max_per_kind:
-            rest = by_kind[finding.kind] - max_per_kind if shown[finding.kind] == max_per_kind else 0
-            more = f" (and {rest} more like it)" if rest > 0 else ""
-            lines.append(f"{finding}{more}" + (f" ({finding.verdict})" if finding.verdict else ""))
+        counts[finding.kind] += 1
+        if counts[finding.kind] <= max_per_kind:
+            omitted = totals[finding.kind] - max_per_kind if counts[finding.kind] == max_per_kind else 0
+            suffix = f" (and {omitted} more like it)" if omitted > 0 else ""
+            lines.append(f"{finding}{suffix}" + (f" ({finding.verdict})" if finding.verdict else ""))
     return lines
 
 
-def labelled(findings: Sequence[Finding]) -> list[str]:
-    """Format findings as `counted` does, each after its severity, errors last."""
-    grouped = {name: [finding for finding in findings if finding.severity == name] for name in get_args(Severity)}
-    return [f"{severity}: {line}" for severity, group in grouped.items() for line in counted(group)]
+def format_labelled_findings(findings: Sequence[Finding]) -> list[str]:
+    """Format findings as lines that start with the severity; errors come last."""
+    groups = {name: [finding for finding in findings if finding.severity == name] for name in get_args(Severity)}
+    return [f"{severity}: {line}" for severity, group in groups.items() for line in format_findings(group)]
 
 
-def ranges(numbers: Iterable[int], max_runs: int = 5) -> str:
-    """Format ascending numbers as ranges: "3, 7 to 9 and 4 more places"."""
+def format_ranges(numbers: Iterable[int], max_runs: int = 5) -> str:
+    """Format ascending numbers as ranges: "3, 7 to 9 and 4 more places" if there are more than `max_runs` ranges."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:
             runs[-1][1] = number
         else:
             runs.append([number, number])
-    shown = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:max_runs]]
-    more = f" and {len(runs) - max_runs} more places" if len(runs) > max_runs else ""
-    return ", ".join(shown) + more
+    texts = [f"{first}" if first == last else f"{first} to {last}" for first, last in runs[:max_runs]]
+    suffix = f" and {len(runs) - max_runs} more places" if len(runs) > max_runs else ""
+    return ", ".join(texts) + suffix

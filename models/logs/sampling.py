@@ -1,4 +1,4 @@
-"""Resampling of signals with separate times to evenly sampled records."""
+"""Resampling of signals with different times to evenly sampled records."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record, Topics
 
-ABSURD = 1e20
-"""Limit of plausible readings in any unit, tick counts included; the square of much larger values overflows."""
+MAX_VALUE = 1e20
+"""Maximum plausible reading in any unit, including tick counts; squares of much larger values would overflow."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """n readings of one sensor, or n commands, in SI units.
+    """Signal of n readings of one sensor, or n commands, in SI units.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Signal:
         return Signal(self.time + shift, self.value)
 
     def between(self, first: float, last: float) -> Signal:
-        """Return the readings at times from `first` to `last` [s], both included."""
+        """Return the readings from time `first` to time `last` [s], inclusive."""
         inside = (self.time >= first) & (self.time <= last)
         return Signal(self.time[inside], self.value[inside])
 
@@ -48,7 +48,7 @@ class RawStretch:
     Attributes
     ----------
     clock
-        (n,) times at which the log was recorded [s]: its rows or its commands.
+        (n,) times of the rows or commands of the log [s].
     command
         v [m/s], omega [rad/s]; each command holds until the next.
     measured
@@ -63,7 +63,7 @@ class RawStretch:
     wheel_commands: Signal | None = None
 
     def between(self, first: float, last: float) -> RawStretch:
-        """Return the part from `first` to `last` [s], both included."""
+        """Return the part from time `first` to time `last` [s], inclusive."""
         return RawStretch(
             self.clock[(self.clock >= first) & (self.clock <= last)],
             self.command.between(first, last),
@@ -97,22 +97,22 @@ class RawLog:
     topics: Topics = field(default_factory=dict)
 
 
-def unwrapped(pose: FloatArray) -> FloatArray:
+def unwrap(pose: FloatArray) -> FloatArray:
     """Unwrap the third column [rad] of poses (n, 3), or (n, 2) without headings."""
     return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2:], axis=0)])
 
 
-def increasing(time: FloatArray) -> BoolArray:
+def is_increasing(time: FloatArray) -> BoolArray:
     """Mark times (n,) that are later than all times before them."""
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
     return np.asarray(time > before)
 
 
 def usual_step(times: list[FloatArray]) -> float:
-    """Compute the typical step of arrays of times [s]; NaN without two consecutive times.
+    """Compute the usual step of arrays of times [s]; NaN if no array has two times.
 
-    The result is the median, or the mean if rounded or uneven stamps make both differ. Up to two missing rows count as
-    further steps; longer gaps are ignored.
+    The result is the median, or the mean if rounded or irregular stamps make them differ. A gap of up to two missing
+    rows counts as several steps; longer gaps are ignored.
     """
     steps = np.concatenate([np.diff(time) for time in times]) if times else np.empty(0)
     if not len(steps):
@@ -121,7 +121,7 @@ def usual_step(times: list[FloatArray]) -> float:
     rows = np.rint(steps / median)
     near = rows <= 3
     mean = float(steps[near].sum() / rows[near].sum())
-    # Six digits suffice for a sample time; further digits are rounding of the stamps.
+    # Six digits suffice for a sample time; further digits are rounding errors of the stamps.
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
@@ -131,7 +131,7 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     If a value changes within a sample, the result is the time average over the sample. A value within `tolerance` [s]
     of a grid point is assigned to that point. The first value must not be later than the first grid point.
     """
-    # Only changes count, so that repeated values do not alter a bit of the result.
+    # Use changes only, so that the result is bit-identical for logs with and without repeated values.
     changes = np.concatenate([[True], (np.diff(signal.value, axis=0) != 0).any(axis=1)])
     value, place = signal.value[changes], (signal.time[changes] - grid[0]) / dt
     place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
@@ -140,9 +140,9 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
         np.searchsorted(place, starts, side="right") - 1,
         np.searchsorted(place, starts + 1.0, side="left") - 1,
     )
-    # Integral of the held value up to each change; differences of it are the means of the samples.
-    passed = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
-    held = passed[last] - passed[first] + (starts + 1.0 - place[last])[:, None] * value[last]
+    # Integral of the held value up to each change; its differences are the means over the samples.
+    integral = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
+    held = integral[last] - integral[first] + (starts + 1.0 - place[last])[:, None] * value[last]
     held -= (starts - place[first])[:, None] * value[first]
     return np.asarray(np.where((first == last)[:, None], value[first], held))
 
@@ -153,12 +153,12 @@ def sample(
     """Sample readings at the times `grid` (K,) [s] with step `dt` [s].
 
     A reading within `tolerance` [s] of a grid point is used unchanged. Other values are interpolated between two
-    readings at most `max_gap` [s] apart; without such readings they are NaN.
+    readings that are at most `max_gap` [s] apart; they are NaN if there are no such readings.
 
     Returns
     -------
     tuple
-        Values (K, width), and (K,) True for samples that are the nearest to a reading.
+        Values (K, width), and (K,) True for the sample nearest to each reading.
     """
     width = signal.value.shape[1]
     values = np.full((len(grid), width), np.nan)
@@ -180,15 +180,15 @@ def sample(
     return values, fresh & np.isfinite(values).all(axis=1)
 
 
-def pieces(
-    stretch: RawStretch, longest_step: float, times: Sequence[tuple[float, float]] = ()
+def split_at_pauses(
+    stretch: RawStretch, max_step: float, times: Sequence[tuple[float, float]] = ()
 ) -> Iterator[tuple[float, float]]:
-    """Yield start and end [s] of the parts of a stretch between long pauses, within `times` [s]."""
+    """Yield start and end [s] of the parts of a stretch between long pauses, within the intervals `times` [s]."""
     for start, end in times or [(-np.inf, np.inf)]:
         clock = stretch.clock[(stretch.clock >= start) & (stretch.clock <= end)]
         if not len(clock):
             continue
-        edges = np.flatnonzero(np.diff(clock) > longest_step)
+        edges = np.flatnonzero(np.diff(clock) > max_step)
         for first, last in zip([0, *(edges + 1)], [*edges, len(clock) - 1], strict=True):
             yield float(clock[first]), float(clock[last])
 
@@ -196,7 +196,7 @@ def pieces(
 def resample(
     name: str, stretch: RawStretch, first: float, last: float, dt: float, settings: CheckSettings
 ) -> Record | None:
-    """Sample the part of `stretch` from `first` to `last` [s] with step `dt` [s]; return None if no sample is left.
+    """Sample the part of `stretch` from `first` to `last` [s] with step `dt` [s]; return None if it has no sample.
 
     The record starts with the first command in the part. Commands and readings outside the part are not used, so no
     value is held or interpolated across its ends. Readings slower or faster than `dt` are not filtered.
@@ -214,7 +214,7 @@ def resample(
     if stretch.wheel_commands is not None:
         sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, dt, tolerance)
     for key, signal in stretch.measured.items():
-        max_gap = settings.longest_step(usual_step([signal.time]))
+        max_gap = settings.max_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, max_gap)
         if key == "pose" and values.shape[1] == len("xy"):

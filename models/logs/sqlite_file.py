@@ -1,7 +1,7 @@
-"""Reader of the SQLite database of a ROS 2 bag: real tables only, row by row and without indices.
+"""Reader of the SQLite database of a ROS 2 bag: tables only, row by row and without indices.
 
-An untrusted file controls its schema and pages: a view may compute endless rows, and pages may form loops. So only
-tables are read, their row ids must increase, and the number of steps without a row is limited.
+An untrusted file controls its schema and pages: a view may compute endless rows, and pages may form loops. Therefore
+only tables are read, their row ids must increase, and the number of steps between two rows is limited.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ _LIMITS = {
 _TABLES = ("messages", "topics")
 _ALLOWED_STATEMENT = re.compile(r"CREATE (TABLE|INDEX|UNIQUE INDEX|TRIGGER) ", re.IGNORECASE)
 _STEPS = 10_000
-"""Number of steps of SQLite's virtual machine between two calls of the progress handler."""
+"""Number of instructions of SQLite's virtual machine between two calls of the progress handler."""
 _ROW = "rowid, topic_id, timestamp, typeof(topic_id), typeof(timestamp), typeof(data), length(data)"
 _TYPES = ("integer", "integer", "blob")
 
 
 class _Watchdog:
-    """Progress handler that ends a statement after too many steps without a row; it also permits Ctrl-C."""
+    """Progress handler that ends a statement after too many steps without a row; it also lets Ctrl-C interrupt it."""
 
     def __init__(self) -> None:
         self.calls = 0
         self.has_expired = False
 
     def check(self) -> bool:
-        """Return True to end the statement."""
+        """Count a call; return True to end the statement."""
         self.calls += 1
         self.has_expired = self.calls > file_limits().sqlite_steps // _STEPS
         return self.has_expired
@@ -75,9 +75,9 @@ def sqlite_messages(
     """
     watchdog = _Watchdog()
     try:
-        with _opened(path) as (base, size):
-            base.set_progress_handler(watchdog.check, _STEPS)
-            yield from _rows(path, base, Budget(path, size), watchdog, topics)
+        with _open_database(path) as (database, size):
+            database.set_progress_handler(watchdog.check, _STEPS)
+            yield from _rows(path, database, Budget(path, size), watchdog, topics)
     except sqlite3.Error as error:
         if watchdog.has_expired:
             raise ConfigError(
@@ -90,35 +90,37 @@ def sqlite_messages(
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
+def _open_database(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     """Open the database read-only; yield it and the size of its file [bytes]."""
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
         # `immutable` also ignores journals next to the file, which could change its content.
-        base = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+        database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
         try:
             for category, limit in _LIMITS.items():
-                base.setlimit(category, limit)
-            base.executescript(_SAFE_PRAGMAS)
-            yield base, size
+                database.setlimit(category, limit)
+            database.executescript(_SAFE_PRAGMAS)
+            yield database, size
         finally:
-            base.close()
+            database.close()
 
 
 def _rows(
-    path: Path, base: sqlite3.Connection, budget: Budget, watchdog: _Watchdog, topics: Collection[tuple[str, str]]
+    path: Path, database: sqlite3.Connection, budget: Budget, watchdog: _Watchdog, topics: Collection[tuple[str, str]]
 ) -> Iterator[tuple[str, str, int | None, bytes]]:
-    # Names and types in the schema may be forged; SQLite uses the statements, and views take long to prepare.
+    # Check the statements, because names and types in the schema may be forged. Preparing a view may take long.
     has_other_statements = any(
-        sql and not _ALLOWED_STATEMENT.match(str(sql)) for (sql,) in base.execute("SELECT sql FROM sqlite_master")
+        sql and not _ALLOWED_STATEMENT.match(str(sql)) for (sql,) in database.execute("SELECT sql FROM sqlite_master")
     )
     # Generated columns take no space in the file but unlimited memory.
-    if has_other_statements or any(row[6] for table in _TABLES for row in base.execute(f"PRAGMA table_xinfo({table})")):
+    if has_other_statements or any(
+        row[6] for table in _TABLES for row in database.execute(f"PRAGMA table_xinfo({table})")
+    ):
         raise ConfigError(
-            f"{path}: it contains views or generated columns, not just the tables of a bag; export it again"
+            f"{path}: it contains views or generated columns, not only the tables of a bag; export it again"
         )
     known: dict[int, tuple[str, str]] = {}
-    for number, row in _ordered_rows(base, "rowid, id, name, type, serialization_format FROM topics", watchdog):
+    for number, row in _ordered_rows(database, "rowid, id, name, type, serialization_format FROM topics", watchdog):
         if number >= file_limits().bag_topics:
             raise ConfigError(f"{path}: more than {file_limits().bag_topics:,} topics; is it a bag?")
         budget.take(sum(len(text) for text in row[1:] if isinstance(text, (str, bytes))))
@@ -129,7 +131,7 @@ def _rows(
     numbers = ",".join(str(number) for number, topic in known.items() if topic in topics)
     invalid_count = 0
     for _, row in _ordered_rows(
-        base, f"{_ROW}, CASE WHEN topic_id IN ({numbers}) THEN data END FROM messages", watchdog
+        database, f"{_ROW}, CASE WHEN topic_id IN ({numbers}) THEN data END FROM messages", watchdog
     ):
         topic, time, *kinds, length, data = row
         budget.take(length if isinstance(length, int) else 0)
@@ -144,11 +146,13 @@ def _rows(
         )
 
 
-def _ordered_rows(base: sqlite3.Connection, columns: str, watchdog: _Watchdog) -> Iterator[tuple[int, tuple[Any, ...]]]:
+def _ordered_rows(
+    database: sqlite3.Connection, columns: str, watchdog: _Watchdog
+) -> Iterator[tuple[int, tuple[Any, ...]]]:
     """Yield the index of each row from 0 and the columns after `rowid`; raise ValueError if row ids do not increase."""
-    before = None
-    for number, (rowid, *row) in enumerate(base.execute(f"SELECT {columns} NOT INDEXED")):
-        if not isinstance(rowid, int) or (before is not None and rowid <= before):
+    last_id = None
+    for number, (rowid, *row) in enumerate(database.execute(f"SELECT {columns} NOT INDEXED")):
+        if not isinstance(rowid, int) or (last_id is not None and rowid <= last_id):
             raise ValueError("its rows are out of order")
-        before, watchdog.calls = rowid, 0
+        last_id, watchdog.calls = rowid, 0
         yield number, tuple(row)

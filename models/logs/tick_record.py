@@ -18,7 +18,7 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
 FORMAT = 1
-"""Version of the format of both types of lines."""
+"""Version of the format of the lines of ticks and drives."""
 _SENSORS = ("pose", "wheel_twist", "yaw_rate")
 
 
@@ -41,7 +41,7 @@ class TickRecord:
     measurement
         Input of the controller.
     hold
-        Reason of a hold, and whether it is a failure; None without a hold.
+        Reason of a hold, and True if it is a failure; None if there is no hold.
     command
         (2,) command v [m/s], omega [rad/s].
     mode, message, solver_path
@@ -49,7 +49,7 @@ class TickRecord:
     step_time
         Duration of the step [s].
     stopped_after
-        Number of iterations after which the time limit ended the solve; None if it did not.
+        Number of iterations after which the time limit ended the solve; None if the solve completed.
     """
 
     number: int
@@ -94,7 +94,9 @@ class TickRecord:
                 int(data["number"]),
                 float(data["time"]),
                 int(data["drive"]),
-                Measurement(_stamped(data["pose"]), _stamped(data["wheel_twist"]), _stamped(data["yaw_rate"])),
+                Measurement(
+                    _parse_stamped(data["pose"]), _parse_stamped(data["wheel_twist"]), _parse_stamped(data["yaw_rate"])
+                ),
                 None if hold is None else (str(hold[0]), bool(hold[1])),
                 np.array(data["command"], dtype=float).reshape(2),
                 str(data["mode"]),
@@ -109,7 +111,7 @@ class TickRecord:
 
 @dataclass(frozen=True)
 class DriveRecord:
-    """Common data of the ticks of a drive, written at the start and at changes of the configuration.
+    """Data that the ticks of a drive share, written at the start and at changes of the configuration.
 
     Attributes
     ----------
@@ -128,7 +130,7 @@ class DriveRecord:
     model
         Text of the model file; empty for a shipped model.
     goes_on
-        True if a start replaced the reference during the drive and the state was kept.
+        True if the start replaced the reference during a drive and kept the state of the controller.
     """
 
     number: int
@@ -150,7 +152,7 @@ class DriveRecord:
         data = _parse(line)
         try:
             names = ("number", "starts", "reset", "t0", "reference", "config", "model")
-            # The first records of this format have no `goes_on`.
+            # The earliest records of this format have no `goes_on`.
             return cls(**{name: data[name] for name in names}, goes_on=bool(data.get("goes_on", False)))
         except (KeyError, TypeError) as error:
             raise TickRecordError(f"not a record of a drive ({error})") from error
@@ -174,7 +176,7 @@ def _stamped_fields(stamped: Stamped | None) -> dict[str, Any] | None:
     return {"time": stamped.time, "value": np.asarray(stamped.value, dtype=float).tolist(), "covariance": covariance}
 
 
-def _stamped(data: Mapping[str, Any] | None) -> Stamped | None:
+def _parse_stamped(data: Mapping[str, Any] | None) -> Stamped | None:
     if data is None:
         return None
     value, covariance = np.asarray(data["value"], dtype=float), data["covariance"]

@@ -1,4 +1,6 @@
-"""Doubts about an estimate: parameters and delays that the data do not determine."""
+"""Doubts about an estimate: parameters and delays that the data do not determine well."""
+
+# Standard deviations between two poles below which they cannot be distinguished.
 
 from __future__ import annotations
 
@@ -24,11 +26,21 @@ _KINDS = {
     "effective_track": "track",
     "dead_time": "dead time",
 }
-"""Kind of doubt for each group of parameters."""
+"""Kind of doubt by the last part of the parameter's name."""
 
 
 def response_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[int]) -> ParameterEstimate:
-    """Estimate the delay (p,) of each output after its input in `inputs` [s]: dead time plus lag, with `names`."""
+    """Estimate the delay (dead time plus lag) of each output after its input [s].
+
+    Parameters
+    ----------
+    fit
+        The fit.
+    names
+        (p,) names of the delays.
+    inputs
+        (p,) index of the input of each output.
+    """
 
     def delays(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
@@ -38,14 +50,14 @@ def response_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[
 
 
 def uncertain_delays(delays: ParameterEstimate) -> list[Doubt]:
-    """Return a doubt for each of `delays` with a large standard deviation; names are those of channels or motors."""
-    limits, found_doubts = estimator_settings().warn, []
+    """Return a doubt for each delay with a large standard deviation; `delays` are named by channels or motors."""
+    limits, uncertain = estimator_settings().warn, []
     for name, value, deviation in delays.rows:
-        if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
+        if not deviation <= max(limits.delay_deviation * value, limits.min_delay_deviation):
             message = f"dead time and lag, {value:.2g} s in total, are uncertain: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", message)
-            found_doubts.append(doubt.about(name) if name else doubt)
-    return found_doubts
+            uncertain.append(doubt.about(name) if name else doubt)
+    return uncertain
 
 
 def uncertain_parameters(
@@ -56,13 +68,12 @@ def uncertain_parameters(
     Parameters
     ----------
     estimate
-        Parameters that every robot has.
+        Parameters that must not be zero, so that their relative deviation is meaningful.
     kind
-        Kind of all doubts; by default it follows from the names.
+        Kind of all doubts; by default it depends on the names.
     delays
-        Total delay (dead time plus lag) of each channel or motor, named by the prefix of its parameters. The split
-        between dead time and poles may be unknown while their sum is known. Only the sum is relevant; see
-        `uncertain_delays`.
+        Total delay (dead time plus lag) of each channel or motor, named by the prefix of its parameters. It may be well
+        determined even if dead time and poles are not. Only the total is relevant; see `uncertain_delays`.
     """
     limit = estimator_settings().warn.relative_deviation
     found_doubts = []
@@ -86,11 +97,14 @@ def _kind(name: str, delays: ParameterEstimate | None) -> str:
 
 
 def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, str] | None = None) -> list[Doubt]:
-    """Return a doubt for each parameter at a bound of the search; `kinds` maps names to kinds, by default "effect"."""
+    """Return a doubt for each parameter at a bound of the search.
+
+    Kinds are looked up in `kinds` by name; the default is "dead time" for dead times and "effect" for others.
+    """
     low, high = fit.layout.bounds
     found_doubts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
-        # Zero is a possible dead time; all other bounds only limit the search.
+        # Zero is a valid dead time; all other bounds only limit the search.
         if name.startswith("dead_time") and value - lower < AT_BOUND:
             message = (
                 "the data show no dead time in addition to the lag; check that `delay` in the mapping is not too large"
@@ -98,20 +112,20 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
             found_doubts.append(Doubt("no dead time", message).about(label))
         elif min(value - lower, upper - value) < AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
-            shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
-            message = f"{shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"
+            label_text, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
+            message = f"{label_text} is at the {side} bound of the search, {bound:.3g}: the data do not determine it"
             default = "dead time" if name.startswith("dead_time") else "effect"
             found_doubts.append(Doubt((kinds or {}).get(name, default), message).about(label))
     return found_doubts
 
 
 def poorly_determined(fit: OutputErrorFit, label: str) -> list[Doubt]:
-    """Return one doubt if the data hardly determine a combination of parameters."""
+    """Return one doubt if the data do not determine a combination of parameters well."""
     condition = fit.sandwich.condition
     if condition < estimator_settings().warn.condition:
         return []
     message = f"condition number {condition:.1e}: some parameters cannot be identified separately; lower the order"
-    return [Doubt("told together", message).about(label)]
+    return [Doubt("inseparable", message).about(label)]
 
 
 def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:

@@ -1,4 +1,4 @@
-"""Data of the estimator: inputs and outputs of records, with masks of the samples that count."""
+"""Data of the estimator: inputs and outputs of records, with masks of separate readings."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 _MIN_TOTAL_READINGS = 20
-# A stretch has an unknown past with three values per channel; fewer readings hold no further information.
+# The unknown past of a stretch has three values per channel, so a few readings determine no parameter of a model.
 _MIN_READINGS = 5
-# A jump is a change between adjacent readings that exceeds this multiple of the percentile [%] of all changes.
+# A jump is a change between adjacent readings that exceeds `_JUMP_FACTOR` times the percentile [%] of all changes.
 _PERCENTILE = 99.0
 _JUMP_FACTOR = 2.0
 
@@ -32,7 +32,7 @@ class SampledExperiment:
     dt
         Sample time [s].
     inputs
-        (K, m) inputs; each row holds until the next sample.
+        (K, m) inputs; each row is held until the next sample.
     outputs
         (K, p) outputs.
     counts
@@ -43,7 +43,7 @@ class SampledExperiment:
     Raises
     ------
     ValueError
-        If shapes do not match, too few samples count, or a value that counts is not finite.
+        If shapes do not match, there are too few readings, or an input or reading is not finite.
     """
 
     name: str
@@ -54,7 +54,7 @@ class SampledExperiment:
     follows: bool = False
 
     def __post_init__(self) -> None:
-        """Check the data, and set outputs that do not count to zero."""
+        """Check the data, and set outputs that are not readings to zero."""
         if not self.inputs.shape[0] == self.outputs.shape[0] or self.outputs.shape != self.counts.shape:
             raise ValueError(f"{self.name}: inputs, outputs and their masks must have the same number of samples")
         for row in self.counts.T:
@@ -62,7 +62,7 @@ class SampledExperiment:
                 raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_MIN_READINGS}")
         if not (np.isfinite(self.inputs).all() and np.isfinite(self.outputs[self.counts]).all()):
             raise ValueError(f"{self.name}: a sample is not finite; split the record there")
-        # Zero instead of NaN: the weight of these samples is zero, and zero times NaN would spoil the sums.
+        # The weight of these samples is zero, and zero times NaN would make all sums NaN.
         object.__setattr__(self, "outputs", np.where(self.counts, self.outputs, 0.0))
 
     @property
@@ -72,7 +72,7 @@ class SampledExperiment:
 
     @property
     def readings(self) -> FloatArray:
-        """(K, p) outputs; NaN without a reading."""
+        """(K, p) outputs; NaN at missing readings."""
         return np.where(self.counts, self.outputs, np.nan)
 
     @property
@@ -81,7 +81,7 @@ class SampledExperiment:
         return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
 
     def channel(self, inputs: int, outputs: int) -> SampledExperiment:
-        """Return one input and one output of this experiment."""
+        """Return the experiment with one input and one output, given by their indices."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
         return SampledExperiment(
             self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows
@@ -105,13 +105,13 @@ def _concatenate(run: Sequence[SampledExperiment]) -> SampledExperiment:
 
 
 def split_rows(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> list[FloatArray]:
-    """Split rows (K, ...) of `joined(experiments)` into arrays with the lengths of the experiments."""
+    """Split rows (K, ...) of `join_experiments(experiments)` into arrays with the lengths of the experiments."""
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return list(np.split(np.concatenate(rows), cuts))
 
 
 YawSource = Literal["gyro", "encoders", "poses"]
-"""Source of omega: yaw rate of the gyro, encoders with the geometric track, or twist from poses alone."""
+"""Source of omega: yaw rate of the gyro, encoders with the geometric track, or a twist from poses only."""
 
 
 def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
@@ -148,7 +148,7 @@ def _mean(values: FloatArray, span: int) -> FloatArray:
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
-    """Pair commands (v_ref, omega_ref) with wheel speeds [rad/s]: four if all records have them, else two.
+    """Pair commands (v_ref, omega_ref) with wheel speeds [rad/s] of four wheels if all records have them, else of two.
 
     Raises
     ------
@@ -165,9 +165,9 @@ def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
 
 
 def _mark_consecutive(experiments: Sequence[SampledExperiment], records: Sequence[Record]) -> list[SampledExperiment]:
-    """Mark experiments that continue the previous one: adjacent in time and without a jump of readings.
+    """Mark experiments that continue the previous one, which are adjacent in time without a jump of readings.
 
-    A log may be split anywhere, and a log without times may lack rows between two segments.
+    The readings must be checked, because a log without times may lack rows between two segments.
     """
     if not experiments:
         return []

@@ -14,15 +14,15 @@ from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
 
-# The optimum without a block is close to that with it; with fixed weights few evaluations are sufficient.
+# The optimum without a block is close to the optimum with it, so few evaluations suffice if the weights are fixed.
 _FIXED_EVALUATIONS = 5
 
 Pieces = list[tuple[int, int, int]]
-"""Index of an experiment, and its samples from (inclusive) and to (exclusive)."""
+"""Pieces of data: index of the experiment, first sample, and end (exclusive)."""
 
 
 def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Pieces]]:
-    """Return for each block, in order of time, the other data and the block; parts with few readings are omitted.
+    """Return the remaining data and the held-out data of each block in order of time, without short parts.
 
     Raises
     ------
@@ -38,9 +38,9 @@ def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Piece
         block: Pieces = []
         for i, (experiment, end) in enumerate(zip(experiments, ends, strict=True)):
             count = experiment.samples
-            a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
-            for first, stop, pieces in ((0, a, rest), (a, b, block), (b, count, rest)):
-                if (experiment.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
+            start, end_of_block = np.clip([low - end + count, high - end + count], 0, count).tolist()
+            for first, stop, pieces in ((0, start, rest), (start, end_of_block, block), (end_of_block, count, rest)):
+                if (experiment.counts[first:stop].sum(axis=0) >= settings.min_readings).all():
                     pieces.append((i, first, stop))
         if not (rest and block):
             raise ValueError(f"the records are too short for {settings.blocks} held-out blocks; give a longer log")
@@ -49,7 +49,7 @@ def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Piece
 
 
 def extract(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[SampledExperiment]:
-    """Extract pieces of the data."""
+    """Extract the pieces of the data as separate experiments."""
     parts = []
     for i, first, stop in pieces:
         source, rows = experiments[i], slice(first, stop)
@@ -60,7 +60,7 @@ def extract(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[Sa
 
 
 class HeldOut(NamedTuple):
-    """Errors on held-out blocks, and parameters, of fits without each block."""
+    """Results of fits without each block: errors on the held-out block, and parameters."""
 
     powers: FloatArray
     """(blocks, p) mean square error of each output in each block."""
@@ -76,7 +76,7 @@ class HeldOut(NamedTuple):
         from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
         count = len(self.parameters)
-        # Jackknife: the sum of squared deviations times (n - 1) / n.
+        # The jackknife variance is the sum of squared deviations times (n - 1) / n.
         scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))
         return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
 
@@ -89,14 +89,14 @@ def hold_out(
     brief: bool = False,
     fixed_weights: bool = False,
 ) -> HeldOut:
-    """Fit again without each block, starting from `fit`; `robust` and `brief` are options of `fit_output_error`.
+    """Repeat `fit` without each block; `robust` and `brief` are options of `fit_output_error`.
 
-    With `fixed_weights` readings keep their weights in `fit`.
+    With `fixed_weights`, the weights of the readings are those in `fit`.
 
     Raises
     ------
     ValueError
-        If the experiments are too short, or an output never changes without some block.
+        If the experiments are too short, or an output is constant outside of a block.
     """
     powers, parameters = [], []
     start, weights = [(fit.layout, fit.parameters)], split_rows(fit.trust, experiments)

@@ -1,6 +1,6 @@
 """Search for the limits of a base in one channel: maximum commands and rates, separately for each side.
 
-A candidate first limits the commands; the layout without limits is then fitted for a few evaluations. The best
+For each candidate, the commands are limited and the layout without limits is fitted for a few evaluations. The best
 candidate is refined together with all parameters. A limit is accepted if it improves the information criterion
 (Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of held-out blocks.
 """
@@ -40,13 +40,13 @@ def find_limits(
     experiments
         The data of the fit.
     quick
-        (q,) initial guess of a fast robot as a further start of the candidates, because a ramp can appear as a lag.
+        (q,) parameters of a fast robot, a second initial guess of the candidates, because a ramp can appear as a lag.
     robust
         Option of `fit_output_error`.
     """
     settings, drives = estimator_settings().limits, _Drives(experiments)
     best = fit
-    # One limit per round, because each candidate is judged with the limits of the earlier rounds in force.
+    # One limit is added per round, because each candidate is assessed together with the limits of earlier rounds.
     while True:
         trial = _with_best_candidate(best, drives, quick, robust)
         if trial is None or _evidence(best, trial) < settings.evidence:
@@ -67,7 +67,7 @@ class _Drives(NamedTuple):
 
     @property
     def max_inputs(self) -> FloatArray:
-        """(2,) maximum absolute input above and below zero."""
+        """(2,) maximum magnitude of positive and of negative inputs."""
         inputs = np.concatenate([experiment.inputs for experiment in self.experiments])
         return np.maximum([inputs.max(), -inputs.min()], 0.0)
 
@@ -84,7 +84,7 @@ def _share(limited: Sequence[SampledExperiment], without: Sequence[SampledExperi
 
 
 def _candidates(limit: FloatArray, max_inputs: FloatArray) -> Iterator[FloatArray]:
-    """Yield limits (4,) with one additional side, or both."""
+    """Yield limits (4,) with an additional limit of one side, or of both sides."""
     settings = estimator_settings().limits
     shares, rates = np.array(settings.levels), max_inputs.max() / np.array(settings.durations)
     levels = [(kinds, shares * max_inputs[kinds].max()) for kinds in ([0], [1], [0, 1])]
@@ -100,7 +100,7 @@ def _with_best_candidate(
     """Return the fit with the best candidate; None if no candidate improves the criterion."""
     limit, min_share = limits_of(best), estimator_settings().limits.share
     unlimited, current = replace(best.layout, limited=()), drives.limited(best, limit)
-    # Limits are the last parameters; the candidates' inputs are limited already, so the search is without them.
+    # Limits are the last parameters. The search omits them, because the inputs of candidates are already limited.
     starts = [best.parameters[: len(quick)], quick]
     scored = []
     with threadpool_limits(1):
@@ -119,7 +119,7 @@ def _with_best_candidate(
 
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, added: int) -> float:
-    """Return the decrease of the information criterion from one loss to another with `added` parameters."""
+    """Return the decrease of the information criterion from loss `before` to loss `after` with `added` parameters."""
     samples = float(fit.sandwich.effective_samples.sum())
     return float(samples * np.log(before / after) - added * np.log(samples))
 
@@ -137,7 +137,7 @@ class _Removal(NamedTuple):
     fit
         Fit without these limits.
     blocks
-        Fits of the same layout without each block; None if the records are too short.
+        Fits of its layout without each block; None if the records are too short.
     is_worse
         True if the data support the limits.
     """
@@ -150,8 +150,8 @@ class _Removal(NamedTuple):
 def _remove_limits(
     fit: OutputErrorFit, blocks: HeldOut | None, kinds: Sequence[int], drives: _Drives, robust: bool
 ) -> _Removal:
-    """Remove the limits of some kinds from a fit; `blocks` are fits of its layout without each block."""
-    # `first` is the index of the first limit, after parametrisation, dead times and offsets.
+    """Remove the limits `kinds` from a fit; `blocks` are fits of its layout without each block."""
+    # `first` is the index of the first limit in the parameters, after parametrisation, dead times and offsets.
     settings, limit, first = estimator_settings().limits, limits_of(fit), sum(fit.layout.counts[:3])
     free = np.isfinite(limit) & ~np.isin(np.arange(len(KINDS)), kinds)
     start = np.concatenate([fit.parameters[:first], limit[free]])
@@ -161,18 +161,19 @@ def _remove_limits(
     evidence = _evidence(plain, fit)
     is_worse = all(_is_significant(fit, kind, drives) for kind in kinds) and evidence > settings.evidence
     if is_worse and blocks is not None and without is not None:
-        # If a limit is reached in one block only, the fit without this block cannot determine it.
+        # If a limit is reached in one block only, the fit without this block cannot determine it. Strong evidence from
+        # all data is therefore sufficient if held-out blocks do not contradict it.
         required = 0.0 if evidence > settings.strong_evidence else settings.held_out_evidence
-        fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
-        is_worse = bool(plain.sandwich.effective_samples @ fall > required)
+        decrease = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
+        is_worse = bool(plain.sandwich.effective_samples @ decrease > required)
     return _Removal(plain, without, is_worse)
 
 
 def _confirm_limits(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
-    """Return the fit with the significant limits that improve held-out blocks, with increased deviations.
+    """Return the fit with only those limits that are significant and improve held-out blocks.
 
-    Each side is tested separately. If one side is not significant, both sides are tested together. Without significant
-    limits the result is `free`.
+    Each side is tested separately. If one side is not significant, both sides are tested together. Deviations of the
+    limits are increased to the scatter between blocks. If no limit remains, the result is `free`.
     """
     fit, blocks = best, _hold_out(best, drives, robust)
     for pair in ([0, 1], [2, 3]):
@@ -188,10 +189,10 @@ def _confirm_limits(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives,
     first = sum(fit.layout.counts[:3])
     if first == len(fit.parameters):
         return free
-    # Removals are fitted briefly only.
+    # Fits of removals were brief, so complete the last one.
     if fit is not best:
         fit = fit_output_error([(fit.layout, fit.parameters)], drives.experiments, robust)
-    # Few commands exceed a limit, so its deviation is at least that between blocks.
+    # Few commands exceed a limit, so its deviation is at least the deviation between blocks.
     factors = np.ones(len(fit.parameters))
     if blocks is not None:
         factors[first:] = np.maximum(1.0, blocks.deviation[first:] / fit.estimate.standard_deviation[first:])

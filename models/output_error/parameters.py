@@ -15,9 +15,9 @@ from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
-# Relative step of central differences: the cube root of the machine precision balances truncation and rounding.
+# Relative step of central differences; the cube root of the machine precision balances truncation and rounding errors.
 _STEP = 6e-6
-# Upper bound of limits of commands and rates, above those of all robots; undetermined limits move towards it.
+# Upper bound of limits of commands and rates, above the limits of all robots; undetermined limits move towards it.
 _MAX_LIMIT = 1e3
 
 
@@ -66,12 +66,12 @@ class ParameterEstimate:
         return np.array(slopes).T
 
     def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
-        """Apply a function (q,) to (r,) to the parameters; propagate the covariance to first order."""
+        """Apply a function from (q,) to (r,) to the parameters; propagate the covariance to first order."""
         slope = self.slope(function)
         return ParameterEstimate(tuple(names), np.asarray(function(self.values)), slope @ self.covariance @ slope.T)
 
     def part(self, names: Sequence[str]) -> ParameterEstimate:
-        """Return the parameters `names`; raise KeyError if a name does not exist."""
+        """Return the estimate of the parameters `names`; raise KeyError if a name does not exist."""
         rows = [self._index(name) for name in names]
         return ParameterEstimate(tuple(names), self.values[rows], self.covariance[np.ix_(rows, rows)])
 
@@ -111,7 +111,10 @@ class Parametrisation(Protocol):
         ...
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Return A (n, n), B (n, m), C (p, n) for parameters (s,), analytic for complex-step differentiation."""
+        """Return A (n, n), B (n, m), C (p, n) for parameters (s,).
+
+        The map must be analytic for complex-step differentiation.
+        """
         ...
 
     def recentred(self, parameters: FloatArray) -> tuple[Parametrisation, FloatArray]:
@@ -130,9 +133,9 @@ class Layout:
     inputs, outputs
         Numbers m and p of inputs and outputs.
     known_dead_time
-        Fixed dead time of all inputs [s]; None to estimate it.
+        Fixed dead time of all inputs [s]; None to estimate one per input.
     offset
-        (p,) True for outputs with a constant sensor bias.
+        (p,) True for outputs with a constant sensor bias that is estimated.
     limited
         (m, 4) True for limits of inputs that are estimated, in the order of `input_limits.KINDS`.
     """
@@ -145,7 +148,7 @@ class Layout:
     limited: tuple[tuple[bool, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        """Set the default masks without offsets and limits."""
+        """Replace missing masks by masks without offsets and limits."""
         object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
         object.__setattr__(self, "limited", self.limited or ((False,) * len(KINDS),) * self.inputs)
 
@@ -170,7 +173,7 @@ class Layout:
         """(q,) lower and upper bounds."""
         _, dead_times, offsets, limits = self.counts
         low, high = self.parametrisation.bounds
-        max_dead_time = estimator_settings().longest_dead_time
+        max_dead_time = estimator_settings().max_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
             np.concatenate(

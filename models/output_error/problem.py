@@ -1,10 +1,11 @@
 """Output errors (measured outputs minus a simulation from the inputs) and their derivatives.
 
-Each experiment has an unknown past: a previous command with its steady state, and a deviation from that state. A prior
+Each experiment has an unknown past: a previous command with its steady state, and a deviation from this state. A prior
 keeps the deviation small; otherwise it would explain the transient, and dynamics and dead time would not be
-identifiable from stretches that start with a step. Both enter linearly, so each evaluation solves for them exactly and
-projects them out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's simplification of
-1975, whose gradient is exact). The number of parameters therefore does not depend on the number of experiments.
+identifiable from stretches that start with a step. Previous command and deviation enter linearly, so each evaluation
+solves for them exactly and projects them out of the derivatives (variable projection, Golub and Pereyra 1973, with
+Kaufman's simplification of 1975, whose gradient is exact). The number of parameters therefore does not depend on the
+number of experiments.
 """
 
 from __future__ import annotations
@@ -50,14 +51,14 @@ class _Model(NamedTuple):
     steady_states: FloatArray
     """(n, m) steady states of unit inputs."""
     past: FloatArray
-    """(n, m + n, E) states after each unit previous command and each unit deviation, until they have decayed."""
+    """(n, m + n, E) states after unit previous commands and unit deviations, over the E samples until they decay."""
 
 
 class _Past(NamedTuple):
     """Effect of the unknown past on the first E samples, in r directions."""
 
     outputs: FloatArray
-    """(E p, r) output rows of an orthonormal basis of the effects of pasts on outputs and prior."""
+    """(E p, r) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
     prior: FloatArray
     """(m + n, r) prior rows of this basis."""
     recover: FloatArray
@@ -74,10 +75,10 @@ class OutputErrorProblem:
     experiments
         The data.
     weights
-        (K, p) non-negative factors of the residuals of each experiment; zero for samples that do not count.
+        (K, p) non-negative factors of the residuals of each experiment; zero for samples that are not readings.
     prior
         (m + n, m + n) inverse standard deviations of the past of each experiment, previous command first; the product
-        with the past is part of the residuals. See `past_prior`. By default zero: no prior.
+        with the past is part of the residuals. See `past_prior`. None for no prior.
     """
 
     def __init__(
@@ -95,9 +96,9 @@ class OutputErrorProblem:
             self._max_samples[experiment.dt] = max(self._max_samples[experiment.dt], experiment.samples)
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
-        """Return weighted residuals (rows,) of experiments and samples, then of the pasts; inf for unstable systems."""
+        """Return the weighted residuals (rows,) of all experiments, then those of the pasts; inf if unstable."""
         system = self._layout.system(parameters)
-        # The trust region rejects a step with an infinite cost and shrinks.
+        # The trust-region method rejects a step with infinite cost and reduces the region.
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
         models = self._models(system)
@@ -143,7 +144,7 @@ class OutputErrorProblem:
             # After the dead time the slowest pole decays to `_DECAYED`; later samples do not depend on the past.
             early = int(min(max_samples, n + 2 + sampled.delay.max() + np.log(_DECAYED) / (slowest * dt)))
             steps = np.arange(early)
-            # Until its dead time has passed, a previous command still acts through B0 and B1.
+            # A previous command still acts through B0 and B1 until the dead time has passed.
             before = [
                 sampled.B0[:, [j]] * (steps < delay) + sampled.B1[:, [j]] * (steps < delay + 1)
                 for j, delay in enumerate(sampled.delay)
@@ -156,7 +157,7 @@ class OutputErrorProblem:
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
         """Return the derivatives of the continuous and the sampled system with respect to each parameter, (q, ...)."""
-        # A dead time enters B0 and B1 by its fractional part, which is differentiable; its whole samples are constant.
+        # B0 and B1 depend on the fractional part of a dead time, which is differentiable; its whole samples are fixed.
         stepped = parameters + 1j * _COMPLEX_STEP * np.eye(len(parameters))
         systems = LinearSystem(*map(np.array, zip(*map(self._layout.system, stepped), strict=True)))
         sampled = sample(systems, dt)
@@ -184,7 +185,7 @@ def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
 def _simulate(
     model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-    """Return states (n, K) from the best past, the drive, the previous command, and the effect of the past."""
+    """Return the states (n, K) from the best past, the delayed inputs, the previous command, and the past's effect."""
     system, past = model.system, _past(model, weight, prior)
     inputs = limited_inputs(system, experiment)
     states = _simulate_from_rest(model, inputs)
@@ -204,11 +205,11 @@ def _experiment_jacobian(
     weight: FloatArray,
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of an experiment's weighted residuals (K p, q) and of those of its past (m + n, q)."""
+    """Return the derivatives of the weighted residuals of an experiment (K p, q) and of its past (m + n, q)."""
     states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
     # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
-    # Limits also change the inputs.
+    # Estimated limits also change the inputs.
     if slope.limit.any():
         changes = limited_inputs(model.system, experiment, limit_derivatives)
         for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
@@ -225,9 +226,9 @@ def _experiment_jacobian(
 def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], deviation: float) -> FloatArray:
     """Return the inverse standard deviations of a past, (m + n, m + n), for `OutputErrorProblem`.
 
-    The previous command has the rms size of the commands in the experiments. The deviation from its steady state is
-    `deviation` times the rms deviation of the states in the experiments, simulated from rest, from the steady states of
-    their commands.
+    The standard deviation of the previous command is the rms value of the commands in the experiments. That of the
+    deviation from its steady state is `deviation` times the rms difference between the states, simulated from rest, and
+    the steady states of the current commands.
     """
     steady_states, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
@@ -241,7 +242,7 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
             - steady_states @ inputs.T
         )
         total, count = total + difference @ difference.T, count + len(inputs)
-    # Principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
+    # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
     rms = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))

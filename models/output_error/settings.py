@@ -24,7 +24,7 @@ class LimitSettings(StrictModel):
     evaluations: int = Field(ge=2, description="model evaluations per candidate")
     share: Positive = Field(lt=1, description="minimum share of samples that a limit changes [-]")
     evidence: Positive = Field(description="minimum decrease of the information criterion [-]")
-    strong_evidence: Positive = Field(description="decrease above which held-out blocks only need to agree [-]")
+    strong_evidence: Positive = Field(description="decrease above which held-out blocks must only not get worse [-]")
     held_out_evidence: Positive = Field(
         description="minimum decrease of the log mean square error on held-out blocks, times effective samples [-]"
     )
@@ -34,14 +34,14 @@ class ScatterSettings(StrictModel):
     """Settings of the test for differences between parts of a log."""
 
     blocks: tuple[Annotated[int, Field(ge=3)], ...] = Field(description="numbers of blocks of equal length")
-    certain: Positive = Field(lt=1, description="quantile of a variance between blocks, below which it is chance [-]")
+    certain: Positive = Field(lt=1, description="quantile below which a variance between blocks counts as chance [-]")
 
 
 class HeldOutSettings(StrictModel):
     """Settings of the held-out blocks of the records."""
 
     blocks: int = Field(ge=2, description="number of blocks of equal length")
-    fewest_readings: int = Field(ge=5, description="minimum readings of each output in a part of a record")
+    min_readings: int = Field(ge=5, description="minimum number of readings of each output in a part of a record")
 
 
 class WarningSettings(StrictModel):
@@ -49,14 +49,16 @@ class WarningSettings(StrictModel):
 
     relative_deviation: Positive = Field(description="maximum ratio of standard deviation to value [-]")
     delay_deviation: Positive = Field(description="maximum relative standard deviation of dead time plus lag [-]")
-    least_delay_deviation: Positive = Field(description="standard deviation of dead time plus lag without warning [s]")
+    min_delay_deviation: Positive = Field(
+        description="maximum standard deviation of dead time plus lag without a warning [s]"
+    )
     condition: Positive = Field(description="maximum condition number of the scaled information matrix [-]")
 
 
 class EstimatorSettings(StrictModel):
     """Bounds, initial guesses and thresholds of the estimator."""
 
-    longest_dead_time: Positive = Field(description="maximum dead time [s]")
+    max_dead_time: Positive = Field(description="maximum dead time [s]")
     lag: Range = Field(description="sum of both time constants [s]")
     short: Range = Field(description="product of both time constants over their sum [s]")
     gain: Range = Field(description="steady-state gain [-]")

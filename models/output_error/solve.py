@@ -24,13 +24,13 @@ from diffdrive_mpc.models.output_error.statistics import (
     spike_weights,
 )
 
-# Reweighting ends if a round reduces the cost by less than this share, or after the maximum number of rounds. Each
-# round continues from the previous one, so few evaluations per round are sufficient.
+# Reweighting stops if a round reduces the cost by less than this share, or after the maximum number of rounds. Each
+# round starts from the result of the previous round, so few evaluations per round are sufficient.
 _COST_TOLERANCE = 1e-5
 _MAX_ROUNDS = 5
 _EVALUATIONS = 25
 _BRIEF_EVALUATIONS = 8
-# Size of a past, in standard deviations of its prior, above which the prior is relaxed.
+# Magnitude of a past, in standard deviations of its prior, above which the prior is relaxed.
 _PRIOR_THRESHOLD = 3.0
 # Maximum additional weight factor of a first reading.
 _MAX_FIRST_WEIGHT = 10.0
@@ -45,14 +45,14 @@ class OutputErrorFit:
     layout, parameters
         Layout of the parameters and their values (q,).
     sandwich
-        Covariance (q, q) with correlation of the residuals, and the information in the data.
+        Covariance (q, q) for correlated residuals, and measures of the information in the data.
     scale
         (p,) scale of the residuals [units of the outputs].
     residuals
-        (K, p) measured minus simulated outputs of each experiment, from the best past; NaN for samples that do not
-        count.
+        (K, p) measured minus simulated outputs of each experiment, simulated from the best past; NaN for samples that
+        are not readings.
     trust
-        (K, p) weights of the residuals of each experiment: 1, or less for outliers.
+        (K, p) weights of the residuals of each experiment: 1 for normal readings, less for outliers.
     """
 
     layout: Layout
@@ -68,10 +68,10 @@ class OutputErrorFit:
         return ParameterEstimate(self.layout.names, self.parameters, self.sandwich.covariance)
 
     def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
-        """Apply a function from (q,) to (r,) to the parameters; the scatter of blocks is that of its values.
+        """Apply a function from (q,) to (r,) to the parameters; evaluate the scatter of blocks for its values.
 
-        Local coordinates of a state space are correlated. If the variance of each were increased separately, the
-        information in their combinations would be lost.
+        Local coordinates of a state space are correlated. Increasing the variance of each coordinate separately would
+        lose the information in their combinations.
         """
         covariance = self.sandwich.derived(self.estimate.slope(function)).covariance
         return ParameterEstimate(tuple(names), np.asarray(function(self.parameters)), covariance)
@@ -98,9 +98,9 @@ def fit_output_error(
 ) -> OutputErrorFit:
     """Fit all candidates, refine the best, and estimate its covariance.
 
-    The method is weighted least squares with a trust region (scipy) and iterative reweighting: outputs by the scale of
-    their residuals, single readings by their deviation from neighbours. Consecutive experiments form one run; a run
-    starts near the steady state of an unknown command (see `past_prior`).
+    The method is weighted least squares with a trust region (SciPy) and iterative reweighting. Outputs are weighted by
+    the scale of their residuals, and single readings by their deviation from neighbours. Consecutive experiments form
+    one run; a run starts near the steady state of an unknown command (see `past_prior`).
 
     Parameters
     ----------
@@ -109,16 +109,16 @@ def fit_output_error(
     experiments
         The data.
     robust
-        Whether to reduce the weights of single outliers.
+        True to reduce the weights of single outliers.
     brief
-        Whether to stop after one round of few evaluations, for initial guesses close to the optimum; after none if the
-        weights are fixed.
+        True to stop after one round of few evaluations, for initial guesses close to the optimum. If the weights are
+        fixed, there is no round.
     scale
         (p,) initial scale of the residuals; by default the standard deviation of the outputs.
     trust
         (K, p) fixed weights of the readings of each experiment; `scale` is then also fixed.
     evaluations
-        Number of model evaluations per candidate; 1 keeps the initial guess. None for the default.
+        Number of model evaluations per candidate; 1 returns the initial guess. None for the default.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def fit_output_error(
 def brief_cost(
     layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], fit: OutputErrorFit
 ) -> tuple[float, FloatArray]:
-    """Return cost and parameters (q,) after few evaluations from the best of `starts`, with the weights of `fit`."""
+    """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
     data = _Data(
         experiments,
@@ -198,7 +198,7 @@ class _Data(NamedTuple):
         return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
 
     def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
-        """Return measured minus simulated outputs (K, p) of each experiment; NaN for samples that do not count."""
+        """Return measured minus simulated outputs (K, p) of each experiment; NaN for samples that are not readings."""
         simulated = self.problem(layout, parameters).simulations(parameters)
         return [
             np.where(weight > 0, experiment.outputs - outputs, np.nan)
@@ -209,7 +209,7 @@ class _Data(NamedTuple):
 def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - slow import, not needed to load a model
 
-    # Local coordinates are only valid near their origin, so each search starts at it.
+    # Local coordinates are only valid near their origin, so each search starts at the origin.
     parametrisation, coordinates = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([coordinates, start[len(coordinates) :]])
@@ -230,7 +230,7 @@ def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> 
 
 
 def _prior_factors(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
-    """Return the factors (experiments,) of the prior of each past: 1, or less if readings contradict it (Huber)."""
+    """Return the factor (experiments,) of the prior of each past: 1, or less if readings contradict it (Huber)."""
     residuals = data.problem(layout, parameters).residuals(parameters)
     size = (
         np.linalg.norm(residuals[sum(map(np.size, data.weights)) :].reshape(len(data.prior_factors), -1), axis=1)
@@ -247,8 +247,8 @@ def _weights(
 ) -> list[FloatArray]:
     """Return the square roots of the weights divided by the scale.
 
-    The first reading depends on the past alone and not on the model, so its weight follows from its noise. Otherwise a
-    model with a wrong fast response could start away from it.
+    The first reading depends on the past only, not on the model, so its weight depends on its noise instead of the
+    model's residuals. Otherwise a simulation with a wrong fast response could start far from the first reading.
     """
     weights = [experiment.counts / scale for experiment in experiments]
     factor = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MAX_FIRST_WEIGHT)
@@ -268,14 +268,14 @@ AT_BOUND = 1e-3
 def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
     problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
-    # A time constant at a bound counts as known, because the data do not determine it.
+    # A time constant at a bound is treated as known, because the data do not determine it.
     is_at_bound = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
     # A rate limit that no command reaches has no effect.
     has_effect = np.linalg.norm(jacobian, axis=0) > _MIN_SENSITIVITY * np.linalg.norm(jacobian)
     free = np.flatnonzero(has_effect & ~(is_at_bound & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
-    # A parameter that the data do not determine is known to lie in its range: variance of a uniform distribution.
+    # Prior information of a uniform distribution between the bounds, for parameters that the data do not determine.
     prior = 12.0 / np.subtract(*layout.bounds)[free] ** 2
     parts = np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts)
     estimate = sandwich(*parts, prior)

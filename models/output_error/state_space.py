@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 class LinearSystem(NamedTuple):
     """System x' = A x + B limited(u(t - dead_time)), y = C x + offset with m inputs and p outputs.
 
-    Leading axes stack systems. See `input_limits` for the limits.
+    Leading dimensions are for stacks of systems. See `input_limits` for the limits.
     """
 
     A: AnyArray
@@ -37,7 +37,7 @@ class LinearSystem(NamedTuple):
     offset: AnyArray
     """(..., p) sensor offsets [units of the outputs]."""
     limit: AnyArray
-    """(..., m, 4) limits in the order of `input_limits.KINDS`; inf without a limit."""
+    """(..., m, 4) limits in the order of `input_limits.KINDS`; inf if there is no limit."""
 
 
 class SampledSystem(NamedTuple):
@@ -58,7 +58,7 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
     n, m = system.B.shape[-2:]
     delay = np.floor(system.dead_time.real / dt + _ROUNDING).astype(np.int64)
     active_time = dt - (system.dead_time - delay * dt)
-    # With constant inputs as extra states, one exponential holds sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
+    # With constant inputs as extra states, one exponential contains sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
     block = np.zeros((*system.A.shape[:-2], n + m, n + m), dtype=system.A.dtype)
     block[..., :n, :] = np.concatenate([system.A, system.B], axis=-1)
     full = linalg.expm(block * dt)
@@ -82,10 +82,9 @@ def delay_inputs(
 
 
 def steady_start(system: LinearSystem, outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the steady state (n,) with output `outputs` (p,) and its constant input (m,).
+    """Return the steady state (n,) with the outputs `outputs` (p,), and its constant input (m,).
 
-    For a single two-pole transfer function, the output equals `outputs` and its derivative is zero. With fewer inputs
-    than outputs, the least-squares solution is returned.
+    If there are fewer inputs than outputs, the result is the least-squares solution.
     """
     steady_states = -np.linalg.solve(system.A, system.B)
     inputs = np.linalg.lstsq(system.C @ steady_states, outputs - system.offset, rcond=None)[0]
@@ -95,8 +94,8 @@ def steady_start(system: LinearSystem, outputs: FloatArray) -> tuple[FloatArray,
 class StateResponse:
     """Simulator of x[k + 1] = A x[k] + drive[k] for any number of drives.
 
-    In Schur coordinates A is triangular, so each state is a first-order filter of the states after it. Unlike a
-    diagonal form, this is exact for equal poles.
+    In Schur coordinates A is triangular, so each state is a first-order filter of its drive and the states after it.
+    Unlike a diagonal form, this is exact for equal poles.
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ class StateResponse:
         start
             (n, S) states at sample 0; zero by default.
         """
-        from scipy import signal  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+        from scipy import signal  # noqa: PLC0415 - slow import, not needed to load a model
 
         adjoint, triangle = self._basis.conj().T, self._triangle
         states = np.tensordot(adjoint, drive, 1)
@@ -136,7 +135,8 @@ class StateResponse:
 
 Realisation = tuple[FloatArray, FloatArray, FloatArray]
 """A (n, n), B (n, m), C (p, n) of a continuous system."""
-# Ridge of the impulse response relative to the power of the inputs: held set-points hardly separate adjacent samples.
+# Ridge parameter of the impulse response relative to the power of the inputs, because held set-points hardly
+# distinguish adjacent samples.
 _RIDGE = 1e-4
 # Gains of a spare state relative to those of the model.
 _SPARE_GAIN = 0.05
@@ -203,7 +203,7 @@ class LocalStateSpace:
 def impulse_response(experiments: Sequence[SampledExperiment], dead_time: FloatArray, length: int) -> FloatArray:
     """Estimate the impulse response (p, m, length) after dead times (m,) [s] by ridge regression on all experiments.
 
-    Samples that do not count are interpolated, which is sufficient for an initial guess.
+    Samples between readings are interpolated, which is sufficient for an initial guess.
     """
     inputs, outputs = experiments[0].inputs.shape[1], experiments[0].outputs.shape[1]
     gram, moment = np.zeros((inputs * length,) * 2), np.zeros((inputs * length, outputs))
@@ -225,9 +225,9 @@ def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realis
     """
     import control  # noqa: PLC0415 - slow import, needed for an SSM only
 
-    # The algorithm expects the direct feedthrough first, which is zero.
+    # The first element is the direct feedthrough, which is zero.
     padded = np.concatenate([np.zeros_like(response[..., :1]), response], axis=-1)
-    # With a sample time the library would assume an impulse of unit area and height 1 / dt.
+    # With dt=True the impulse has unit height; a numeric sample time would scale it to unit area.
     system, _ = control.eigensys_realization(padded, order, dt=True)
     poles = np.linalg.eigvals(system.A)
     # A pole on the negative real axis has no continuous counterpart of the same order.
@@ -239,7 +239,7 @@ def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realis
 
 
 def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
-    """Return the model in balanced coordinates, each state with its largest output entry positive.
+    """Return the model in balanced coordinates; the entry of C with the largest magnitude is positive for each state.
 
     Source: Moore, IEEE Transactions on Automatic Control 1981, 26(1), 17-32. A model that is not controllable and
     observable is returned unchanged.
@@ -270,7 +270,7 @@ def parallel(first: Realisation, second: Realisation) -> Realisation:
 
 
 def spare_state(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
-    """Return a state with small gains, twice as fast as the fastest pole of a model: initial guess of a new state."""
+    """Return a state with small gains, twice as fast as the fastest pole of a model, to initialise a higher order."""
     pole = 2.0 * np.abs(np.linalg.eigvals(A)).max()
     return (
         np.array([[-pole]]),
@@ -292,12 +292,12 @@ def distinct_poles(A: FloatArray) -> AnyArray:
 
 
 def pole_names(poles: AnyArray) -> list[str]:
-    """Return the names of the real numbers that describe poles: pole_1, or pole_1.real and pole_1.imag, and so on."""
+    """Return the names of the real numbers that describe poles: pole_1, or pole_1.real and pole_1.imag if complex."""
     return [name for i, pole in enumerate(poles) for name in _names(f"pole_{i + 1}", pole)]
 
 
 def pole_numbers(A: FloatArray, nominal: AnyArray) -> FloatArray:
-    """Return the numbers with the names `pole_names(nominal)` for a matrix A with poles close to `nominal`."""
+    """Return the real numbers named by `pole_names(nominal)` for a matrix A with poles close to `nominal`."""
     poles = np.linalg.eigvals(A).astype(complex)
     numbers: list[float] = []
     for pole in nominal:

@@ -1,8 +1,8 @@
-"""Robust weights, and covariance of parameters with residuals that are correlated in time.
+"""Robust weights, and covariance of parameters for residuals that are correlated in time.
 
-An outlier is a reading that its neighbours contradict. Errors of a model last longer and are not outliers: reducing
-their weight would fit only the steady parts of a log. Source of the weights min(1, c / |z|) for scaled residuals z:
-Huber, Robust Statistics, Wiley 1981.
+An outlier is a reading that its neighbours contradict. Errors of a model last longer and are not outliers; with
+reduced weights for them, only the steady parts of a log would be fitted. Source of the weights min(1, c / |z|) for
+scaled residuals z: Huber, Robust Statistics, Wiley 1981.
 
 Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
 the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
@@ -23,7 +23,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 _SPIKE = 5.0
-"""Constant c for single readings: with normal noise hardly any weight is reduced."""
+"""Constant c for single readings; normal noise hardly ever exceeds it."""
 _NEIGHBOURS = 5
 # Ratio of the median absolute value of a normal variable to its standard deviation.
 _MEDIAN_RATIO = 0.6745
@@ -34,10 +34,10 @@ _COSINES = 0.41
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the weights (K, p) of the residuals of each experiment: 1, or less for spikes. NaN residuals do not count.
+    """Return the weights (K, p) of the residuals of each experiment: 1, or less for spikes. NaN residuals are ignored.
 
-    The size of a spike is the difference from the median of five neighbours, and its scale the median of all non-zero
-    differences. Differences of quantised readings are zero at standstill and hold no information about noise.
+    The size of a spike is the difference from the median of five neighbours; the scale is the median of all non-zero
+    differences. Differences of quantised readings are zero at standstill and contain no information about noise.
     """
     spikes = _neighbour_differences(residuals)
     scale = np.maximum(_scale_of_differences(spikes), _MIN_SCALE * _root_mean_square(np.concatenate(residuals)))
@@ -46,7 +46,7 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def reading_noise(readings: Sequence[FloatArray]) -> FloatArray:
-    """Estimate the noise (p,) of readings (K, p) from their distance to neighbours; NaN readings do not count."""
+    """Estimate the noise (p,) of readings (K, p) from their distance to neighbours; NaN readings are ignored."""
     return _scale_of_differences(_neighbour_differences(readings))
 
 
@@ -69,16 +69,16 @@ def _scale_of_differences(spikes: Sequence[FloatArray]) -> FloatArray:
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
-    """Return the root mean square (p,) of weighted residuals (K, p); NaN residuals do not count.
+    """Return the root mean square (p,) of weighted residuals (K, p); NaN residuals are ignored.
 
-    The minimum is a tiny share of the outputs' `spread` (p,), which avoids division by zero for noise-free data.
+    The result is at least a tiny share of the outputs' `spread` (p,), to avoid division by zero for noise-free data.
     """
     weighted = np.concatenate([weight * rows for weight, rows in zip(weights, residuals, strict=True)])
     return np.asarray(np.maximum(_root_mean_square(weighted), 1e-9 * spread))
 
 
 def _root_mean_square(rows: FloatArray) -> FloatArray:
-    """Return the root mean square (p,) of rows (K, p) without NaN; 0 without readings, as in a short stretch."""
+    """Return the root mean square (p,) of rows (K, p), ignoring NaN; 0 if there are no readings."""
     return np.asarray(np.sqrt(np.nansum(rows**2, axis=0) / np.maximum((~np.isnan(rows)).sum(axis=0), 1)))
 
 
@@ -101,17 +101,17 @@ class Sandwich:
     """Covariance of the parameters, with measures of the information in the data."""
 
     white: FloatArray
-    """(q, q), residual correlation of short duration taken into account"""
+    """(q, q) covariance for residuals with short correlation."""
     blocks: dict[int, FloatArray]
-    """(q, q) from the scatter of blocks of equal length, by their number"""
+    """(q, q) covariance from the scatter of blocks of equal length, by number of blocks."""
     effective_samples: FloatArray
-    """(p,) number of independent readings with the information of the residuals."""
+    """(p,) number of independent readings that contain the same information as the correlated readings."""
     condition: float
     """Condition number of the information matrix, scaled to unit diagonal."""
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(q, q) with the variance of blocks where it is larger than by chance."""
+        """(q, q) covariance, with the variance between blocks if it is significantly larger."""
         return _with_block_variance(self.white, self.blocks)
 
     def derived(self, slope: FloatArray) -> Sandwich:
@@ -130,9 +130,9 @@ def sandwich(
     jacobians
         (K, p, q) derivatives of the weighted residuals of each experiment, with initial states projected out.
     errors
-        (K, p) weighted residuals of each experiment; NaN for samples that do not count.
+        (K, p) weighted residuals of each experiment; NaN for samples that are not readings.
     prior
-        (q,) information on each parameter before the data, such as that of its range.
+        (q,) prior information on each parameter, such as the inverse variance over its bounds.
     """
     count = jacobians[0].shape[2]
     rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
@@ -140,7 +140,7 @@ def sandwich(
     scores = [
         np.einsum("kpq,kp->kq", j, np.nan_to_num(e), optimize=True) for j, e in zip(jacobians, errors, strict=True)
     ]
-    # Unit diagonal, so that the units of the parameters do not affect rank and condition.
+    # Scale to unit diagonal, so that the units of the parameters do not affect rank and condition.
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information / np.outer(spread, spread)
     before = np.diag(np.broadcast_to(prior, count))
@@ -157,10 +157,10 @@ def sandwich(
 
 
 def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
-    """Estimate the covariance (q, q) of the sum of scores (K, q) with equal-weighted cosines, and its freedom.
+    """Estimate the covariance (q, q) of the sum of scores (K, q) with equally weighted cosines.
 
-    Rows without a reading are omitted, because they would hide the correlation of readings. Experiments are
-    concatenated.
+    Also return the degrees of freedom. Rows without a reading are omitted, because they would hide the correlation of
+    readings. Experiments are concatenated.
     """
     from scipy import fft  # noqa: PLC0415 - slow import, not needed to load a model
 
@@ -169,7 +169,7 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
     if len(rows) < 2:
         return rows.T @ rows, 1
     count = max(1, min(int(_COSINES * len(rows) ** (2 / 3)), len(rows) - 1))
-    # Without the constant term: the scores sum to zero at the optimum.
+    # The constant term is omitted, because the scores sum to zero at the optimum.
     projected = np.sqrt(len(rows)) * fft.dct(rows, axis=0, norm="ortho")[1 : count + 1]
     return projected.T @ projected / count, count
 
@@ -184,18 +184,18 @@ def student_factor(freedom: int) -> float:
 def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
     """Estimate the covariance (q, q) of the sum of scores (K, q) from `count` blocks of equal length in time.
 
-    Model errors may last longer than any window, such as a gain that depends on the command, or a change of surface.
-    Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
+    Blocks cover model errors that last longer than the window of `long_run_covariance`, such as a gain that depends on
+    the command, or a change of surface. Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
     """
     sums = np.array([block.sum(axis=0) for block in np.array_split(np.concatenate(scores), count)])
     return np.asarray(count / (count - 1) * sums.T @ sums)
 
 
 def _with_block_variance(covariance: FloatArray, blocks: Mapping[int, FloatArray]) -> FloatArray:
-    """Increase `covariance` to the variances between blocks of several lengths, if these are significantly larger.
+    """Increase `covariance` to the variances between blocks of several lengths, if they are significantly larger.
 
-    Slow drift is visible between few long blocks, fast changes between many short blocks. The significance follows from
-    the chi-square distribution, and Student's t distribution corrects for the small number of blocks.
+    Few long blocks reveal slow drift, and many short blocks reveal fast changes. The significance follows from the
+    chi-square distribution, and Student's t distribution corrects for the small number of blocks.
     """
     from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
@@ -212,7 +212,7 @@ def _with_block_variance(covariance: FloatArray, blocks: Mapping[int, FloatArray
 
 
 def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
-    """Return the number of readings (p,) divided by the integrated autocorrelation of residuals (K, p) without NaN."""
+    """Divide the number of readings (p,) by the integrated autocorrelation of residuals (K, p), ignoring NaN."""
     counts = []
     for row in range(errors[0].shape[1]):
         column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]

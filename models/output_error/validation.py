@@ -1,7 +1,7 @@
 """Validation of a model on records: FIT and RMSE of a free simulation, and whiteness of its residuals.
 
-Protocol: each record is simulated once from its commands, from the steady state of the first measured output and
-without restarts. Consecutive records are joined. FIT is pooled over records.
+Protocol: each record is simulated once from its commands, without restarts, starting in the steady state of the first
+measured outputs. Consecutive records are joined. FIT is pooled over records.
 
 Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (FIT); Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau
 statistic); Ljung, System Identification, 2nd edition, 1999, section 16.6 (bounds); Bartlett's formula for the variance
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import limited
+from diffdrive_mpc.models.base_effects import apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import (
@@ -57,7 +57,7 @@ def pooled_fit_percent(measured: Sequence[FloatArray], simulated: Sequence[Float
     return 100.0 * (1.0 - float(np.linalg.norm(y - yhat)) / spread)
 
 
-# 97.5 % quantile of the normal distribution.
+# 97.5 % quantile of the standard normal distribution.
 _BOUND = 1.959963984540054
 
 
@@ -100,10 +100,10 @@ class ResidualCheck:
 
 
 def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> ResidualCheck:
-    """Correlate residuals (K, 2), NaN without a reading, with themselves and with the commands.
+    """Correlate residuals (K, 2) with themselves and with the commands; residuals without a reading are NaN.
 
-    Correlations do not cross experiments. If sensors are slower than the log, lags without pairs of readings have zero
-    correlation.
+    Pairs of samples are always from one experiment. If sensors are slower than the log, lags without pairs of readings
+    have zero correlation.
     """
     from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
@@ -124,10 +124,10 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledE
     for i, rows in enumerate(centred):
         for j, columns in enumerate(commands):
             after, pairs = _correlation(rows, columns, lags)
-            # Negative lags have the command after the residual; lag 0 is in `after`.
+            # At negative lags the command is later than the residual; lag 0 is in `after`.
             cross[i, j] = np.concatenate([_correlation(columns, rows, lags)[0][:0:-1], after])
             autocorrelation = _correlation(columns, columns, lags)[0]
-            # Bartlett: two signals that are each correlated in time also correlate with each other by chance.
+            # Bartlett's formula: chance correlations between two signals are larger if both are correlated in time.
             inflation = 1.0 + 2.0 * float(np.sum(auto[i][0][1:] * autocorrelation[1:]))
             bound[i, j] = _BOUND * np.sqrt(max(inflation, 1.0) / readings[i])
     return ResidualCheck(
@@ -227,7 +227,7 @@ def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> 
     """Simulate outputs (K, p) from the inputs, starting in the steady state of the first readings."""
     sampled = sample(system, experiment.dt)
     start, before = steady_start(system, experiment.first_readings)
-    limited_inputs = limited(experiment.inputs, system.limit, experiment.dt, before)
+    limited_inputs = apply_limits(experiment.inputs, system.limit, experiment.dt, before)
     recent, older = delay_inputs(limited_inputs, sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
     states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]

@@ -24,7 +24,7 @@ from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.model_file import TransferFunction
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
-# Number of grid points used as initial values of searches.
+# Number of grid points that are used as initial guesses.
 _STARTS = 3
 
 
@@ -40,25 +40,25 @@ class ChannelForm(Parametrisation, Protocol):
         ...
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the form for model files."""
         ...
 
     @property
     def kinds(self) -> Mapping[str, str]:
-        """Kind of doubt, a key of `models.doubt.VERDICTS`, by parameter whose estimate may be at a bound."""
+        """Kind of doubt, a key of `models.doubt.VERDICTS`, about an estimate at a bound, by parameter."""
         ...
 
     @property
     def may_be_zero(self) -> tuple[str, ...]:
-        """Fields of the file that may be zero, so that a relative standard deviation is meaningless."""
+        """Fields of the file that may be zero, for which a relative standard deviation is meaningless."""
         ...
 
     def values(self, parameters: AnyArray) -> AnyArray:
-        """Compute the fields (f,) of the file, in its order, from the parameters (s,)."""
+        """Compute the fields (f,) of the file, in the order of the file, from the parameters (s,)."""
         ...
 
-    def first_guesses(self, gain: float, frequency: float) -> Sequence[FloatArray]:
+    def initial_guesses(self, gain: float, frequency: float) -> Sequence[FloatArray]:
         """Return initial parameters (s,) for a steady-state gain and a cut-off frequency [rad/s]."""
         ...
 
@@ -72,9 +72,9 @@ class IdentifiedChannel:
     form
         Form of the transfer function.
     parameters
-        The fields of the form's file; then dead_time [s], offset and limits by side, if they were free.
+        Fields of the form's file, followed by dead_time [s], offset and limits by side if they were estimated.
     fit
-        Fit that the parameters are derived from.
+        Fit from which the parameters are derived.
     warnings
         Doubts about the result.
     """
@@ -111,25 +111,25 @@ def identify_channel(
     form
         Kind of transfer function.
     offset
-        Whether to estimate a constant bias of the sensor.
+        True to estimate a constant bias of the sensor.
     limit
-        Whether to search for limits of the command inside the robot.
+        True to search for limits of the command inside the robot.
     robust
-        Whether to reduce the weight of single outliers.
+        True to reduce the weight of single outliers.
     dead_time
-        Known dead time [s]; the estimate then has no dead time. None to estimate it.
+        Known dead time [s], which is not a parameter of the estimate; None to estimate it.
 
     Raises
     ------
     ValueError
-        If there is no data, or an input or output never changes.
+        If there are no data, or an input or output never changes.
     """
     if not experiments:
         raise ValueError(f"{label}: no data; give at least one record in which the robot moves")
     layout = Layout(form, 1, 1, known_dead_time=dead_time, offset=(offset,))
-    starts = _first_guesses(layout, form, experiments, label)
+    starts = _initial_guesses(layout, form, experiments, label)
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
-    # A search for limits starts from the fit without them, and also from a fast response: a ramp can appear as a lag.
+    # The search for limits starts from the fit without limits and from a fast response, as a ramp can appear as a lag.
     if limit:
         fit = find_limits(fit, experiments, _fast_parameters(layout, form, fit.parameters), robust)
     form_count = fit.layout.counts[0]
@@ -154,7 +154,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
     poles = pole_estimate(parameters.part(list(form.file.model_fields)), form.file)
     return (
         *bounds,
-        # With an unidentifiably short second lag, natural frequency and damping are redundant.
+        # If the second lag is too short to be identified, natural frequency and damping are redundant.
         *(
             doubt.about(label)
             for doubt in doubts.uncertain_parameters(
@@ -168,14 +168,17 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
     )
 
 
-def _first_guesses(
+def _initial_guesses(
     layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str
 ) -> list[FloatArray]:
-    """Select the best points (q,) of a grid over dead time and frequency; the gain is the ratio of the spreads."""
+    """Select the best points (q,) of a grid over dead time and frequency.
+
+    The gain of all points is the ratio of the standard deviations of output and input.
+    """
     settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
     if commanded == 0.0:
-        raise ValueError(f"{label}: the command never changes; it excites nothing")
+        raise ValueError(f"{label}: the command never changes, so there is no excitation; drive steps of the command")
     spread = output_spread(experiments)
     gain = float(np.clip(spread[0] / commanded, *settings.gain))
     experiments = join_experiments(experiments)
@@ -185,7 +188,7 @@ def _first_guesses(
     grid = [
         np.concatenate([form_values, [dead_time] * dead_times, rest])
         for frequency in settings.start_frequencies
-        for form_values in form.first_guesses(gain, frequency)
+        for form_values in form.initial_guesses(gain, frequency)
         for dead_time in (settings.start_dead_times if dead_times else (0.0,))
     ]
 
@@ -199,10 +202,10 @@ def _first_guesses(
 
 
 def _fast_parameters(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:
-    """Return the parameters (q,) of a robot with fast response and the same gain."""
+    """Return the parameters (q,) of a robot with a fast response and the same gain."""
     settings, count = estimator_settings(), layout.counts[0]
     gain = float(np.clip(form.values(parameters[:count])[0], *settings.gain))
-    guess = form.first_guesses(gain, max(settings.start_frequencies))[0]
+    guess = form.initial_guesses(gain, max(settings.start_frequencies))[0]
     return np.concatenate([guess, parameters[count:]])
 
 

@@ -29,7 +29,7 @@ from diffdrive_mpc.models.structures.model_file import (
 from diffdrive_mpc.models.two_sided import TwoSided
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 
-# Significant digits in the file: far finer than any standard deviation.
+# Significant digits in the file, much finer than any standard deviation.
 _DIGITS = 8
 _HEAD = (
     "Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
@@ -68,7 +68,7 @@ class IdentifiedModel:
     method
         Description of the identification method.
     fits
-        Fits that the model is derived from: one for each channel, or one in all.
+        Fits from which the model is derived: one for each channel, or one for both channels.
     warnings
         Doubts about the result.
     """
@@ -86,8 +86,8 @@ class IdentifiedModel:
     def delays(self) -> ParameterEstimate | None:
         """Total delay, dead time and lag [s] of each channel or motor, with covariance.
 
-        They are named `v.sum`, `v.dead_time`, `v.lag` and so on. None for a structure with neither transfer functions
-        nor a common fit of both channels.
+        Their names are `v.sum`, `v.dead_time`, `v.lag` and so on. None for a structure without transfer functions and
+        without a common fit of both channels.
         """
         groups = self._transfer_functions
 
@@ -105,14 +105,14 @@ class IdentifiedModel:
 
         def system_delays(row: FloatArray) -> FloatArray:
             system = fit.layout.system(row)
-            whole = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
-            return np.column_stack([whole, system.dead_time, whole - system.dead_time]).ravel()
+            total = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
+            return np.column_stack([total, system.dead_time, total - system.dead_time]).ravel()
 
         return fit.derived(_delay_names(CHANNELS), system_delays)
 
     @property
     def poles(self) -> list[ParameterEstimate]:
-        """Poles [rad/s] of each channel or motor, or of the whole model, named as by `pole_names`."""
+        """Poles [rad/s] of each channel or motor, or of the whole model, named by `pole_names`."""
         groups = self._transfer_functions
         if groups:
             return [pole_estimate(self.parameters.part(_fields(*group)), group[1]) for group in groups.items()]
@@ -132,7 +132,7 @@ class IdentifiedModel:
 
     @property
     def limits(self) -> dict[str, TwoSided]:
-        """Limits of the command of each channel inside the base; only channels for which the data show a limit."""
+        """Limits of the command inside the base, by channel; channels without an identified limit are absent."""
         group = self.base_effects.twist_range or TwistRange()
         return {channel: limit for channel in CHANNELS if (limit := getattr(group, channel)) is not None}
 
@@ -154,18 +154,18 @@ class IdentifiedModel:
         return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))
 
     def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
-        """Build the content of a parameter file; `more` are additional keys."""
+        """Build the content of a parameter file; `more` contains additional keys."""
         return self.schema.model_validate(
             {"name": name, "structure": self.structure, "provenance": provenance, **self.content, **more}
         )
 
 
-def rounded(value: object) -> Any:  # noqa: ANN401 - nested numbers for YAML
-    """Convert numbers, and nested arrays or mappings of numbers, to Python floats, rounded as in a file."""
+def round_values(value: object) -> Any:  # noqa: ANN401 - nested numbers for YAML
+    """Round numbers, and nested arrays or mappings of numbers, to the digits of a file; return Python floats."""
     if isinstance(value, Mapping):
-        return {key: rounded(entry) for key, entry in value.items()}
+        return {key: round_values(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [rounded(entry) for entry in value]
+        return [round_values(entry) for entry in value]
     return float(f"{float(value):.{_DIGITS}g}")  # type: ignore[arg-type]
 
 
@@ -238,17 +238,17 @@ def write_model_file(path: Path, content: ModelFile) -> None:
 def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
     """Return the uncertainty of the parameters for the parameter file."""
     deviation = estimate.standard_deviation
-    # A deviation of zero has covariances of zero, so any scale avoids 0 / 0. Rounding may exceed a correlation of 1.
+    # If a deviation is zero, its covariances are zero, so any scale avoids 0 / 0. Rounding may increase 1 slightly.
     scale = np.where(deviation > 0, deviation, 1.0)
     correlation = np.clip(estimate.covariance / np.outer(scale, scale), -1.0, 1.0)
     return {
         "parameters": list(estimate.names),
-        "value": rounded(estimate.values),
+        "value": round_values(estimate.values),
         "standard_deviation": [float(f"{value:.4g}") for value in deviation],
         "correlation": [[round(float(value), _CORRELATION_DIGITS) for value in row] for row in correlation],
     }
 
 
 def percent(fit: FloatArray) -> dict[str, float]:
-    """Return FIT (2,) [%] by channel, rounded as in a file."""
+    """Return FIT (2,) [%] by channel, rounded to the digits of a file."""
     return {channel: round(float(value), _PERCENT_DIGITS) for channel, value in zip(CHANNELS, fit, strict=True)}

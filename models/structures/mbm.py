@@ -1,4 +1,4 @@
-"""Identification of MBM, four motors between inverse and forward wheel kinematics, from records."""
+"""Identification of MBM from records: four motors between inverse and forward wheel kinematics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstima
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -38,7 +38,7 @@ MOTORS = tuple(Motors.model_fields)
 
 @dataclass(frozen=True)
 class MotorsParametrisation:
-    """Transfer functions with two poles for each motor, with inputs v_ref and omega_ref and the firmware's track.
+    """Transfer function with two poles for each motor, and firmware track, with inputs v_ref and omega_ref.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class MotorsParametrisation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Three names for each motor, then that of the firmware's track."""
+        """Names of three parameters for each motor, and of the firmware track."""
         return (
             *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
             "log_track",
@@ -76,12 +76,12 @@ class MotorsParametrisation:
         for i, (side, motor) in enumerate(zip(self.sides, parameters[:-1].reshape(count, -1), strict=True)):
             rows = slice(2 * i, 2 * i + 2)
             A[rows, rows], b, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
-            # Set-point of the wheel: rim speed v + side track omega / 2, over the radius.
+            # The set-point of the wheel is its rim speed, v + side track omega / 2, divided by the radius.
             B[rows] = b * np.array([1.0, 0.5 * side * track]) / self.radius
         return A, B, C
 
     def recentred(self, parameters: FloatArray) -> tuple[MotorsParametrisation, FloatArray]:
-        """Return the parametrisation unchanged, as logarithms suit all values."""
+        """Return the parametrisation unchanged, because logarithms are well scaled for all values."""
         return self, parameters
 
 
@@ -94,12 +94,12 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     Parameters
     ----------
     records
-        Records with wheel speeds and a gyro. If the log has only the speeds of two sides, front and rear motor of a
-        side are equal.
+        Records with wheel speeds and a gyro. If the log has only one speed per side, front and rear motor of a side are
+        assumed to be equal.
     wheel_radius
         Wheel radius in the robot's firmware [m].
     limits
-        Whether to search for limits of the base.
+        True to search for limits of the base.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     track = firmware_track(records, geometry, np.diag([channel.content["gain"] for channel in (v, yaw)]))
     fit = fit_output_error([_start(sides, wheel_radius, track or geometry.track, v, yaw)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
-    parameters = _with_effective_track(join_estimates([_physical(fit, len(sides)), turning]), len(sides))
+    parameters = _with_effective_track(join_estimates([_physical_parameters(fit, len(sides)), turning]), len(sides))
     motors = {
         name: {key: parameters.value(f"{MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(MOTORS)
@@ -121,12 +121,12 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     return IdentifiedModel(
         schema=MbmFile,
         content={
-            "dead_time": rounded({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
-            "motors": rounded(motors),
+            "dead_time": round_values({name: parameters.value(f"{name}.dead_time") for name in CHANNELS}),
+            "motors": round_values(motors),
             "wheel_radius": wheel_radius,
-            "firmware_track": rounded(parameters.value("firmware_track")),
-            "effective_track": rounded(parameters.value("effective_track")),
-            "base_effects": rounded(effects_of(fit.system.limit)),
+            "firmware_track": round_values(parameters.value("firmware_track")),
+            "effective_track": round_values(parameters.value("effective_track")),
+            "base_effects": round_values(effects_of(fit.system.limit)),
         },
         parameters=parameters,
         offset=np.array([0.0, yaw.parameters.value("offset")]),
@@ -139,12 +139,12 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
     delays = doubts.response_delays(fit, MOTORS[:motors], [0] * motors)
-    # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
+    # Offset and dead time may be near zero, where a large relative deviation does not indicate a poor model.
     nonzero = [name for name in parameters.names if not name.endswith(("offset", "dead_time"))]
-    unknown = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
+    unclear = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     return (
         *doubts.parameters_at_bounds(fit, "motors"),
-        *(doubt.about("motors") for doubt in unknown),
+        *(doubt.about("motors") for doubt in unclear),
         *doubts.poorly_determined(fit, "motors"),
     )
 
@@ -152,7 +152,7 @@ def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -
 def _start(
     sides: tuple[int, ...], radius: float, track: float, v: IdentifiedChannel, yaw: IdentifiedChannel
 ) -> tuple[Layout, FloatArray]:
-    """Return layout and initial parameters from the channels of SM and the track of the firmware [m]."""
+    """Return the layout and initial parameters, from the channels of SM and the track of the firmware [m]."""
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
     limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
     levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
@@ -161,7 +161,7 @@ def _start(
     return layout, np.concatenate([np.tile(motor, len(sides)), [np.log(track)], dead_time, levels])
 
 
-def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
+def _physical_parameters(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in MOTORS[:motors] for key in TwoPoles.model_fields]
     names += ["firmware_track", *(f"{channel}.dead_time" for channel in CHANNELS), *limit_names(fit.layout.limited)]
 
@@ -174,7 +174,7 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
-    """Convert the yaw gain of the gyro to a track: firmware track times the motors' mean gain over the yaw gain."""
+    """Replace the yaw gain by the effective track: firmware track times mean gain of the motors over yaw gain."""
     gains = [estimate.names.index(f"{motor}.gain") for motor in MOTORS[:motors]]
     track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
@@ -195,5 +195,5 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
 def required_radius(conditions: IdentificationConditions) -> float:
     """Return the wheel radius [m]; raise ConfigError if the log lacks wheel speeds or a gyro."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
-        raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
+        raise ConfigError("mbm: the log needs wheel speeds and a gyro; map them, or identify sm or ssm")
     return conditions.wheel_radius

@@ -1,4 +1,4 @@
-"""Identification of MBM by modes: all motors share the response to v_ref and that to omega_ref, each has its gain."""
+"""Identification of MBM by modes: all motors share one response to v_ref and one to omega_ref, but not their gain."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from diffdrive_mpc.models.output_error.experiment import wheel_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, join_estimates
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import fit_output_error
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc.models.structures.mbm import MOTORS, SIDES, required_radius
 from diffdrive_mpc.models.structures.model_file import MbmModesFile
 from diffdrive_mpc.models.structures.sm import METHOD, identify_sm
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
 @dataclass(frozen=True)
 class ModesParametrisation:
-    """Rim speeds of motors that follow v and omega of a known linear system, with a gain each.
+    """Rim speeds of motors that follow v and omega of a known linear system, with one gain for each motor.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ModesParametrisation:
         return A, B, np.array(rims) @ C
 
     def recentred(self, parameters: FloatArray) -> tuple[ModesParametrisation, FloatArray]:
-        """Return the parametrisation unchanged, as logarithms suit all values."""
+        """Return the parametrisation unchanged, because logarithms are well scaled for all values."""
         return self, parameters
 
 
@@ -85,9 +85,13 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     identified = replace(
         sm,
         schema=MbmModesFile,
-        content={**sm.content, "motors": rounded(gains), "effective_track": rounded(motors.value("effective_track"))},
+        content={
+            **sm.content,
+            "motors": round_values(gains),
+            "effective_track": round_values(motors.value("effective_track")),
+        },
         parameters=join_estimates([sm.parameters, motors]),
-        method=METHOD.format(TWO_POLES.words) + "; then a gain for each motor and the track, from wheel speeds",
+        method=METHOD.format(TWO_POLES.description) + "; then a gain for each motor and the track, from wheel speeds",
         warnings=(*sm.warnings, *(doubt.about("motors") for doubt in doubts.uncertain_parameters(motors))),
     )
     return StructureFit(identified)

@@ -1,4 +1,4 @@
-"""Schemas of the parameter files of models: common fields, and those of each structure."""
+"""Schemas of the parameter files of models: common fields, and the fields of each structure."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Uncertainty(StrictModel):
     correlation: list[list[Finite]]
 
     @model_validator(mode="after")
-    def _square(self) -> Uncertainty:
+    def _check_lengths(self) -> Uncertainty:
         count = len(self.parameters)
         lengths = [len(self.value), len(self.standard_deviation), len(self.correlation), *map(len, self.correlation)]
         if any(length != count for length in lengths):
@@ -110,7 +110,7 @@ class ModelFile(ParameterFile):
     base_effects: BaseEffects = Field(default=BaseEffects(), description="effects of the base")
 
     def matrices(self) -> Matrices:
-        """Return continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
+        """Return continuous A (n, n), B (n, 2), C (2, n); by default built from `transfer_functions`."""
         return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
@@ -119,7 +119,7 @@ class ModelFile(ParameterFile):
 
 
 def build_model(data: ModelFile) -> VelocityModel:
-    """Build the model from the content of a parameter file; raise ModelError if it cannot describe a robot."""
+    """Build the model of a parameter file; raise ModelError if it cannot describe a robot."""
     A, B, C = data.matrices()
     return VelocityModel(
         name=data.name,
@@ -133,14 +133,14 @@ def build_model(data: ModelFile) -> VelocityModel:
 
 
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
-    """Write a parameter file: the comment line `head`, common fields, parameters, and the keys `more`.
+    """Write a parameter file: the comment line `head`, common fields, parameters, and the additional keys `more`.
 
-    Defaults are omitted; the editor line of an existing file is kept. Raises OSError if the file cannot be written.
+    Defaults are omitted, and the editor line of an existing file is preserved. Raise OSError if writing fails.
     """
     data = content.model_dump(exclude_none=True, exclude_defaults=True) | more
-    first = list(ParameterFile.model_fields)
-    ordered = {key: data[key] for key in first if key in data}
-    ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
+    common_keys = list(ParameterFile.model_fields)
+    ordered = {key: data[key] for key in common_keys if key in data}
+    ordered |= {key: value for key, value in data.items() if key not in (*common_keys, "uncertainty")}
     ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
     text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
     path.write_text(f"{read_editor_line(path)}# {head}\n{text}", encoding="utf-8")
@@ -195,7 +195,7 @@ class TwoPoles(TransferFunction):
 
 
 class Gain(TransferFunction):
-    """A gain with a pole so fast that its transient is negligible after a sample of 20 ms."""
+    """Gain with a pole that is so fast that its transient is negligible after one sample of 20 ms."""
 
     gain: Positive = Field(description="steady-state gain [-]")
 
@@ -217,7 +217,7 @@ _FAST_POLE = 900.0
 
 
 def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
-    """Combine transfer functions to a block-diagonal system with one input and one output for each."""
+    """Combine transfer functions into a block-diagonal system with one input and one output for each."""
     from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does not need it
 
     A, B, C = (block_diag(*matrices) for matrices in zip(*(part.matrices() for part in parts), strict=True))
@@ -292,7 +292,7 @@ class MotorGains(StrictModel):
 
 
 class MbmModesFile(ChannelsFile):
-    """MBM by modes: motors share a response to v_ref (`v`) and one to omega_ref (`omega`), and each has a gain.
+    """MBM by modes: motors share one response to v_ref (`v`) and one to omega_ref (`omega`), but not their gain.
 
     The rim speed of a motor is its gain times (v -+ omega effective_track / 2); v of the model is the mean rim speed.
     """
@@ -318,7 +318,7 @@ class DelayChannels(StrictModel):
 
 
 class TwoDelaysFile(ChannelsFile):
-    """A gain and a dead time for each channel: a baseline with the response time but not its shape."""
+    """A gain and a dead time for each channel, a baseline with the delay but not the shape of the response."""
 
     structure: Literal["two_delays"]
     channels: DelayChannels
@@ -333,7 +333,7 @@ class SsmFile(ModelFile):
     C: list[list[float]]
 
     @model_validator(mode="after")
-    def _rectangular(self) -> SsmFile:
+    def _check_matrices(self) -> SsmFile:
         for name in ("A", "B", "C"):
             rows = getattr(self, name)
             if not rows or len({len(row) for row in rows}) != 1:

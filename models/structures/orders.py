@@ -1,6 +1,6 @@
-"""Selection of the order of a structure by comparison on held-out blocks of the data.
+"""Selection of the order of a structure by comparison on held-out blocks of the training data.
 
-Validation records are not used for the selection, which would bias their score.
+Validation records are not used for the selection, because this would bias their score.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import ModelError
 
-# Minimum gain that justifies a higher order [percentage points of FIT, mean of both channels].
-_WORTH = 0.25
-_FLOOR = 1
+# Minimum increase of FIT that justifies a higher order [percentage points, mean of both channels].
+_MIN_INCREASE = 0.25
+_BASELINE = 1
 _ROUNDING = 1e-3
 # Maximum loss of a channel against a simpler model [percentage points of FIT].
 _MAX_LOSS = 0.1
@@ -45,9 +45,9 @@ class OrderRow:
     parameters
         Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
-        (2,) FIT of v and omega [%]: on the training records; on held-out blocks of these, by models fitted without the
-        block (None if not requested, for order 1 and if the records are too short); on validation records (None if
-        there are none).
+        (2,) FIT of v and omega [%] on training records, on held-out blocks of the training records, and on validation
+        records. Models for held-out blocks are fitted without the block. Block FIT is None for order 1, if an order is
+        requested, and if the records are too short; validation FIT is None if there are no validation records.
     aic, bic
         Akaike's and Schwarz's information criteria relative to their minimum over all orders, by effective samples.
     """
@@ -86,10 +86,10 @@ def compare_orders(
 ) -> OrderChoice:
     """Select the order among models of order 1, 2 and so on.
 
-    The lowest order is selected whose mean FIT on held-out blocks is within a quarter of a percentage point of the
-    maximum; if the records are too short for blocks, the order with the lowest Schwarz criterion. Order 1 is a baseline
-    and is never selected, nor is an order whose model cannot describe a robot. An order whose parameters the data
-    hardly determine is avoided, since its delay is unknown.
+    The result is the lowest order with a mean FIT on held-out blocks within a quarter of a percentage point of the
+    maximum. If the records are too short for blocks, it is the order with the lowest Schwarz criterion. Order 1, which
+    is a baseline, and orders whose model cannot describe a robot are never selected. Orders with poorly determined
+    parameters are avoided, because their delay is uncertain.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def compare_orders(
     requested
         Order to use; None to select it.
     floor
-        (2,) FIT of a simpler model on `train` [%]; orders behind it (see `is_behind`) are avoided.
+        (2,) FIT of a simpler model on `train` [%]; orders with a lower FIT (see `is_behind`) are avoided.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def compare_orders(
     held_out: list[FloatArray | None] = [None] * len(models)
     if not requested:
         experiments = join_experiments(twist_experiments(train, yaw))
-        held_out[_FLOOR:] = [block_fit(model.fits[0], experiments) for model in models[_FLOOR:]]
+        held_out[_BASELINE:] = [block_fit(model.fits[0], experiments) for model in models[_BASELINE:]]
     rows = tuple(
         OrderRow(
             identified,
@@ -127,31 +127,31 @@ def compare_orders(
     )
     if requested:
         return OrderChoice(rows, requested, "as requested")
-    usable = [order for order, row in enumerate(rows, start=1) if order > _FLOOR and _is_robot(row.identified)]
+    usable = [order for order, row in enumerate(rows, start=1) if order > _BASELINE and _can_drive(row.identified)]
     if not usable:
         name = models[0].structure.upper()
         raise ValueError(
             f"no order of {name} gives a model that can describe a robot: identify SM, or use a longer log"
         )
-    # Each filter is dropped if no order passes it.
-    certain = estimator_settings().warn.condition
-    usable = [order for order in usable if rows[order - 1].identified.fits[0].sandwich.condition < certain] or usable
+    # Each filter is skipped if no order passes it.
+    limit = estimator_settings().warn.condition
+    usable = [order for order in usable if rows[order - 1].identified.fits[0].sandwich.condition < limit] or usable
     if floor is not None:
         usable = [order for order in usable if not is_behind(rows[order - 1].train_fit_percent, floor)] or usable
     score = {order: float(np.mean(fit)) for order in usable if (fit := rows[order - 1].block_fit_percent) is not None}
     if score:
         best = max(score.values())
-        order = min(order for order in score if score[order] > best - _WORTH)
-        reason = f"lowest order within {_WORTH} points of the best mean FIT on blocks held out in turn, {best:.2f} %"
+        order = min(order for order in score if score[order] > best - _MIN_INCREASE)
+        reason = f"lowest order within {_MIN_INCREASE} points of the best mean FIT on held-out blocks, {best:.2f} %"
         return OrderChoice(rows, order, reason)
     order = min(usable, key=lambda order: rows[order - 1].bic)
     return OrderChoice(rows, order, "lowest Schwarz criterion; the records are too short to hold blocks out")
 
 
 def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
-    """Return True if FIT (2,) [%] is below the floor on average, or in a channel by more than 0.1."""
-    gain = fit_percent - floor
-    return bool(gain.mean() < -_ROUNDING or gain.min() < -_MAX_LOSS)
+    """Return True if FIT (2,) [%] is below `floor` (2,) [%] on average, or by more than 0.1 in one channel."""
+    difference = fit_percent - floor
+    return bool(difference.mean() < -_ROUNDING or difference.min() < -_MAX_LOSS)
 
 
 def block_fit(fit: OutputErrorFit, experiments: Sequence[SampledExperiment]) -> FloatArray | None:
@@ -164,8 +164,8 @@ def block_fit(fit: OutputErrorFit, experiments: Sequence[SampledExperiment]) -> 
 
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
-    """Compute AIC and BIC relative to their minima, with residual scale and correlation of the highest order."""
-    # Residuals of low orders hold unmodelled dynamics, which would appear as correlated noise.
+    """Compute AIC and BIC relative to their minima, with the residual scale and correlation of the highest order."""
+    # Residuals of low orders contain unmodelled dynamics, which would appear as correlated noise.
     reference = models[-1].fits[0]
     samples = reference.sandwich.effective_samples
     criteria = []
@@ -174,11 +174,11 @@ def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
         misfit = float(samples @ np.log(fit.loss(reference.scale)))
         count = len(fit.parameters)
         criteria.append((misfit + 2 * count, misfit + np.log(samples.sum()) * count))
-    lowest = np.min(criteria, axis=0)
-    return [(float(aic - lowest[0]), float(bic - lowest[1])) for aic, bic in criteria]
+    minima = np.min(criteria, axis=0)
+    return [(float(aic - minima[0]), float(bic - minima[1])) for aic, bic in criteria]
 
 
-def _is_robot(identified: IdentifiedModel) -> bool:
+def _can_drive(identified: IdentifiedModel) -> bool:
     try:
         return identified.model.order > 0
     except ModelError:

@@ -1,4 +1,4 @@
-"""Registry of the structures of velocity models; a new structure needs a schema, an identification and a line here."""
+"""Registry of the structures of velocity models; a new structure needs a schema, an identification and an entry."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_ORDER = 5
 
 
 def _identify_by(module: str, records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify with a module of this package, imported here because loading a model does not need the estimator."""
+    """Identify with a module of this package; it is imported on demand, because loading a model does not need it."""
     identified: StructureFit = import_module(f"{__package__}.{module}").identify(records, conditions)
     return identified
 

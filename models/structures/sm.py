@@ -11,7 +11,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experi
 from diffdrive_mpc.models.output_error.input_limits import effects_of
 from diffdrive_mpc.models.output_error.parameters import join_estimates
 from diffdrive_mpc.models.structures.channel import ChannelForm, IdentifiedChannel, identify_channel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import ModelFile, SmFile
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
@@ -42,11 +42,11 @@ def identify_sm(
     yaw
         Sensor whose omega the model predicts.
     limits
-        Whether to search for limits of the base.
+        True to search for limits of the base.
     robust
-        Whether to reduce the weight of single outliers.
+        True to reduce the weight of single outliers.
     form, schema
-        Kind of transfer function, and schema of the file with this kind in `channels`.
+        Form of the transfer functions, and schema of a file with this form in `channels`.
 
     Raises
     ------
@@ -58,14 +58,14 @@ def identify_sm(
     return IdentifiedModel(
         schema=schema,
         content={
-            "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
-            "channels": rounded({name: fit.content for name, fit in fits.items()}),
-            "base_effects": rounded(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
+            "dead_time": round_values({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
+            "channels": round_values({name: fit.content for name, fit in fits.items()}),
+            "base_effects": round_values(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
         },
         parameters=join_estimates([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
         yaw=yaw,
-        method=METHOD.format(form.words),
+        method=METHOD.format(form.description),
         fits=tuple(fit.fit for fit in channels),
         warnings=tuple(warning for fit in channels for warning in fit.warnings),
     )

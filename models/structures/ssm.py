@@ -1,4 +1,4 @@
-"""Identification of SSM, one state-space model with a dead time for each input, from records."""
+"""Identification of SSM from records: one state-space model with a dead time for each input."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from diffdrive_mpc.models.output_error.state_space import (
 )
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, block_fit, compare_orders, is_behind
 from diffdrive_mpc.models.structures.registry import MAX_ORDER
@@ -50,10 +50,10 @@ METHOD = (
     "(eigensystem realization), from SM and from the order below"
 )
 _Channels = tuple[IdentifiedChannel, IdentifiedChannel]
-_DECOUPLED = 4
-"""Order of SM as a state space."""
-_EVALUATIONS = 8
-"""Evaluations in a round of the search; candidates start near a minimum."""
+_SM_ORDER = 4
+"""Order of SM as a state-space model."""
+_MAX_EVALUATIONS = 8
+"""Maximum number of evaluations in a round of the search; candidates start near a minimum."""
 
 
 def identify_ssm(
@@ -70,15 +70,15 @@ def choose_order(
     train: Sequence[Record],
     validation: Sequence[Record] = (),
     *,
-    largest: int = MAX_ORDER,
+    max_order: int = MAX_ORDER,
     yaw: YawSource = "gyro",
     limits: bool = True,
     requested: int | None = None,
 ) -> OrderChoice:
-    """Identify every order up to `largest` and select one by `compare_orders`.
+    """Identify every order up to `max_order` and select one by `compare_orders`.
 
-    SM as a state space takes the place of order 4, and is selected, if it predicts held-out blocks better than the
-    selected order, or training rows (see `is_behind`), and its delays are certain.
+    SM as a state-space model replaces order 4 and is selected if its delays are well determined and it predicts
+    held-out blocks or training records (see `is_behind`) better than the selected order.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def choose_order(
         Training records.
     validation
         Validation records, which are not used for the selection.
-    largest
+    max_order
         Maximum order, 2 to 5.
     yaw, limits
         As for `identify_ssm`.
@@ -99,12 +99,12 @@ def choose_order(
         As for `identify_ssm_orders`, or if no order gives a usable model.
     """
     channels = identify_channels(train, yaw=yaw, limits=limits)
-    models = _identify_orders(train, channels, largest, yaw)
-    floor = validate(_decoupled(channels), train, yaw).fit_percent
+    models = _identify_orders(train, channels, max_order, yaw)
+    floor = validate(_sm_as_state_space(channels), train, yaw).fit_percent
     choice = compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
     selected = choice.rows[choice.order - 1]
     blocks = selected.block_fit_percent
-    if blocks is None or largest < _DECOUPLED:
+    if blocks is None or max_order < _SM_ORDER:
         return choice
     experiments = twist_experiments(train, yaw)
     parts = [[part.channel(row, row) for part in join_experiments(experiments)] for row in range(len(channels))]
@@ -112,62 +112,62 @@ def choose_order(
     score = np.concatenate([fit for fit in simpler if fit is not None]).mean()
     if score <= blocks.mean() and not is_behind(selected.train_fit_percent, floor):
         return choice
-    fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
+    fit = _fit(experiments, channels, _SM_ORDER, None, yaw == "gyro", evaluations=1)
     if doubts.uncertain_delays(doubts.response_delays(fit, CHANNELS, [0, 1])):
         return choice
-    models[_DECOUPLED - 1] = _build_model(fit, yaw)
+    models[_SM_ORDER - 1] = _build_model(fit, yaw)
     reason = (
         f"SM as a state space, mean FIT {score:.2f} % on held-out blocks; order {choice.order} {blocks.mean():.2f} %"
     )
-    return replace(compare_orders(models, train, validation, yaw, requested=_DECOUPLED), reason=reason)
+    return replace(compare_orders(models, train, validation, yaw, requested=_SM_ORDER), reason=reason)
 
 
 def identify_ssm_orders(
     records: Sequence[Record],
-    largest: int = MAX_ORDER,
+    max_order: int = MAX_ORDER,
     *,
     yaw: YawSource = "gyro",
     limits: bool = True,
 ) -> list[IdentifiedModel]:
-    """Identify SSM of every order from 1 to `largest`; the next lower order is one of the initial values.
+    """Identify SSM of every order from 1 to `max_order`; the next lower order provides an initial guess.
 
-    For order 4, SM is another initial value, with the weights of SM, and is the result if the search ends behind SM
-    (see `is_behind`).
+    SM also provides an initial guess for order 4. SM is the result if the search ends with a lower FIT (see
+    `is_behind`).
 
     Parameters
     ----------
     records
         Records with encoders and, if `yaw` is "gyro", a gyro, whose bias is also identified.
-    largest
+    max_order
         Maximum order, 1 to 5.
     yaw
         Sensor whose omega the model predicts.
     limits
-        Whether to search for limits of the base.
+        True to search for limits of the base.
 
     Raises
     ------
     ValueError
         If the order is out of range, a record lacks a signal, or the readings or commands never change.
     """
-    if not 1 <= largest <= MAX_ORDER:
-        raise ValueError(f"order {largest}: give 1 to {MAX_ORDER}")
-    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), largest, yaw)
+    if not 1 <= max_order <= MAX_ORDER:
+        raise ValueError(f"order {max_order}: give 1 to {MAX_ORDER}")
+    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), max_order, yaw)
 
 
 def _identify_orders(
-    records: Sequence[Record], channels: _Channels, largest: int, yaw: YawSource
+    records: Sequence[Record], channels: _Channels, max_order: int, yaw: YawSource
 ) -> list[IdentifiedModel]:
     experiments = twist_experiments(records, yaw)
     fits: list[OutputErrorFit] = []
-    for order in range(1, largest + 1):
+    for order in range(1, max_order + 1):
         fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
     models = [_build_model(fit, yaw) for fit in fits]
-    # Order 4 contains SM, so it must not end behind SM.
-    if largest >= _DECOUPLED:
-        floor, row = validate(_decoupled(channels), records, yaw).fit_percent, _DECOUPLED - 1
+    # Order 4 contains SM, so its FIT must not be lower than that of SM.
+    if max_order >= _SM_ORDER:
+        floor, row = validate(_sm_as_state_space(channels), records, yaw).fit_percent, _SM_ORDER - 1
         if is_behind(validate(models[row].system, records, yaw).fit_percent, floor):
-            fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
+            fit = _fit(experiments, channels, _SM_ORDER, None, yaw == "gyro", evaluations=1)
             models[row] = _build_model(fit, yaw)
     return models
 
@@ -193,7 +193,7 @@ def _fit(
     dt = experiments[0].dt
     length = round(estimator_settings().impulse_response / dt)
     candidates = []
-    # SM has one or two poles for each channel.
+    # An even order has one or two poles for each channel, as SM.
     if order % 2 == 0:
         candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))
     scale = np.concatenate([channel.fit.scale for channel in channels])
@@ -203,7 +203,7 @@ def _fit(
     direct = from_impulse_response(impulse_response(experiments, dead_time, length), order, dt)
     if direct:
         candidates.append(candidate(direct, dead_time))
-    # Start from the order below, and one state for the part that it does not explain.
+    # The next lower order, and one additional state for its residuals, are a further initial guess.
     if below:
         system = below.system
         unexplained = [
@@ -215,10 +215,10 @@ def _fit(
         candidates.append(candidate(parallel(lower, added or spare_state(*lower)), system.dead_time))
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
-    return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_EVALUATIONS)
+    return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_MAX_EVALUATIONS)
 
 
-def _decoupled(channels: _Channels) -> LinearSystem:
+def _sm_as_state_space(channels: _Channels) -> LinearSystem:
     """Return SM as one linear system with sensor offsets and limits."""
     parts = [channel.fit.system for channel in channels]
     dead_time, offset, limit = (np.concatenate(rows) for rows in zip(*(part[3:] for part in parts), strict=True))
@@ -226,7 +226,7 @@ def _decoupled(channels: _Channels) -> LinearSystem:
 
 
 def _side_by_side(channels: _Channels, poles: int) -> Realisation:
-    """Combine the transfer functions of both channels, with two poles each, or one pole of the same lag and gain."""
+    """Combine the transfer functions of both channels, with two poles each, or with one pole of equal lag and gain."""
     parts = []
     for row, channel in enumerate(channels):
         system = channel.fit.system
@@ -241,7 +241,7 @@ def _side_by_side(channels: _Channels, poles: int) -> Realisation:
 
 
 def _common_pole(channels: _Channels) -> Realisation:
-    """Return a realisation with one common pole of both channels, for impulse responses too noisy to realise."""
+    """Return a realisation with one common pole of both channels, for impulse responses that cannot be realised."""
     A, B, C = _side_by_side(channels, 1)
     return A[:1, :1], B[:1], C[:, :1]
 
@@ -269,11 +269,11 @@ def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     return IdentifiedModel(
         schema=SsmFile,
         content={
-            "dead_time": rounded(dict(zip(CHANNELS, system.dead_time, strict=True))),
-            "A": rounded(A),
-            "B": rounded(B),
-            "C": rounded(C),
-            "base_effects": rounded(effects_of(system.limit)),
+            "dead_time": round_values(dict(zip(CHANNELS, system.dead_time, strict=True))),
+            "A": round_values(A),
+            "B": round_values(B),
+            "C": round_values(C),
+            "base_effects": round_values(effects_of(system.limit)),
         },
         parameters=parameters,
         offset=np.asarray(system.offset),
@@ -295,6 +295,6 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
-    largest = max(order or MAX_ORDER, 2)
-    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
+    max_order = max(order or MAX_ORDER, 2)
+    choice = choose_order(records, conditions.validation, max_order=max_order, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

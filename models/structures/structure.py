@@ -59,11 +59,11 @@ class Structure:
     identify
         Function that identifies the model from records; raises ValueError if they are unsuitable.
     needs_wheels
-        Whether identification needs wheel speeds and a gyro.
+        True if the identification needs wheel speeds and a gyro.
     max_order
         Maximum order; None for structures with a fixed order.
     supports_effects
-        Whether `models.identification.effects` supports base effects for the structure.
+        True if `models.identification.effects` supports base effects for the structure.
     """
 
     name: str

@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc.models.structures.model_file import TwoDelaysFile, TwoPoles
 from diffdrive_mpc.models.structures.sm import METHOD, identify_sm
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -34,8 +34,8 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     names = [f"{channel}.{name}" for channel in CHANNELS for name in ("gain", "dead_time")]
     parameters = sm.parameters.derived(names, gains_and_delays)
     content = {
-        "dead_time": {channel: rounded(parameters.value(f"{channel}.dead_time")) for channel in CHANNELS},
-        "channels": {channel: {"gain": rounded(parameters.value(f"{channel}.gain"))} for channel in CHANNELS},
+        "dead_time": {channel: round_values(parameters.value(f"{channel}.dead_time")) for channel in CHANNELS},
+        "channels": {channel: {"gain": round_values(parameters.value(f"{channel}.gain"))} for channel in CHANNELS},
     }
-    method = METHOD.format(TWO_POLES.words) + FROM_SM
+    method = METHOD.format(TWO_POLES.description) + FROM_SM
     return StructureFit(replace(sm, schema=TwoDelaysFile, content=content, parameters=parameters, method=method))

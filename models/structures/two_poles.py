@@ -17,19 +17,19 @@ from diffdrive_mpc.models.structures.model_file import TransferFunction, TwoPole
 class TwoPolesForm:
     """`ChannelForm` gain / (1 + lag s + lag short s^2) with the logarithms of gain, lag and short as parameters.
 
-    Parameters stay moderate for complex poles, and if one pole is far faster than the other.
+    The parameters remain moderate for complex poles, and for a pole that is much faster than the other.
 
     Attributes
     ----------
-    shortest
-        Minimum of `short` [s], the product of both time constants over their sum, which approximates the shorter one;
-        by default from the settings.
+    min_short
+        Minimum of `short` [s]: the product of both time constants over their sum, which approximates the shorter
+        constant. By default from the settings.
     """
 
-    shortest: float | None = None
+    min_short: float | None = None
     file: ClassVar[type[TransferFunction]] = TwoPoles
     kinds: ClassVar[Mapping[str, str]] = {"log_gain": "gain", "log_lag": "lag", "log_short": "second lag"}
-    words: ClassVar[str] = "two poles, no zeros"
+    description: ClassVar[str] = "two poles, no zeros"
     names: ClassVar[tuple[str, ...]] = tuple(kinds)
     may_be_zero: ClassVar[tuple[str, ...]] = ()
 
@@ -37,7 +37,7 @@ class TwoPolesForm:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (3,) from the settings."""
         settings = estimator_settings()
-        short = (self.shortest or settings.short[0], settings.short[1])
+        short = (self.min_short or settings.short[0], settings.short[1])
         ranges = np.log([settings.gain, settings.lag, short])
         return ranges[:, 0], ranges[:, 1]
 
@@ -51,7 +51,7 @@ class TwoPolesForm:
         gain, natural_frequency, damping = values
         return np.log([gain, 2 * damping / natural_frequency, 0.5 / (damping * natural_frequency)])
 
-    def first_guesses(self, gain: float, frequency: float) -> list[FloatArray]:
+    def initial_guesses(self, gain: float, frequency: float) -> list[FloatArray]:
         """Return parameters (3,) of a double pole at `frequency` [rad/s]."""
         return [self.parameters(np.array([gain, frequency, 1.0]))]
 
@@ -60,7 +60,7 @@ class TwoPolesForm:
         return self.file.realisation(self.values(parameters))
 
     def recentred(self, parameters: FloatArray) -> tuple[TwoPolesForm, FloatArray]:
-        """Return the form unchanged, as logarithms suit all values."""
+        """Return the form unchanged, because logarithms are well scaled for all values."""
         return self, parameters
 
 

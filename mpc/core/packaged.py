@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from diffdrive_mpc.models.compiled.compiler import PLAIN_REST, digest_of
+from diffdrive_mpc.models.compiled.compiler import NO_VECTOR_EPILOGUES, digest_of
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc.mpc.core.sources import CORE, core_origin, core_texts
 
 _V3 = frozenset(("avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"))
 _V4 = _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 _LEVELS = {
-    "x86-64-v4": Level(("-march=x86-64-v4", "-mprefer-vector-width=512", PLAIN_REST), _V4),
+    "x86-64-v4": Level(("-march=x86-64-v4", "-mprefer-vector-width=512", NO_VECTOR_EPILOGUES), _V4),
     "x86-64-v3": Level(("-march=x86-64-v3",), _V3),
     BASELINE: Level((), frozenset()),
 }

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.models.trust import check_trusted
 
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -126,7 +126,7 @@ def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     passport = load_checked(SpeedPassport, path)
     surfaces = list(dict.fromkeys(row.surface for row in passport.rows))
     if use.surface is not None and use.surface not in surfaces:
-        raise ConfigError(f"{path}: unknown surface {not_among(use.surface, surfaces)}")
+        raise ConfigError(f"{path}: unknown surface {format_unknown_name(use.surface, surfaces)}")
     where = f"{path}, {use.surface or 'all surfaces'}, {use.tolerance:g} m"
     rows = []
     for surface in surfaces if use.surface is None else [use.surface]:

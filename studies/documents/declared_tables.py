@@ -1,6 +1,6 @@
-"""Tables of documents, generated from declarations: parameters of the node, and scalars of a step.
+"""Tables of documents that are generated from declarations: parameters of the node, and scalars of a step.
 
-Run as ``python -m studies.documents.declared_tables`` in the root folder of the repository.
+`python -m studies.documents.declared_tables`, run in the root folder of the repository, writes both tables.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def parameter_tables() -> str:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `parameter_advice.yaml` has no entry for a parameter, or an entry that is neither a parameter nor a group.
+        If a parameter has no entry in `parameter_advice.yaml`, or an entry is neither a parameter nor a group.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
@@ -86,7 +86,7 @@ def part_rows() -> dict[str, list[FieldRow]]:
 
 
 def _title(group: str) -> str:
-    """Return the title of a group's table, with a prefix for expert groups."""
+    """Return the title of the table of a group; titles of expert groups have a prefix."""
     title_key = group.removeprefix(EXPERT).removeprefix(".")
     return f"For experts: {_TITLES[title_key]}" if group != title_key else _TITLES[group]
 
@@ -107,7 +107,7 @@ def _schema_rows() -> list[FieldRow]:
 
 
 def with_tables(name: str, page: str) -> str:
-    """Update the table in the text `page` of the document `name`."""
+    """Return the text `page` of the document `name` with its table updated."""
     marker, table = PAGES[name]
     return insert(page, table(), marker)
 
@@ -142,7 +142,7 @@ PAGES: Mapping[str, tuple[str, Callable[[], str]]] = {
     "parameters.md": ("parameters", parameter_tables),
     "logs.md": ("scalars", scalars_table),
 }
-"""Marker and function of the table by name of the document."""
+"""Marker of the table, and function that builds the table, by name of the document."""
 
 if __name__ == "__main__":
     for name in PAGES:

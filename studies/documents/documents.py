@@ -1,9 +1,9 @@
 """Copy reports to the documents and insert their tables into pages.
 
-Run as ``python -m studies.documents.documents OUT ...`` in the root folder of the repository.
+Run `python -m studies.documents.documents OUT ...` in the root folder of the repository.
 
-The command also checks whether reports are up to date: `docs/twelve-drives.json` contains checksums of the commands of
-twelve drives, and the names of the reports that correspond to these commands. A line marks older reports.
+The command also marks outdated reports: `docs/twelve-drives.json` contains checksums of the commands of twelve drives,
+and the names of the reports that correspond to these commands. All other reports contain the line `OLDER`.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class DocumentedReport:
     figures, records
         Names of the figures and of the data files that are copied to the documents.
     page
-        Path, relative to `docs`, of the document with the tables between markers; empty if documents only link to the
-        report.
+        Path, relative to `docs`, of the document that contains the tables between markers; empty if documents only link
+        to the report.
     brief
-        True if the document also contains the first table and the facts, between markers with the name of the study.
+        True if this document also contains the first table and the facts, between markers with the name of the study.
     study
-        Name of the study if it writes several reports; `name` is then the name of the folder.
+        Name of the study if it writes several reports, so that `name` is the name of the folder; otherwise empty.
     """
 
     name: str
@@ -111,9 +111,9 @@ REPORTS = (
 
 
 def copy_report(entry: DocumentedReport, out: Path, documents: Path) -> None:
-    """Copy the report in `out` to `documents`, without links to other figures, and remove outdated figures.
+    """Copy the report in `out` to `documents` with the figures of `entry`, and remove links to all other figures.
 
-    Raises ConfigError if `out` contains no report.
+    Raise ConfigError if `out` does not contain the report.
     """
     if not (out / entry.file).is_file():
         raise ConfigError(f"{out}: no {entry.file}; run `make {entry.target}` first")
@@ -133,15 +133,15 @@ def copy_report(entry: DocumentedReport, out: Path, documents: Path) -> None:
 
 
 def sections(entry: DocumentedReport, report: str) -> dict[str, str]:
-    """Split a report into facts, figures and tables by name of their markers."""
+    """Split a report into facts, figures and tables, by name of the markers that enclose them in a document."""
     folder = os.path.relpath(f"docs/{entry.name}", Path("docs", entry.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
     facts = "\n".join(line for line in lines if line.startswith("* "))
     parts = {f"{entry.name}-runs": facts}
     if entry.brief:
-        first = tables[0].partition("\n")[2].strip()
-        parts[entry.name] = f"{first}\n\n{facts}"
+        first_table = tables[0].partition("\n")[2].strip()
+        parts[entry.name] = f"{first_table}\n\n{facts}"
     for line in lines:
         if line.startswith("!["):
             name = line[2:].partition("]")[0]
@@ -153,21 +153,21 @@ def sections(entry: DocumentedReport, report: str) -> dict[str, str]:
 
 
 def insert(document: str, text: str, name: str) -> str:
-    """Insert `text` between the markers `name` of `document`."""
+    """Replace the text between the markers `name` of `document` by `text`."""
     start, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     before, after = document.split(start, 1)
     return f"{before}{start}\n{text}\n{end}{after.split(end, 1)[1]}"
 
 
-def measured_on() -> str:
-    """Format revision, date and computer of this run for a note below a table."""
+def format_machine() -> str:
+    """Format revision, date and computer of this run, for a note below a table."""
     run = describe_run(0.0)
     machine = run["machine"]
     return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
 def with_report(entry: DocumentedReport, document: str, report: str) -> str:
-    """Insert the parts of a report between their markers in `document`; a note replaces missing parts."""
+    """Return `document` with the parts of a report between their markers; a note replaces missing parts."""
     parts = sections(entry, report)
     for name in re.findall(rf"<!-- ({entry.name}(?:-[a-z-]+)?):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
@@ -175,14 +175,14 @@ def with_report(entry: DocumentedReport, document: str, report: str) -> str:
 
 
 def update(out: Path) -> str:
-    """Update docs/NAME and the page with the tables of the report in `out`; return NAME.
+    """Update docs/NAME, and the document with its tables, from the report in `out`; return NAME.
 
-    Raises ConfigError if there is no report.
+    Raise ConfigError if `out` does not contain a report.
     """
     present = [candidate for candidate in REPORTS if (out / candidate.file).is_file()]
     if not present:
         raise ConfigError(f"{out}: contains no report of {', '.join(candidate.name for candidate in REPORTS)}")
-    # If a study writes several reports, the name of the folder is the name of the report.
+    # Several reports may have the same file name; the name of the folder then decides.
     entry = next((candidate for candidate in present if candidate.name == out.name), present[0])
     folder = Path("docs") / entry.name
     copy_report(entry, out, folder)
@@ -191,7 +191,7 @@ def update(out: Path) -> str:
 
 
 def update_page(entry: DocumentedReport) -> None:
-    """Insert the tables of docs/NAME into the page of the report, if there is a page."""
+    """Insert the tables of docs/NAME into the document of the report, if it has a document."""
     if entry.page:
         report, page = Path("docs") / entry.name / f"{entry.name}.md", Path("docs") / entry.page
         text = with_report(entry, page.read_text(encoding="utf-8"), report.read_text(encoding="utf-8"))
@@ -202,7 +202,7 @@ RECORD = Path("docs/twelve-drives.json")
 DRIVE_MODELS = ("mbm", "sm", "ssm")
 TRAJECTORIES = ("circle", "square", "s", "cane")
 OLDER = "* Older than the last change of the controller's commands; `make results` updates it."
-"""Line in reports that do not correspond to the current commands."""
+"""Line that marks reports which do not correspond to the current commands."""
 TOLERANCE = 1e-6
 """Relative tolerance of the checksums [-]; rounding differs between processors."""
 
@@ -210,8 +210,8 @@ TOLERANCE = 1e-6
 def drives() -> dict[str, list[float]]:
     """Drive the simulated robot and return checksums of the commands by name of the drive.
 
-    The checksums are the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega, each
-    multiplied by the number of the tick.
+    The checksums are the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega
+    weighted by the number of the tick, which also depend on the order of the commands.
     """
     sums = {}
     for model in DRIVE_MODELS:
@@ -230,9 +230,9 @@ def sums_agree(first: dict[str, list[float]], second: dict[str, list[float]]) ->
 
 
 def record(documents: Path, updated: Collection[str], names: Iterable[str]) -> None:
-    """Record that the reports `updated` correspond to the current commands.
+    """Record that the reports `updated` correspond to the current commands, and mark outdated reports in `names`.
 
-    If the commands differ from the recorded commands, all other reports in `names` are marked as older.
+    If the commands differ from the recorded commands, all reports that are not in `updated` are outdated.
     """
     path = documents / RECORD.name
     current_sums = drives()

@@ -1,7 +1,7 @@
 """Table and figure of docs/nav2.md: Nav2's control law and this project's controller on the same robot and paths.
 
-`python -m studies.documents.nav2_page` writes both. Errors are distances from the path, because the path of a
-FollowPath goal has no times.
+`python -m studies.documents.nav2_page` writes the table and the figure. Errors are distances from the path, because the
+path of a FollowPath goal has no times.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference, TrackingContro
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit, load_parameters, path_of
-from studies.documents.documents import insert, measured_on
+from studies.documents.documents import format_machine, insert
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "nav2.md"
 FIGURE = PAGE.parent / "nav2" / "paths.png"
@@ -25,7 +25,7 @@ MARKER = "side-by-side"
 PATHS = ("circle", "s", "square", "cane")
 SEEDS = range(5)
 _EXTRA_TIME = 15.0
-"""Time limit after the end of the reference, for slower controllers [s]."""
+"""Maximum time of a run after the end of the reference [s]; Nav2's law drives more slowly than the reference."""
 _REST_SPEED = 0.01
 """Maximum |v| [m/s] and |omega| [rad/s] of a robot at rest."""
 _SPACING = 0.002
@@ -41,7 +41,7 @@ class PathRun:
     distances
         Distances (n,) between the true position and the path at each tick [m].
     end_distance, heading_error
-        Distance from the end of the path [m] and heading error [rad], both at rest.
+        Distance from the end of the path [m] and heading error [rad] of the robot at rest.
     time, speed
         Time until the robot is at rest [s], and mean speed until then [m/s].
     position
@@ -57,7 +57,7 @@ class PathRun:
 
 
 def short_look_ahead() -> TrackingController:
-    """Create Nav2's control law with half the default look-ahead distance."""
+    """Create Nav2's control law with half its default look-ahead distance."""
     return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
 
 
@@ -68,10 +68,10 @@ CONTROLLERS: dict[str, Callable[[], TrackingController]] = {
 }
 
 
-def run_path(make: Callable[[], TrackingController], reference: Reference, seed: int) -> PathRun:
+def run_path(make_controller: Callable[[], TrackingController], reference: Reference, seed: int) -> PathRun:
     """Drive the simulated skid-steer robot along a path, with the default surface and sensors."""
     plant = make_plant("mujoco", surface="default", sensors="default", seed=seed)
-    run = simulate(make(), plant, reference, extra_time=_EXTRA_TIME)
+    run = simulate(make_controller(), plant, reference, extra_time=_EXTRA_TIME)
     path = path_of(reference, _SPACING)
     moving_ticks = np.flatnonzero(np.abs(run.true_twist).max(axis=1) > _REST_SPEED)
     stop = int(moving_ticks[-1]) + 1
@@ -97,13 +97,13 @@ def run_all() -> dict[tuple[str, str], list[PathRun]]:
     results = {}
     for path in PATHS:
         reference = load_trajectory(path)
-        for name, make in CONTROLLERS.items():
-            results[path, name] = [run_path(make, reference, seed) for seed in SEEDS]
+        for name, make_controller in CONTROLLERS.items():
+            results[path, name] = [run_path(make_controller, reference, seed) for seed in SEEDS]
     return results
 
 
 def table(results: dict[tuple[str, str], list[PathRun]]) -> str:
-    """Tabulate means over the seeds, and the maximum distance over all seeds."""
+    """Tabulate the means over the seeds, and the maximum distance of all seeds, as Markdown."""
     lines = [
         "| path | controller | distance RMS [mm] | maximum [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -143,7 +143,7 @@ def draw(results: dict[tuple[str, str], list[PathRun]], path: Path = FIGURE) -> 
 def main() -> None:
     """Write the table and the figure."""
     results = run_all()
-    note = f"Means over {len(SEEDS)} seeds; the maximum distance is over all seeds; {measured_on()}"
+    note = f"Means over {len(SEEDS)} seeds; the maximum distance is over all seeds; {format_machine()}"
     text = f"{table(results)}\n\n{note}"
     PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), text, MARKER), encoding="utf-8")
     draw(results)

@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 
@@ -32,11 +32,12 @@ from diffdrive_mpc.sim import make_plant, simulate
 Values = dict[str, float]
 Objective = Callable[[Values], float]
 _DIGITS = 4
+"""Number of significant digits of the gains."""
 
 
 @dataclass
 class GainSearch:
-    """Minimisation of a function of positive variables within ranges, on a logarithmic scale.
+    """Minimiser of a function of positive variables within ranges, on a logarithmic scale.
 
     Attributes
     ----------
@@ -68,7 +69,10 @@ class GainSearch:
             self._evaluate(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
 
     def refine(self, factor: float) -> None:
-        """Multiply and divide each variable in turn by `factor`; reduce `factor` if no step improves the objective."""
+        """Multiply or divide each variable in turn by `factor`; reduce `factor` if no step decreases the objective.
+
+        The search ends at a factor below 1.01, or if no evaluations remain.
+        """
         while len(self.trials) < self.evaluations:
             former_minimum = self.best[1]
             for name in self.ranges:
@@ -80,7 +84,7 @@ class GainSearch:
                     return
 
     def _step(self, name: str, factor: float) -> bool:
-        """Change a variable as long as the objective decreases; return True if it has decreased."""
+        """Multiply a variable by `factor` as long as the objective decreases; return True if it has decreased."""
         has_improved = False
         while len(self.trials) < self.evaluations:
             values, minimum = self.best
@@ -92,21 +96,21 @@ class GainSearch:
         return has_improved
 
     def _evaluate(self, values: Values) -> float:
-        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
+        setting = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
         for trial, objective in self.trials:
-            if trial == rounded:
+            if trial == setting:
                 return objective
-        objective = self.objective(rounded)
-        self.trials.append((rounded, objective))
+        objective = self.objective(setting)
+        self.trials.append((setting, objective))
         return objective
 
 
 GAINS_FILE = "gains.yaml"
 TUNED_PEERS = (*LAWS, "mppi", "mppi+slip")
-"""Peers with gains, in the order of the file."""
+"""Names of the peers with gains, in the order of their file."""
 _FOLDER = Path(__file__).parent
 _INCOMPLETE_ERROR = 1.0
-"""Error of a run that does not complete [m]."""
+"""Position RMSE that counts for a run that does not complete [m]."""
 Count = Annotated[int, Field(ge=1, le=MAX_CASES)]
 
 
@@ -130,7 +134,7 @@ def load_settings(path: Path | None = None, *, quick: bool = False) -> PeersSett
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Result with one gain multiplied by a factor; `increase` (runs,) is the change of the position RMSE [m]."""
+    """Runs with one gain multiplied by a factor; `increase` (runs,) is the increase of the position RMSE [m]."""
 
     gain: str
     factor: float
@@ -144,7 +148,7 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class TunedPeer:
-    """Best gains of a peer, all evaluated settings, and the results with neighbouring gains."""
+    """Best gains of a peer, their mean position RMSE [m], all evaluated settings, and runs with neighbouring gains."""
 
     peer: str
     gains: Values
@@ -154,7 +158,7 @@ class TunedPeer:
 
 
 def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
-    """Compute the position RMSE (runs,) of each run of a peer with gains `values` [m]."""
+    """Compute the position RMSE (runs,) of a peer with gains `values` [m]."""
     gains, errors = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
         reference = load_trajectory(trajectory)
@@ -200,12 +204,12 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         self._settings, self._only = settings, only
 
     def plan(self) -> list[str]:
-        """Return the names of the peers, starting with the slowest."""
-        trial = [name for name in TUNED_PEERS if name.partition("+")[0] in self._settings.ranges]
-        selected = trial if self._only is None else list(self._only)
+        """Return the names of the peers; the slowest are first, because a long task at the end leaves cores idle."""
+        tunable = [name for name in TUNED_PEERS if name.partition("+")[0] in self._settings.ranges]
+        selected = tunable if self._only is None else list(self._only)
         for name in selected:
-            if name not in trial:
-                raise ConfigError(f"--peers: unknown peer {not_among(name, trial)}")
+            if name not in tunable:
+                raise ConfigError(f"--peers: unknown peer {format_unknown_name(name, tunable)}")
         return sorted(selected, key=lambda name: not name.startswith("mppi"))
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
@@ -214,7 +218,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:
-        """Build the report with the tuned gains and the results of neighbouring gains."""
+        """Build the report with the tuned gains and the effects of neighbouring gains."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
         facts = [
@@ -225,7 +229,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
             {"peer": result.peer, "gains": result.gains, "position_rmse_m": result.rmse, "tried": list(result.trials)}
             for result in results
         ]
-        proof = [
+        neighbour_rows = [
             {
                 "peer": result.peer,
                 "gain": neighbour.gain,
@@ -238,7 +242,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
         tables = [_tuning_table(results, settings.scan), *(_neighbours_table(result) for result in results)]
-        return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables)
+        return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": neighbour_rows}, facts, tables)
 
 
 def _tuning_table(results: Sequence[TunedPeer], scan: int) -> Table:
@@ -277,11 +281,11 @@ def _neighbours_table(peer: TunedPeer) -> Table:
 
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
-    """Format the file of gains for the peers in `bench/peers` and in `packages/extras`."""
+    """Format the gains of the peers in `bench/peers` and in `packages/extras` as one file."""
     header = (
-        "# Gains of the peers; the fields of each law state the units. Written by `python -m studies peers`: a\n"
-        f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. The comment of a\n"
-        "# peer is its mean position RMSE on the tuning runs.\n"
+        "# Gains of the peers; the fields of each law state the units. `python -m studies peers` writes this file\n"
+        f"# after a search of {settings.evaluations} settings for each peer, see studies/peers/settings.yaml. The\n"
+        "# comment of a peer is the mean position RMSE of its tuning runs.\n"
     )
     lines: list[str] = []
     for result in sorted(results, key=lambda result: TUNED_PEERS.index(result.peer)):

@@ -1,4 +1,4 @@
-"""Cost of the simulation of a model: time per step and memory (P0, Table 3; P1, Table 5), with findings and table."""
+"""Costs of simulations of the models: time per step and memory (P0, Table 3; P1, Table 5), with findings and table."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from studies.reproduce.published import CostStudy, PaperFinding, Published, Publ
 _SEED = 0
 _BYTES_PER_MB = 1e6
 _ROUNDING = 1e-9
+"""Relative standard deviation below which all runs have the same value [-]."""
 
 
 SampledModel = DiscreteModel | NonlinearModel
@@ -32,7 +33,7 @@ SampledModel = DiscreteModel | NonlinearModel
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a model as mean and standard deviation over runs.
+    """Costs of a model as means and standard deviations over runs.
 
     Attributes
     ----------
@@ -55,9 +56,9 @@ class Cost:
 def measure_cost(study: CostStudy, on_progress: Callable[[], None] = lambda: None) -> dict[str, Cost]:
     """Measure time and memory of simulations of the built-in models, from commands to poses.
 
-    The models run one after another on one core with one BLAS thread. The values of a model's parameters do not affect
-    the computing time. Times are processor times, which equal the elapsed time on an idle computer and exclude other
-    programs. Memory is measured in separate runs, because its measurement slows down the simulation.
+    The models run one after another on one core with one BLAS thread. The built-in parameters are used, because their
+    values do not affect the computing time. Times are processor times, which exclude other programs. Memory is measured
+    in separate runs, because its measurement slows down the simulation.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def measure_cost(study: CostStudy, on_progress: Callable[[], None] = lambda: Non
     network = load_model(NETWORK)
     assert isinstance(network, NonlinearModel)
     factories[NETWORK] = lambda: network
-    models = {name: make() for name, make in factories.items()}
+    models = {name: create() for name, create in factories.items()}
     inputs = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 
     def run(model: SampledModel) -> None:
@@ -113,7 +114,7 @@ def _mean_and_std(values: list[float]) -> tuple[float, float]:
 
 
 def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperFinding]:
-    """Compare ratios of mean costs with the papers, because absolute times depend on the computer."""
+    """Compare ratios of mean costs with those of the papers; absolute times depend on the computer."""
     step_times = {name: entry.time_per_step[0] for name, entry in cost.items()}
     memory = {name: entry.memory[0] for name, entry in cost.items()}
     simulation_times = {name: entry.simulation_time[0] for name, entry in cost.items()}
@@ -184,5 +185,5 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
 
 def _pair(values: tuple[float, float], factor: float) -> str:
     mean, deviation = (factor * value for value in values)
-    # If all runs have the same value, the deviation consists of rounding errors of the mean.
+    # If all runs have the same value, the deviation is only the rounding error of the mean.
     return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

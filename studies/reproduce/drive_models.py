@@ -1,7 +1,8 @@
 """Velocity errors of the two drive models of P2, of SM, and of predictions without a model.
 
-P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. The errors are means and maxima of open-loop simulations, for
-drives of the simulated robot with changes of direction, and for logs of real robots as divided by `real_logs.yaml`.
+P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. The errors are means and maxima of open-loop simulations. The
+data are drives of the simulated robot with changes of direction, and logs of real robots, which `real_logs.yaml`
+divides into rows for fitting and for validation.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from studies.reproduce.real_logs import divide, load_protocol
 
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
-SHARP = ", sharp"
-"""Suffix of predictions without the smoothing that derivatives require, with unchanged parameters."""
+UNSMOOTHED = ", sharp"
+"""Suffix of predictions without the smoothing that the fit of the parameters requires for its derivatives."""
 TWIN = "simulated robot"
 _SEEDS_PER_REPETITION, _FIRST_SEED = 1000, 500
 """Number of seeds of a repetition, and offset of the first seed of this part; other drives do not use these seeds."""
@@ -36,7 +37,7 @@ _SEEDS_PER_REPETITION, _FIRST_SEED = 1000, 500
 
 @dataclass(frozen=True)
 class VelocityErrors:
-    """Mean and maximum error of v [mm/s] and of omega [degrees per second]."""
+    """Mean and maximum errors of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
@@ -80,7 +81,7 @@ def reversing_commands(study: DriveStudy, seed: int, *, smooth: bool) -> FloatAr
 
 
 def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list[Record]]:
-    """Simulate training and validation drives, alternately with smoothed and stepped set-points."""
+    """Simulate training and validation drives; their set-points are alternately smoothed and stepwise."""
     seed = _SEEDS_PER_REPETITION * repetition + _FIRST_SEED
     records = [
         record_drive(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
@@ -95,9 +96,9 @@ def compare_on_twin(study: DriveStudy, repetition: int) -> DriveModelsResult:
 
 
 def compare_on_log(name: str, data: Path) -> DriveModelsResult:
-    """Fit the models to the first rows of a log and validate them on the rest.
+    """Fit the models to the first rows of a log and validate them on the remaining rows.
 
-    Raises ConfigError if the log is missing or unusable.
+    Raise ConfigError if the log is missing or unusable.
     """
     protocol = load_protocol()
     log = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
@@ -111,7 +112,7 @@ def compare(source: str, repetition: int, train: Sequence[Record], held_out: Seq
     predictions = {NO_MODEL: [record.command for record in held_out]}
     for name, fit in fits.items():
         predictions[name] = fit.simulate(held_out)
-        predictions[name + SHARP] = fit.simulate(held_out, sharp=True)
+        predictions[name + UNSMOOTHED] = fit.simulate(held_out, sharp=True)
     predictions[SM] = simulate_records(identify_sm(train).system, held_out)
     return DriveModelsResult(
         source,

@@ -1,4 +1,4 @@
-"""Records of drives of the simulated robot, and poses that a model predicts from the commands alone."""
+"""Records of drives of the simulated robot, and poses that a model predicts from commands without measurements."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ STATISTICS = {"RMSE": "rmse", "mean": "mean", "standard deviation": "std", "max"
 """Fields of `Spread` by name of the statistic in the papers, in the order of their tables."""
 QUANTITIES = {"position": "m", "heading": "rad"}
 """Units of the two parts of a pose error."""
-_SEEDS = 1000
-"""Number of seeds of a repetition."""
+_SEEDS_PER_REPETITION = 1000
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class PathError:
-    """Error statistics of a predicted path, relative to the driven path at equal times.
+    """Error statistics of predicted poses, relative to the true poses at the same times.
 
     Attributes
     ----------
@@ -76,8 +75,8 @@ class PathError:
 def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
     """Integrate twists (K, 2) of v [m/s] and omega [rad/s] to poses (K, 3) from `start` (3,).
 
-    Between two samples the path is an exact arc of the mean twist, without side-slip (Guffanti et al., Sensors 2025,
-    25(11), 3553).
+    Between two samples, the path is the arc of the mean of both twists, without side-slip (Guffanti et al., Sensors
+    2025, 25(11), 3553).
     """
     start = np.asarray(start, dtype=float)
     v, omega = (0.5 * (twist[1:] + twist[:-1])).T
@@ -90,14 +89,14 @@ def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
 def discretise(system: LinearSystem, dt: float) -> DiscreteModel:
     """Discretise an identified system without its sensor offsets, with sample time `dt` [s].
 
-    Unlike `VelocityModel`, this function accepts any pole. An identification may return a very fast pole if the data do
-    not determine it.
+    Unlike `VelocityModel`, this function accepts every pole, because an identification may return a very fast pole if
+    the data do not determine it.
     """
     return zero_order_hold(system.A, system.B, system.C, system.dead_time, dt)
 
 
 def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, start: ArrayLike) -> FloatArray:
-    """Predict poses (K, 3) from commands (K, 2) alone, from rest at `start` (3,)."""
+    """Predict poses (K, 3) from commands (K, 2) without measurements, from rest at `start` (3,)."""
     return dead_reckon(model.simulate(commands), start, model.dt)
 
 
@@ -110,8 +109,8 @@ def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
 class RobotLogs:
     """Source of the drives of one repetition; each drive uses the next seed.
 
-    The records contain true poses. The papers compare predictions with a localisation, whose error is small compared
-    with the prediction error.
+    The records contain true poses, whereas the papers compare predictions with a localisation, whose error is small
+    compared with the prediction error.
 
     Parameters
     ----------
@@ -120,14 +119,16 @@ class RobotLogs:
     """
 
     def __init__(self, repetition: int) -> None:
-        self._seeds: Iterator[int] = iter(range(_SEEDS * repetition, _SEEDS * (repetition + 1)))
+        self._seeds: Iterator[int] = iter(
+            range(_SEEDS_PER_REPETITION * repetition, _SEEDS_PER_REPETITION * (repetition + 1))
+        )
 
     def steps(self, kind: StepKind) -> list[Record]:
         """Record the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
         return self._record_drives(f"step of {kind}", step_commands(kind))
 
     def free(self, drives: int, duration: float, maximum: PaperRange | None = None) -> list[Record]:
-        """Record drives of `duration` [s] with smoothed random set-points, scaled to the speeds in `maximum`."""
+        """Record drives of `duration` [s] with smoothed random set-points, which are scaled to `maximum` if given."""
         ranges = load_command_parameters().random
         upper_ends = np.array([ranges.v_range[1], ranges.omega_range[1]])
         scale = np.array([maximum.v, maximum.omega]) / upper_ends if maximum else np.ones(2)
@@ -145,7 +146,7 @@ class RobotLogs:
 
 
 def trajectory_commands(name: str) -> FloatArray:
-    """Return twists (K, 2) of a trajectory's segments, v [m/s] and omega [rad/s] per sample, without ramps."""
+    """Sample the twists (K, 2) of a trajectory's segments, v [m/s] and omega [rad/s], without ramps between them."""
     segments, dt = load_segments(name), load_robot().sample_time
     end_times = np.cumsum([segment.duration for segment in segments])
     rows = np.searchsorted(end_times, dt * np.arange(round(end_times[-1] / dt)), side="right")

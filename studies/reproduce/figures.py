@@ -21,13 +21,13 @@ from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, published_sys
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
 
 _BAR = 0.16
-"""Width of a bar, in units of the distance of two groups."""
+"""Width of a bar, relative to the distance of two groups [-]."""
 _PARTS = {"position": slice(2), "heading": slice(2, 3)}
 """Columns of a pose by name of the quantity."""
 
 
 def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
-    """Draw the paths of the first repetition, and the mean RMSE over all repetitions."""
+    """Draw the paths of the first repetition, and the mean RMSE of all repetitions."""
     first = results[0]
     with new_figure(path, 10.0, 6.2) as figure:
         halves = figure.add_gridspec(2, 1)
@@ -54,10 +54,10 @@ def _draw_paths(axes: Axes, paths: Mapping[str, FloatArray]) -> None:
 
 def _draw_error_bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
     names = list(results[0].errors[SM])
-    printed = load_published().odometry
+    published = load_published().odometry
     bars: dict[str, tuple[list[float], str, str]] = {
         f"published {model.upper()}": (
-            [getattr(printed[model][name], quantity)[0] for name in names],
+            [getattr(published[model][name], quantity)[0] for name in names],
             colour(0 if model == "mbm" else 2),
             "//",
         )
@@ -68,9 +68,9 @@ def _draw_error_bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) 
             float(np.mean([getattr(result.errors[model][name], quantity).rmse for result in results])) for name in names
         ]
         bars[model] = (values, colour(k), "")
-    for k, (label, (values, shade, hatch)) in enumerate(bars.items()):
+    for k, (label, (values, bar_colour, hatch)) in enumerate(bars.items()):
         positions = np.arange(len(names)) + (k - 2) * _BAR
-        axes.bar(positions, values, _BAR, color=shade, hatch=hatch, edgecolor="white", linewidth=0.4, label=label)
+        axes.bar(positions, values, _BAR, color=bar_colour, hatch=hatch, edgecolor="white", linewidth=0.4, label=label)
     axes.set(yscale="log", ylabel=f"{quantity} RMSE [{QUANTITIES[quantity]}]", title=quantity)
     axes.set_xticks(range(len(names)), names)
     axes.grid(axis="x", visible=False)
@@ -107,8 +107,8 @@ def draw_experiment(motions: Mapping[str, FloatArray], path: Path) -> None:
         grid = figure.subplots(2, 3)
         _draw_error_maps(grid[:, :2].flat, motions[MEASURED], {name: motions[name] for name in (SSM, LSTM)})
         for k, (axes, quantity) in enumerate(zip(grid[:, 2], ("v [m/s]", "omega [rad/s]"), strict=True), start=3):
-            for name, shade in ((MEASURED, "black"), (SSM, colour(0)), (LSTM, colour(1))):
-                axes.plot(_times(len(motions[name])), motions[name][:, k], color=shade, linewidth=0.9, label=name)
+            for name, line_colour in ((MEASURED, "black"), (SSM, colour(0)), (LSTM, colour(1))):
+                axes.plot(_times(len(motions[name])), motions[name][:, k], color=line_colour, linewidth=0.9, label=name)
             axes.set(xlabel="time [s]", ylabel=quantity)
         axes.legend(loc="best", fontsize=7.0)
 
@@ -133,7 +133,7 @@ def draw_training(rows: Sequence[NetworkRow], path: Path) -> None:
 
 
 def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
-    """Draw measured and simulated speeds of the validation steps: motors by MBM, v and omega by SM."""
+    """Draw measured and simulated speeds of the validation steps: MBM simulates the motors, SM v and omega."""
     with new_figure(path, 11.0, 5.6) as figure:
         grid = figure.subplots(2, 3).flat
         for axes, (name, speeds) in zip(grid, results[0].responses.items(), strict=False):
@@ -144,7 +144,7 @@ def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
 
 
 def draw_steps(_: Sequence[SsmResult], path: Path) -> None:
-    """Draw the responses of v and omega to a unit step of each command, from the printed matrices of SSM."""
+    """Draw the responses of v and omega to a unit step of each command, from the published matrices of SSM."""
     dt = load_robot().sample_time
     model, rows = discretise(published_system(load_linear_model("ssm")), dt), round(1.2 / dt)
     with new_figure(path, 9.0, 3.2) as figure:
@@ -159,12 +159,12 @@ def _times(count: int) -> FloatArray:
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
-    """Draw the improvement of each order over order 2, in v and in omega; error bars span the repetitions."""
-    printed = load_published().orders
+    """Draw the improvement of each order over order 2, in v and in omega; error bars show the range of repetitions."""
+    published = load_published().orders
     orders = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
     with new_figure(path, 9.0, 3.4) as figure:
         for row, (channel, axes) in enumerate(zip(CHANNELS, figure.subplots(1, 2), strict=True)):
-            paper = {order: getattr(fit.fit_percent, channel) for order, fit in printed.items()}
+            paper = {order: getattr(fit.fit_percent, channel) for order, fit in published.items()}
             axes.plot(
                 list(paper),
                 [value - paper[PAPERS_ORDER] for value in paper.values()],
@@ -186,7 +186,7 @@ def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
 
 
 def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:
-    """Draw the tests as printed, and with exchanged tracks, each with the printed and the fitted line."""
+    """Draw the tests as published, and with exchanged tracks, each with the published and the fitted line."""
     with new_figure(path, 9.0, 3.6) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         _draw_track_tests(left, result.tests, result.printed, result.fitted)
@@ -195,16 +195,16 @@ def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:
         right.set_title("tracks of tests 1, 2 and 7, 8 exchanged")
 
 
-def _draw_track_tests(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) -> None:
+def _draw_track_tests(axes: Axes, tests: FloatArray, published: TrackLine, fitted: TrackLine) -> None:
     rates = np.array([0.0, 1.1])
-    for k, (name, line) in enumerate({"printed": printed, "least squares": fitted}.items()):
+    for k, (name, line) in enumerate({"printed": published, "least squares": fitted}.items()):
         label = f"{name}: {line.p1:.3f} |yaw rate| + {line.p0:.3f}"
         axes.plot(rates, line.p1 * rates + line.p0, color=colour(k), linestyle=line_style(k), label=label)
     axes.plot(*tests.T, "o", color="black", markersize=4.0)
     for number, (rate, track) in enumerate(tests, start=1):
         axes.annotate(str(number), (rate, track), (4, 3), textcoords="offset points", fontsize=7.0)
-    axes.axhline(printed.p0, color=REFERENCE_COLOUR, linewidth=0.8)
-    axes.annotate("true track", (1.1, printed.p0), (-36, -9), textcoords="offset points", fontsize=7.0)
+    axes.axhline(published.p0, color=REFERENCE_COLOUR, linewidth=0.8)
+    axes.annotate("true track", (1.1, published.p0), (-36, -9), textcoords="offset points", fontsize=7.0)
     axes.set_xlabel("yaw rate [rad/s]")
     axes.legend(loc="lower center")
     axes.margins(y=0.15)

@@ -33,7 +33,7 @@ from studies.reproduce.published import MbmSmStudy, PaperFinding, Published, as_
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, identified tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)
-"""MBM as in the paper, MBM with identified tracks, and SM."""
+"""Names of the compared models: MBM as in the paper, MBM with identified tracks, and SM."""
 DATA = ("training steps", "validation steps", "free drives")
 """Names of the data sets, in the order of the table."""
 _VALIDATION = DATA[1]
@@ -43,7 +43,7 @@ _MOTORS = ("front left", "front right", "rear left", "rear right")
 
 @dataclass(frozen=True)
 class MbmSmResult:
-    """FIT and path errors of MBM and SM in one repetition.
+    """FIT and path errors of MBM and SM for one repetition.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class MbmSmResult:
     motor_fit
         FIT of the motors [%] by data set: front left, front right, rear left, rear right.
     sm_fit
-        FIT of v and omega [%], by data set.
+        FIT of v and omega [%] by data set.
     errors
         Errors by model and trajectory.
     paths
-        Poses (K, 3) by trajectory and by model; the driven poses have the name "driven".
+        Poses (K, 3) by trajectory and model; "driven" is the name of the true poses.
     responses
-        Measured and simulated speeds (K, 2) of the validation steps, by motor [rad/s] and by channel [m/s, rad/s].
+        Measured and simulated speeds (K, 2) of the validation steps by motor [rad/s] and by channel [m/s, rad/s].
     parameters
         Identified parameters by model.
     warnings
@@ -78,8 +78,8 @@ class MbmSmResult:
 def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     """Identify MBM and SM from the paper's steps and predict the paper's trajectories.
 
-    In the paper, MBM converts commands to wheel speeds, and wheel speeds to twists, with the robot's geometric track.
-    The variant "MBM, identified tracks" uses the identified track of the firmware and the effective track.
+    In the paper, MBM uses the geometric track of the robot to convert commands to wheel speeds, and wheel speeds to
+    twists. The variant "MBM, identified tracks" uses the identified track of the firmware and the effective track.
     """
     logs, robot = RobotLogs(repetition), load_robot()
     training, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
@@ -204,18 +204,19 @@ def _rmse(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArr
 
 
 def _paper_rmse(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
-    """Return the published RMSE (trajectories,), which is the first published statistic."""
+    """Return the published RMSE (trajectories,), the first statistic in the paper's table."""
     return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
 
 
 def _comparison(mbm: FloatArray, sm: FloatArray, unit: str) -> str:
-    """Format the number of trajectories on which MBM is better than SM, and the mean errors of both."""
-    a, b = float(mbm.mean()), float(sm.mean())
-    return f"{np.sum(mbm < sm)} of {len(mbm)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
+    """Format the number of trajectories on which MBM is better than SM, and the mean errors of both models."""
+    mean, sm_mean = float(mbm.mean()), float(sm.mean())
+    means = f"mean {mean:.3f} against {sm_mean:.3f} {unit}"
+    return f"{np.sum(mbm < sm)} of {len(mbm)}; {means} ({100 * (mean / sm_mean - 1):+.0f} %)"
 
 
 def mbm_sm_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
-    """Tabulate FIT, and position and heading errors by statistic and trajectory."""
+    """Tabulate FIT, and the statistics of position and heading errors by trajectory."""
     return [_fit_table(results, published), *(_odometry_table(results, published, quantity) for quantity in QUANTITIES)]
 
 

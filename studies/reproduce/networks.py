@@ -25,7 +25,7 @@ from studies.reproduce.state_space import FIT_COLUMNS, PAPERS_ORDER, FreeDrive, 
 
 MEASURED, SSM, LSTM, LONGER = "measured", "SSM", "LSTM", "LSTM, trained longer"
 PAPERS_ROW = 2
-"""Row of Table 2 that the paper selects."""
+"""Row of Table 2 whose network the paper selects."""
 _REPETITION_OFFSET = 100
 """Offset of the repetition number, which separates the seeds from those of other parts."""
 _TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
@@ -36,7 +36,7 @@ class NetworkRow:
     """Trained network of one row of Table 2.
 
     `validation` and `test` are the errors on these parts of the drive. `losses` (validations,) are half the squared
-    errors on the validation part, summed over both outputs.
+    errors on the validation part, summed over v and omega.
     """
 
     row: int
@@ -56,9 +56,9 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class NetworkResult:
-    """Free drives by model in one repetition; all models are identified from one drive.
+    """Errors on free drives by model for one repetition; all models are identified from one drive.
 
-    `motions` contains poses [m, m, rad] and twists [m/s, rad/s] (K, 5) of each drive: measured, and by model.
+    `motions` contains poses [m, m, rad] and twists [m/s, rad/s] (K, 5) of each drive, measured and by model.
     """
 
     repetition: int
@@ -106,7 +106,7 @@ def _motion(drive: Record, twist: FloatArray) -> FloatArray:
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
-    """Train the networks `published` by row of Table 2, on the training drive of `compare_with_ssm`."""
+    """Train the networks in `published`, by row of Table 2, on the training drive of `compare_with_ssm`."""
     drive = RobotLogs(_REPETITION_OFFSET + repetition).free(1, study.train_duration, study.paper_range)
     experiments, rows = twist_experiments(drive), []
     for row, paper_row in published.items():
@@ -212,12 +212,12 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
     for row in sorted(rows, key=lambda row: row.row):
         scores = published.networks[row.row]
         architecture = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
-        numbers = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"
+        training = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"
         paper = [number(value, 2) for value in scores.test.values]
         ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(row.test.values)]
         validation = [number(value, 2) for value in row.validation.fit_percent]
         table_rows.append(
-            (str(row.row), architecture, numbers, *paper, *ours, *validation, str(row.parameters), str(row.steps))
+            (str(row.row), architecture, training, *paper, *ours, *validation, str(row.parameters), str(row.steps))
         )
     columns = (
         "row",
@@ -240,7 +240,7 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
 
 def free_drive_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
     """Tabulate the published and the measured velocity and odometry errors of SSM and LSTM on free drives."""
-    table_rows: list[tuple[str, str, FloatArray, bool]] = []
+    table_rows: list[tuple[str, str, FloatArray, bool]] = []  # the flag is True for published values
     paper = {SSM: (published.free_drives, published.free_drives_average)}
     paper[LSTM] = (published.lstm_drives, published.lstm_drives_average)
     for name, (drives, average) in paper.items():
@@ -253,8 +253,8 @@ def free_drive_tables(results: Sequence[NetworkResult], published: Published) ->
         table_rows.append((name, f"average of {len(ours)}", ours.mean(axis=0), False))
     errors = [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS]
     fits = [
-        (name, label, *(number(float(v), 2 if k < 2 or printed else 4) for k, v in enumerate(values[:4])))
-        for name, label, values, printed in table_rows
+        (name, label, *(number(float(v), 2 if k < 2 or is_published else 4) for k, v in enumerate(values[:4])))
+        for name, label, values, is_published in table_rows
     ]
     paths = [(name, label, *(number(float(v), 2) for v in values[4:])) for name, label, values, _ in table_rows]
     note = (

@@ -1,4 +1,4 @@
-"""Published values from `published.yaml`, the papers' findings as rules, and settings of the study."""
+"""Published values from `published.yaml`, findings of the papers as rules, and settings of the study."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Statistics = tuple[float, float, float, float]
 
 
 class PublishedErrors(StrictModel):
-    """Open-loop odometry errors in position [m] and heading [rad]."""
+    """Errors of open-loop odometry in position [m] and heading [rad]."""
 
     position: Statistics
     heading: Statistics
@@ -39,13 +39,13 @@ class PublishedFit(StrictModel):
 
 
 class PublishedDrive(PublishedFit):
-    """Errors of a free drive in velocity and odometry."""
+    """Errors of a model in velocity and odometry on a free drive."""
 
     odometry: PublishedErrors
 
 
 class PublishedNetwork(StrictModel):
-    """One row of P1's Table 2."""
+    """Network of one row of P1's Table 2, and its errors on the test data."""
 
     window: int
     units: int
@@ -67,7 +67,7 @@ class PublishedCost(StrictModel):
 
 
 class PublishedTrack(StrictModel):
-    """Virtual track as a function of the yaw rate, and the tests behind it; see `published.yaml` for the units."""
+    """Virtual track as a function of the yaw rate, and the tests of this function; units as in `published.yaml`."""
 
     p1: float
     p0: float
@@ -77,7 +77,7 @@ class PublishedTrack(StrictModel):
 
 
 class PublishedDriveErrors(StrictModel):
-    """Mean and maximum error of v [mm/s] and of omega [degrees per second]."""
+    """Mean and maximum errors of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
@@ -126,13 +126,13 @@ class PaperFinding:
     Attributes
     ----------
     claim
-        Rule as a sentence that is true or false.
+        Sentence that is true or false.
     source
-        Paper of the finding, and table or section.
+        Paper with table or section.
     published, plant
         Values of the paper and of the simulated robot (means over repetitions).
     holds
-        Flag per repetition, True if the rule holds; empty if the values do not decide the rule.
+        Flag per repetition, True if the claim holds; empty if the values do not decide the claim.
     """
 
     claim: str
@@ -143,7 +143,7 @@ class PaperFinding:
 
     @property
     def verdict(self) -> str:
-        """Result as text: "yes", "no", "inconclusive", or the number of repetitions in which the rule holds."""
+        """Result as text: "yes", "no", "inconclusive", or the number of repetitions in which the claim holds."""
         if not self.holds:
             return "inconclusive"
         if all(self.holds):
@@ -152,7 +152,7 @@ class PaperFinding:
 
 
 def as_flags(flags: ArrayLike) -> tuple[bool, ...]:
-    """Convert flags (repetitions,) to plain truth values."""
+    """Convert flags (repetitions,) of NumPy to Python's."""
     return tuple(bool(flag) for flag in np.atleast_1d(flags))
 
 
@@ -212,9 +212,9 @@ class NetworkStudy(StrictModel):
 
 
 class CostStudy(StrictModel):
-    """Number and length of the timed simulations."""
+    """Number and duration of the timed simulations."""
 
-    runs: int = Field(ge=2, description="number of runs; a standard deviation needs two")
+    runs: int = Field(ge=2, description="number of runs; a standard deviation requires at least two")
     steps: Count
     simulation_steps: dict[str, Count] = Field(description="number of steps of a complete simulation by model")
 

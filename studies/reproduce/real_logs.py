@@ -25,7 +25,7 @@ class RealLog(StrictModel):
 
 
 class Protocol(StrictModel):
-    """Logs and their division into rows for fitting and for validation."""
+    """Logs, and the share of their rows for fitting; all other rows are for validation."""
 
     share: Annotated[float, Field(gt=0, lt=1)] = Field(description="share of the rows for fitting [-]")
     logs: dict[str, RealLog]
@@ -44,15 +44,15 @@ def load_protocol() -> Protocol:
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
-    """Divide a log into the first `share` [-] of its rows and the rest; rows are samples with a new gyro reading.
+    """Divide a log into the first `share` [-] of its rows and all other rows; rows are samples with a new gyro reading.
 
-    Parts with fewer than 20 readings of a sensor are omitted.
+    Return the records of both parts, without records that have fewer than `_MIN_READINGS` readings of a sensor.
     """
-    is_row = [np.asarray(record.fresh_yaw_rate) for record in records]
-    remaining = round(share * sum(int(mask.sum()) for mask in is_row))
+    row_masks = [np.asarray(record.fresh_yaw_rate) for record in records]
+    remaining = round(share * sum(int(mask.sum()) for mask in row_masks))
     training: list[Record] = []
     validation: list[Record] = []
-    for record, mask in zip(records, is_row, strict=True):
+    for record, mask in zip(records, row_masks, strict=True):
         count = len(mask)
         split = int(np.searchsorted(np.cumsum(mask), remaining, side="right")) if remaining > 0 else 0
         cut = count if remaining >= mask.sum() else split
@@ -64,5 +64,5 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
 
 
 def _readings(record: Record) -> int:
-    """Count the readings of the sensor with the fewest readings."""
+    """Return the minimum number of readings over the sensors of a record."""
     return min(int(np.sum(mask)) for mask in (record.fresh_twist, record.fresh_yaw_rate) if mask is not None)

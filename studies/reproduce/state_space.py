@@ -22,9 +22,9 @@ from studies.reproduce.drives import QUANTITIES, STATISTICS, PathError, RobotLog
 from studies.reproduce.published import PaperFinding, Published, SsmStudy, as_flags
 
 PAPERS_ORDER = 2
-"""Order that the paper selects."""
+"""Order of the SSM that the paper selects."""
 IDENTIFIED, PRINTED = "identified", "as printed"
-"""Names of the SSM of this order identified from a simulated drive, and of the matrices printed in the paper."""
+"""Names of two SSM of this order: identified from a simulated drive, and with the matrices of the paper."""
 
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)
@@ -34,7 +34,7 @@ FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]
 _PUBLISHED = "published"
 _FAST = "fast free drives"
 _DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
-"""Decimal places of FIT and RMSE; the key is True for values of the paper."""
+"""Decimal places of FIT and RMSE of v and omega; the key is True for values of the paper."""
 
 Pair = tuple[float, float]
 """Values for v and omega."""
@@ -42,7 +42,7 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class VelocityFit:
-    """FIT [%] and RMSE [m/s, rad/s] of a free simulation."""
+    """FIT [%] and RMSE [m/s, rad/s] of a simulation from commands without measurements."""
 
     fit_percent: Pair
     rmse: Pair
@@ -55,7 +55,7 @@ class VelocityFit:
 
 @dataclass(frozen=True)
 class OrderResult:
-    """Errors of one order; `bic` is Schwarz's information criterion minus its minimum over all orders."""
+    """Errors of one order; `bic` is Schwarz's information criterion minus the minimum of all orders."""
 
     order: int
     train: VelocityFit
@@ -79,9 +79,10 @@ class FreeDrive:
 
 @dataclass(frozen=True)
 class SsmResult:
-    """Errors of all orders in one repetition, the chosen order with the reason, and free drives by model.
+    """Errors of all orders for one repetition, the chosen order with the reason, and errors on free drives by model.
 
-    `full_range` contains free drives with the speed range of the paper; its SSM is identified from such a drive.
+    `full_range` contains errors on free drives with the speed range of the paper, of an SSM that is identified from
+    such a drive.
     """
 
     repetition: int
@@ -93,11 +94,11 @@ class SsmResult:
 
 
 def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
-    """Identify an SSM of every order from one free drive, and predict other drives."""
+    """Identify an SSM of every order from one free drive, choose an order, and predict other drives."""
     logs = RobotLogs(repetition)
     train = logs.free(1, study.train_duration)
     test = logs.free(study.test_drives, study.free_duration)
-    choice = choose_order(train, test, largest=study.max_order, limits=False)
+    choice = choose_order(train, test, max_order=study.max_order, limits=False)
     drives = logs.free(study.free_drives, study.free_duration)
     identified = choice.rows[PAPERS_ORDER - 1].identified
     fast = identify_ssm(logs.free(1, study.train_duration, study.paper_range), PAPERS_ORDER, limits=False)
@@ -146,12 +147,12 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
 
 
 def published_system(model: VelocityModel) -> LinearSystem:
-    """Convert a published model to a system without sensor offsets and limits, for the comparison with logs."""
+    """Convert a published model to a system with zero sensor offsets and infinite limits, to compare it with logs."""
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
 
 def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[PaperFinding]:
-    """Evaluate P1's findings on the order and on free drives; skip findings on orders that were not run."""
+    """Evaluate P1's findings on the order and on free drives; skip findings on orders that were not identified."""
     fits = {
         order: np.array([result.orders[order - 1].test.fit_percent for result in results])
         for order in range(PAPERS_ORDER, len(results[0].orders) + 1)
@@ -222,7 +223,7 @@ def _choice_finding(results: Sequence[SsmResult]) -> PaperFinding:
 
 
 def _free_drive_finding(drive_kind: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> PaperFinding:
-    # (repetitions, drives, 2)
+    # The axes of `fit` are repetitions, drives and the channels v and omega.
     fit = np.array([[drive.velocity.fit_percent for drive in drives] for drives in results])
     threshold = published.rules.good_fit_percent
     holds = (fit > threshold).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
@@ -236,7 +237,7 @@ def _free_drive_finding(drive_kind: str, results: Sequence[Sequence[FreeDrive]],
 
 
 def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
-    """Tabulate FIT and RMSE by order on validation drives."""
+    """Tabulate FIT and RMSE on validation drives by order."""
     rows = []
     for k, first in enumerate(results[0].orders):
         printed = published.orders.get(first.order)
@@ -300,6 +301,6 @@ def _cells(values: FloatArray, rmse_digits: int = 2) -> list[str]:
 
 
 def _ranges(values: FloatArray, digits: tuple[int, ...]) -> list[str]:
-    """Format the cells of one row (k,), or of a minimum and a maximum (2, k)."""
+    """Format the cells of values (k,), or of minima and maxima (2, k)."""
     rows = np.atleast_2d(values)
     return [" to ".join(number(float(row[k]), d) for row in rows) for k, d in enumerate(digits)]

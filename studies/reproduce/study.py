@@ -37,7 +37,7 @@ class ReproduceResults:
     mbm_sm, ssm, lstm
         Results of each repetition.
     rows
-        Networks of P1's Table 2, in groups.
+        Groups of networks of P1's Table 2.
     cost
         Costs by name of the model.
     virtual_track
@@ -59,7 +59,7 @@ class ReproduceResults:
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
-    """Study of the parts in `only`; `data` is the folder of the logs of real robots, or None to skip these logs."""
+    """Study of the parts `only`; `data` is the folder of the logs of real robots, or None to skip these logs."""
 
     name = "reproduce"
     title = "The papers repeated"
@@ -70,14 +70,14 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         self._data = data
 
     def plan(self) -> list[Task]:
-        """Plan the tasks, starting with the longest, because a long task at the end leaves cores idle."""
+        """Plan the tasks; the longest are first, because a long task at the end leaves cores idle."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
         tasks: list[Task] = []
         if "lstm" in only:
-            printed, first = load_published().networks, s.repetitions[0]
+            published, repetition = load_published().networks, s.repetitions[0]
             for rows in s.lstm.rows:
-                tasks.append(partial(networks.train_rows, s.lstm, {row: printed[row] for row in rows}, first))
+                tasks.append(partial(networks.train_rows, s.lstm, {row: published[row] for row in rows}, repetition))
             tasks += [partial(networks.compare_with_ssm, s.lstm, k) for k in s.repetitions]
         tasks += [partial(state_space.compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
         if "drive_models" in only:
@@ -94,7 +94,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
-        """Run repetitions in several processes, and then the timing on an idle machine."""
+        """Run all repetitions in several processes; then measure the costs, while no other process runs."""
         runs_cost = "cost" in self._only
         bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * runs_cost)
         results = run_tasks(plan, jobs, bar.advance)
@@ -118,17 +118,17 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Build the report: findings with verdicts, and all results except paths, responses and motions."""
+        """Build the report: findings with verdicts, and all results without the curves of paths and responses."""
         parts = [part for part in PARTS if getattr(results, part)]
         content = plain(results)
         for result in [*content["mbm_sm"], *content["lstm"]]:
-            for curves in ("paths", "responses", "motions"):
-                result.pop(curves, None)
+            for name in ("paths", "responses", "motions"):
+                result.pop(name, None)
         findings = evaluate_findings(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         setup = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted="one part" if len(parts) == 1 else f"{len(parts)} parts",
+            size="one part" if len(parts) == 1 else f"{len(parts)} parts",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
@@ -159,7 +159,7 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
 
 
 def _figures(results: ReproduceResults) -> dict[str, Draw]:
-    """Return the figures of the parts that were run."""
+    """Return functions that draw the figures of the parts that were run, by file name."""
     from studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
 
     parts: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
@@ -179,7 +179,7 @@ def _figures(results: ReproduceResults) -> dict[str, Draw]:
 
 
 def evaluate_findings(results: ReproduceResults) -> list[PaperFinding]:
-    """Evaluate every finding for which `results` contains the necessary parts."""
+    """Evaluate the findings of the parts that were run."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     rules_by_part: list[tuple[Any, Callable[[Any, Published], list[PaperFinding]]]] = [

@@ -1,8 +1,8 @@
 """Virtual track of a robot (P3: Botta et al., Appl. Sci. 2021, 11(4), 1594).
 
-The printed tests are compared with the printed line. The eight tests are also driven on the simulated robot, to find
-its virtual track and the factors that affect it. The virtual track is the difference of the wheels' speeds over the
-true yaw rate, in the steady part of a drive.
+The tests in the paper's table are compared with the line in the paper's text. The eight tests are also driven on the
+simulated robot, to find its virtual track and the factors that affect it. The virtual track is the difference of the
+rim speeds of both sides over the true yaw rate, in the steady part of a drive.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from studies.reproduce.published import PaperFinding, Published, PublishedTrack,
 
 @dataclass(frozen=True)
 class TrackLine:
-    """Line track = p1 |yaw rate| + p0 with standard deviations and correlation coefficient.
+    """Line `track = p1 |yaw rate| + p0` with standard deviations and correlation coefficient.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class TrackLine:
     p0
         Intercept [m].
     p1_deviation, p0_deviation
-        Standard deviations of slope and intercept; NaN if unknown.
+        Standard deviations of slope [m s] and intercept [m]; NaN if unknown.
     correlation
-        Correlation of track and yaw rate [-].
+        Correlation of track and yaw rate [-]; NaN if unknown.
     """
 
     p1: float
@@ -60,7 +60,8 @@ class VirtualTrackResult:
         Correlation of the printed and of the exchanged tracks with the tracks that follow from the printed radii:
         without side-slip, the ratio of driven and kinematic radius equals the ratio of virtual and true track.
     exchanges, fitting
-        Number of double exchanges of tracks, and number of those that also result in the printed p1.
+        Number of exchanges of the tracks of two pairs of tests, and number of such exchanges whose fitted line also has
+        the printed p1.
     """
 
     tests: FloatArray
@@ -75,7 +76,7 @@ class VirtualTrackResult:
 
 
 def check_virtual_track(published: PublishedTrack, threshold: float) -> VirtualTrackResult:
-    """Fit lines to the printed tests; two values agree within `threshold` standard deviations."""
+    """Fit lines to the printed tests; `threshold` is the number of standard deviations within which slopes agree."""
     tests, radii = np.array(published.tests), np.array(published.radii)
     exchanged = exchange(tests, [(first - 1, second - 1) for first, second in published.exchanged])
     printed = TrackLine(published.p1, published.p0)
@@ -96,7 +97,7 @@ def check_virtual_track(published: PublishedTrack, threshold: float) -> VirtualT
 
 
 def exchange(tests: FloatArray, pairs: Iterable[tuple[int, int]]) -> FloatArray:
-    """Return tests (n, 2) with the tracks of pairs of tests exchanged."""
+    """Return a copy of tests (n, 2) in which the tests of each pair have exchanged their tracks."""
     exchanged = tests.copy()
     for first, second in pairs:
         exchanged[[first, second], 1] = tests[[second, first], 1]
@@ -125,8 +126,8 @@ def virtual_track_findings(result: VirtualTrackResult, published: Published) -> 
     threshold, printed = published.rules.agreement_deviations, result.printed
     within = f"within {threshold:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
-    has_agreement = agree(printed, result.fitted_exchanged, threshold)
-    # The exchange explains p1 only if few other exchanges fit as well, and if the printed radii support it.
+    slopes_agree = agree(printed, result.fitted_exchanged, threshold)
+    # The exchange explains p1 only if few other exchanges have the same slope, and if the printed radii support it.
     is_explanation = (
         result.by_radius_exchanged > result.by_radius
         and result.fitting <= published.rules.max_chance * result.exchanges
@@ -146,7 +147,7 @@ def virtual_track_findings(result: VirtualTrackResult, published: Published) -> 
             f"{_slope(result.fitted_exchanged)}; {result.fitting} of {result.exchanges} double exchanges fit; the "
             f"correlation with the tracks that follow from the radii is {result.by_radius:+.2f} for the printed and "
             f"{result.by_radius_exchanged:+.2f} for the exchanged tracks",
-            () if has_agreement and not is_explanation else (has_agreement,),
+            () if slopes_agree and not is_explanation else (slopes_agree,),
         ),
     ]
 
@@ -185,6 +186,7 @@ def _with_deviation(value: float, deviation: float) -> str:
 
 
 _SEED = 400
+"""Seed of the first drive on a surface."""
 _SERIES = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", "at constant yaw rate, over v")
 
 
@@ -215,7 +217,7 @@ class DrivenTrack:
 
     @property
     def by_acceleration(self) -> TrackLine:
-        """Line of the virtual track over (v times yaw rate)^2 [m^2/s^4] through all drives."""
+        """Line through all drives: virtual track over the squared product of v and yaw rate [m^2/s^4]."""
         rows = np.vstack([self.tests, *self.series.values()])
         return fit_line(np.column_stack([(rows[:, 0] * rows[:, 1]) ** 2, rows[:, 2]]))
 
@@ -244,7 +246,7 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
 
 
 def _drive_twists(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
-    """Drive commands v [m/s], omega [rad/s]; return results (n, 4) as in `DrivenTrack.tests`."""
+    """Drive constant commands v [m/s] and omega [rad/s]; return results (n, 4) as in `DrivenTrack.tests`."""
     robot, rows = load_robot(), []
     steps, settled_steps = (round(time / robot.sample_time) for time in (study.duration, study.settling))
     ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled_steps))[:, None]

@@ -1,1 +1,1 @@
-"""Study of controllers on robots, surfaces and sensors that they were not tuned for."""
+"""Study of controllers on robots, surfaces and sensors for which they were not tuned."""

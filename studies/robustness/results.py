@@ -24,7 +24,7 @@ from diffdrive_mpc_extras.campaign.campaign_file import Condition
 from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 
 MARKET = "market"
-"""Name of the condition of random robots, which has a different robot in each run."""
+"""Name of the condition with random robots; each run has a different robot."""
 
 
 def market_cases(
@@ -37,10 +37,10 @@ def market_cases(
     tuning: bool = False,
     settings: Mapping[str, bool | int | float | str] | None = None,
 ) -> list[Case]:
-    """List cases of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
+    """List cases with the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
-    With `tuning`, robots with seeds that are not reserved are used. Controllers are configured with the values that the
-    robot's user states, and with `settings`, configuration values by dotted key.
+    If `tuning` is True, the robots for tuning replace the reserved robots. The controllers are configured with the
+    values that the user of the robot states, and with `settings`, configuration values by dotted key.
     """
     return [
         Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
@@ -50,10 +50,10 @@ def market_cases(
 
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Configuration key of the rate of false alarms [1/h]."""
-ROOM = 0.05
-"""Maximum lateral error of a run that stays on its path [m]; the band of Guffanti et al. 2026."""
+MAX_LATERAL_ERROR = 0.05
+"""Maximum lateral error of a run that stays on its path [m], from Guffanti et al. 2026."""
 _UNUSED_SENSOR = re.compile(r"([a-z ]+?) not used: ")
-"""Pattern of an unused sensor in a message of the controller."""
+"""Pattern of the name of an unused sensor in a message of the controller."""
 _CONFIDENCE = 0.95
 _HOUR = 3600.0
 
@@ -61,10 +61,11 @@ _HOUR = 3600.0
 def condition_columns(settled: float, case: Case, run: Run) -> dict[str, object]:
     """Compute the columns of a run under a condition.
 
-    `late_lateral_m` is the maximum |lateral| error from time `settled` [s], NaN without such ticks. `heading_nees` is
-    the mean squared error of the estimated heading over its variance, about 1 for a consistent estimate, NaN for a
-    controller without an estimate. `given_up` counts events in which the controller stops using a sensor; without
-    faulty sensors these are false alarms. `rate` is the configured rate of false alarms [1/h].
+    `late_lateral_m` is the maximum |lateral| error after the time `settled` [s], or NaN if the run ends earlier.
+    `heading_nees` is the mean squared error of the estimated heading over its variance, about 1 for a consistent
+    estimate, or NaN if the controller has no estimate. `given_up` is the number of times that the controller stopped
+    using a sensor, which are false alarms if no sensor is faulty. `within_room` is True if the lateral error did not
+    exceed `MAX_LATERAL_ERROR`. `rate` is the configured rate of false alarms [1/h].
     """
     settled_errors = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
     rate = dict(case.overrides).get(FALSE_ALARM_RATE, ControllerConfig().monitor.false_alarm_rate)
@@ -72,7 +73,7 @@ def condition_columns(settled: float, case: Case, run: Run) -> dict[str, object]
         "late_lateral_m": float(np.max(settled_errors)) if settled_errors.size else float("nan"),
         "heading_nees": _heading_nees(run),
         "given_up": _count_unused_sensors(run),
-        "within_room": run.metrics.lateral_max_m <= ROOM,
+        "within_room": run.metrics.lateral_max_m <= MAX_LATERAL_ERROR,
         "rate": number(float(str(rate)), 2),
     }
 
@@ -93,7 +94,7 @@ def _heading_nees(run: Run) -> float:
 
 
 def study_tables(rows: DataFrame) -> list[Table]:
-    """Build tables of errors under each condition, error ratios, messages, and robots of the market."""
+    """Build the tables of errors by condition, error ratios, messages, and robots of the market."""
     specs = load_tables(Path(__file__).with_name("tables.yaml"))
     tables = [specs["conditions"].table(rows)]
     tables += [_ratio_table(rows)] if len(by(rows, "driver")) > 1 else []
@@ -106,9 +107,9 @@ def study_tables(rows: DataFrame) -> list[Table]:
 
 
 def ratios(rows: DataFrame) -> dict[str, float]:
-    """Compute the mean position RMSE of each controller, relative to the best controller that completed every run.
+    """Compute the mean position RMSE of each controller, relative to the best controller that completed all runs.
 
-    The ratios are NaN if no controller completed every run.
+    The ratios are NaN if no controller completed all runs.
     """
     drivers = by(rows, "driver")
     errors = {name: mean(runs, "position_rmse_m") for name, runs in drivers.items()}
@@ -119,7 +120,7 @@ def ratios(rows: DataFrame) -> dict[str, float]:
 def _ratio_table(rows: DataFrame) -> Table:
     entries = [((name,), ratios(group)) for name, group in by(rows, "condition").items()]
     columns = {name: _ratio_cell(name) for name in by(rows, "driver")}
-    note = "Mean position RMSE, relative to the best controller that completed every run of the condition."
+    note = "Mean position RMSE, relative to the best controller that completed all runs of the condition."
     return Table.build("Error relative to the best controller", ("condition",), columns, entries, note)
 
 
@@ -128,7 +129,7 @@ def _ratio_cell(name: str) -> Callable[[Mapping[str, float]], str]:
 
 
 def _message_table(rows: DataFrame) -> Table:
-    """Tabulate the most frequent message of the run with the most messages for each controller."""
+    """Tabulate one message by condition and controller: the most frequent one of the run with the most messages."""
     selected = rows.loc[rows.groupby(["condition", "driver"], sort=False)["message_percent"].idxmax()]
     messages = selected[(selected["ended"] != "") | (selected["message"] != "")]
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
@@ -144,7 +145,7 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
 
 
 def alarms_interval(expected: float) -> tuple[int, int]:
-    """Compute the 95 % interval of counts of a Poisson distribution with mean `expected`."""
+    """Compute the interval of a Poisson distribution with mean `expected` that contains 95 % of the counts."""
     low, high = poisson.interval(_CONFIDENCE, expected)
     return int(low), int(high)
 
@@ -173,7 +174,7 @@ _MAX_RATIO = 10.0
 def draw_ratios(rows: DataFrame, path: Path) -> None:
     """Draw a heat map of the ratios with a row per condition and a column per controller.
 
-    A cross marks a controller that did not complete every run.
+    A cross marks a controller that did not complete all runs.
     """
     conditions, names = by(rows, "condition"), list(by(rows, "driver"))
     values = np.array([[ratios(group).get(name, np.nan) for name in names] for group in conditions.values()])

@@ -1,4 +1,4 @@
-"""Robustness study: every controller under every condition."""
+"""Robustness study: runs of all controllers under all conditions."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc_extras.campaign.campaign_file import Condition
 from studies.robustness.results import FALSE_ALARM_RATE, MARKET, condition_columns, market_cases, study_tables
 
-OURS = "mpc"
+OUR_CONTROLLER = "mpc"
 """Name of the predictive controller in `bench.case.Case`."""
 _SAMPLES = 1000
-"""Number of samples of a path."""
+"""Number of samples of a path in the search for turns on the spot."""
 Plan = list[tuple[str, Case]]
 """Pairs of the name of a condition and a case."""
 
 
-def turns_on_the_spot(trajectory: str) -> bool:
+def has_spot_turns(trajectory: str) -> bool:
     """Return True if a path contains turns on the spot."""
     reference = load_trajectory(trajectory)
     twist = reference.sample(np.linspace(0.0, reference.duration, _SAMPLES)).twist
@@ -39,22 +39,24 @@ def turns_on_the_spot(trajectory: str) -> bool:
 
 
 class RobustnessStudy(Study[Plan, DataFrame]):
-    """Conditions x controllers x trajectories x seeds; models vary for the predictive controller only.
+    """Study of all combinations of conditions, controllers, trajectories and seeds.
+
+    The predictive controller is also combined with each of the models.
 
     Parameters
     ----------
     conditions
         Conditions by name.
     settled
-        Time after which the maximum lateral error is evaluated [s].
+        Time from which the settled lateral error is evaluated [s].
     controllers, models, trajectories, seeds
         Names and seeds as in `bench.case.Case`.
     robots
-        Number of random robots to drive along each trajectory, in addition to the conditions.
+        Number of random robots that drive along each trajectory, in addition to the conditions.
     tuning
         True to use the robots for tuning instead of the reserved robots.
     rates
-        Additional rates of false alarms of the predictive controller on these robots [1/h].
+        Additional rates of false alarms [1/h] of the predictive controller on random robots.
     """
 
     name = "robustness"
@@ -81,14 +83,14 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         self._trajectories, self._seeds = trajectories, seeds
 
     def plan(self) -> Plan:
-        """Plan the cases; raise ConfigError or ValueError if one of them cannot be run."""
+        """Plan the cases; raise ConfigError or ValueError if a case is not possible."""
         drives = len(self._controllers) * len(self._models) + len(self._rates)
         check_count(self._robots * drives * len(self._trajectories))
         factors = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
         check_count(math.prod(map(len, factors)))
         unknown = [name for name in self._controllers if name not in CONTROLLERS]
         if unknown:
-            raise ConfigError(f"--controllers: unknown controller {not_among(unknown[0], CONTROLLERS)}")
+            raise ConfigError(f"--controllers: unknown controller {format_unknown_name(unknown[0], CONTROLLERS)}")
         plan = [
             (name, condition.case(controller, model, trajectory, seed))
             for name, condition in self._conditions.items()
@@ -103,7 +105,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         return plan + market
 
     def _market(self) -> Plan:
-        """Plan random robots: all controllers at the configured rate of false alarms, and mpc at additional rates."""
+        """Plan cases with random robots: all controllers at the configured rate of false alarms, mpc at all rates."""
         if not self._robots:
             return []
         drivers = [
@@ -112,7 +114,9 @@ class RobustnessStudy(Study[Plan, DataFrame]):
             for model in (self._models if controller not in PEERS else self._models[:1])
         ]
         variants: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
-        variants += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
+        variants += [
+            (f"{MARKET}, {rate:g}/h", OUR_CONTROLLER, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates
+        ]
         return [
             (name, case)
             for name, controller, model, settings in variants
@@ -122,14 +126,14 @@ class RobustnessStudy(Study[Plan, DataFrame]):
                 controller,
                 model,
                 trajectory,
-                turns_on_the_spot(trajectory),
+                has_spot_turns(trajectory),
                 tuning=self._tuning,
                 settings=settings,
             )
         ]
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Run every case; store only the columns that the study needs."""
+        """Run all cases; the results contain only the columns of the tables."""
         bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(condition_columns, self._settled))
@@ -140,7 +144,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
         has_comparison = len(by(results, "driver")) > 1
         return Report(
-            counted=f"{len(results)} runs",
+            size=f"{len(results)} runs",
             meta={"statistics": STATISTICS, "settled_s": self._settled},
             content={"runs": json_rows(results)},
             facts=[

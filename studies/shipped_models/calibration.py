@@ -1,7 +1,8 @@
-"""Fit the firmware of the digital twin so that a published velocity model predicts the measurements of the twin.
+"""Fit the firmware of the digital twin such that a published velocity model predicts the measurements of the twin.
 
-One motor loop cannot give forward speed and yaw rate the different lags of the published model, so the firmware filters
-each command channel with a separate lag; its track sets the yaw gain. No other parameter of the twin is adjusted.
+The published model has different lags of forward speed and yaw rate, but the motor loop has only one lag. Therefore,
+the firmware filters each command channel with a separate lag; its track determines the yaw gain. All other parameters
+of the twin are unchanged.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _SIGNIFICANT_DIGITS = 4
 
 
 class Bounds(StrictModel):
-    """Lower and upper bound of each calibrated parameter, units as in `Firmware`."""
+    """Lower and upper bounds of the calibrated parameters; units as in `Firmware`."""
 
     gain_v: tuple[float, float]
     lag_v: tuple[float, float]
@@ -49,7 +50,7 @@ class RequiredFit(StrictModel):
 
 
 class CalibrationParameters(StrictModel):
-    """Target model, drives and bounds."""
+    """Settings of the calibration; `calibration.yaml` describes each setting."""
 
     target: str
     seeds: list[int]
@@ -60,7 +61,7 @@ class CalibrationParameters(StrictModel):
 
 
 class PredictionFit(NamedTuple):
-    """FIT of the target model's prediction of one drive."""
+    """FIT of the target model on one drive; `smooth` is True for smoothed commands, False for stepwise commands."""
 
     seed: int
     smooth: bool
@@ -77,12 +78,12 @@ def load_calibration_parameters() -> CalibrationParameters:
 
 
 def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[PredictionFit]:
-    """Compute the free-run FIT of the target model on random drives of the plant, with smoothed and stepwise commands.
+    """Compute the FIT of the target model on random drives of the plant, with smoothed and with stepwise commands.
 
     Parameters
     ----------
     firmware
-        Firmware parameters; by default the shipped ones.
+        Firmware parameters; by default the shipped parameters.
     seeds
         Seeds of the drives; by default the seeds of the validation drives.
     """
@@ -103,17 +104,19 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
 def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
     """Compute the error of the target model for neighbouring values of each parameter, relative to `firmware` [-].
 
-    A parameter at its bound has one neighbour. If all ratios exceed one, no neighbouring value fits the calibration
-    drives better. `firmware` defaults to the shipped parameters.
+    If all ratios exceed one, no neighbouring value fits the calibration drives better. A parameter at its bound has
+    one neighbour. `firmware` defaults to the shipped parameters.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
-    base, errors = _cost(firmware), {}
+    calibrated_error, errors = _cost(firmware), {}
     for name in Bounds.model_fields:
         low, high = getattr(parameters.bounds, name)
         value, step = getattr(firmware, name), parameters.neighbour * (high - low)
         neighbours = [candidate for candidate in (value - step, value + step) if low <= candidate <= high]
-        errors[name] = tuple(_cost(firmware.model_copy(update={name: candidate})) / base for candidate in neighbours)
+        errors[name] = tuple(
+            _cost(firmware.model_copy(update={name: candidate})) / calibrated_error for candidate in neighbours
+        )
     return errors
 
 
@@ -122,7 +125,7 @@ def calibrate(
     date: datetime.date | None = None,
     on_evaluation: Callable[[], None] | None = None,
 ) -> Firmware:
-    """Fit the firmware parameters on the calibration drives and write them, with provenance, to `path`.
+    """Fit the firmware parameters to the calibration drives and write them with provenance to `path`.
 
     Parameters
     ----------
@@ -131,12 +134,12 @@ def calibrate(
     date
         Date for the provenance; today by default.
     on_evaluation
-        Function that is called after each evaluated set of parameters; the number of evaluations is unknown in advance.
+        Function that is called after each evaluation of a set of parameters.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `path` cannot be written; checked on entry. After any error `path` is unchanged.
+        If `path` cannot be written, which is checked before the fit. After any error, `path` is unchanged.
     """
     with whole_file(path, rewrites=True) as unfinished:
         firmware = _fit_firmware(date or datetime.date.today(), on_evaluation)
@@ -157,7 +160,8 @@ def _fit_firmware(date: datetime.date, on_evaluation: Callable[[], None] | None)
             on_evaluation()
         return error
 
-    # Quantisation makes the cost rough on a small scale. A wide simplex averages over this roughness; gradients do not.
+    # Quantisation of the sensors makes the cost rough on a small scale: gradients are meaningless, and a wide initial
+    # simplex averages over the roughness.
     simplex = np.full((len(names) + 1, len(names)), 0.3) + 0.3 * np.eye(len(names) + 1, len(names), k=-1)
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5}
     solution = minimize(cost, simplex[0], method="Nelder-Mead", bounds=[(0, 1)] * len(names), options=options)
@@ -203,15 +207,15 @@ def _cost(firmware: Firmware) -> float:
 
 
 def _squared_error(drive: OpenLoopDrive, target: DiscreteModel) -> float:
-    """Compute the error energy of the target model on a drive, relative to the energy of the prediction per channel."""
+    """Compute the error energy of the target model relative to the predicted energy, summed over v and omega."""
     predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
     return float(np.sum(np.sum((drive.output - predicted) ** 2, axis=0) / energy))
 
 
 def _build_firmware(names: list[str], values: FloatArray, provenance: dict[str, object]) -> Firmware:
-    rounded = {name: float(f"{value:.{_SIGNIFICANT_DIGITS}g}") for name, value in zip(names, values, strict=True)}
-    return Firmware(**rounded, provenance=provenance)
+    parameters = {name: float(f"{value:.{_SIGNIFICANT_DIGITS}g}") for name, value in zip(names, values, strict=True)}
+    return Firmware(**parameters, provenance=provenance)
 
 
 _HEADER = """\
@@ -224,7 +228,7 @@ _HEADER = """\
 
 
 def write_firmware(firmware: Firmware, path: str | Path) -> None:
-    """Write firmware parameters, with a comment on the adjusted parameters and the remaining differences."""
+    """Write a file of firmware parameters, with a comment on the fit and the remaining differences to the target."""
     text = yaml.safe_dump(firmware.model_dump(), sort_keys=False, default_flow_style=None, width=120)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
 
@@ -233,7 +237,7 @@ def write_firmware(firmware: Firmware, path: str | Path) -> None:
 
 
 def calibration_table(firmware: Firmware) -> Table:
-    """Tabulate the FIT of the target model, simulated from commands alone, on validation drives."""
+    """Tabulate the FIT of the target model, simulated from commands, on validation drives."""
     fits = validate_calibration(firmware)
     rows = [
         (str(fit.seed), "smoothed" if fit.smooth else "stepwise", f"{fit.v:.2f}", f"{fit.omega:.2f}")

@@ -1,7 +1,8 @@
 """Test of the identification, and of its stated uncertainties, on random models with known parameters.
 
-Random two-pole channels with dead time are driven, logged with noise, quantisation, a gyro bias and a gap, and
-identified as SM. Standard deviations are correct if 95 % of the errors are below 1.96 standard deviations.
+Random models with two poles and dead time in each channel are simulated. Their logs contain noise, quantisation, a gyro
+bias and a gap, and are identified as SM. The stated standard deviations are correct if 95 % of the errors are below
+1.96 standard deviations.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
-# Half-width of the 95 % interval of a normal distribution, in standard deviations.
 _INTERVAL_HALF_WIDTH = 1.959964
-# True damping above which a pole pair counts as real, in truth and estimate.
+"""Half-width of the 95 % interval of a normal distribution, in standard deviations."""
 _REAL_POLES_DAMPING = 1.0
+"""True damping above which the poles of a channel are compared as real poles, otherwise as complex poles."""
 
 
 class TruthSettings(StrictModel):
-    """Ranges of the true parameters and magnitudes of the errors, units as in `known_truths.yaml`."""
+    """Ranges of the true parameters and magnitudes of the errors; units as in `known_truths.yaml`."""
 
     models: int
     duration: Positive
@@ -55,12 +56,12 @@ class TruthSettings(StrictModel):
 
 @dataclass(frozen=True)
 class RecoveredTruth:
-    """True parameters of one model, and their identification.
+    """True and identified parameters of one model.
 
     Attributes
     ----------
     seed
-        Seed of the truth and its noise.
+        Seed of the true parameters and of the noise.
     names
         (q,) names of parameters, such as "v.gain" or "omega.pole_1.real".
     truth, estimate, deviation
@@ -77,7 +78,7 @@ class RecoveredTruth:
     seconds: float
 
     @property
-    def standardised(self) -> FloatArray:
+    def standardised_errors(self) -> FloatArray:
         """Errors (q,) divided by their stated standard deviations [-]."""
         return np.asarray((self.estimate - self.truth) / self.deviation)
 
@@ -91,7 +92,7 @@ def truth_settings() -> TruthSettings:
 def recover_all(
     models: int | None = None, on_progress: Callable[[int, int], None] | None = None
 ) -> list[RecoveredTruth]:
-    """Identify random models with known parameters; seeds start at 0.
+    """Identify random models with known parameters; the seeds start at 0.
 
     Parameters
     ----------
@@ -134,10 +135,10 @@ def recover(seed: int) -> RecoveredTruth:
 
 
 def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
-    """Tabulate the share of true values inside the stated 95 % intervals, and the standardised errors."""
+    """Tabulate the share of true values in the stated 95 % intervals, and statistics of the standardised errors."""
     scores: dict[str, list[float]] = {}
     for recovery in recoveries:
-        for name, score in zip(recovery.names, recovery.standardised, strict=True):
+        for name, score in zip(recovery.names, recovery.standardised_errors, strict=True):
             kind = name.partition(".")[2].partition(".")[0].replace("_1", "").replace("_2", "")
             scores.setdefault(kind, []).append(float(score))
     scores["all"] = [score for values in scores.values() for score in values]
@@ -201,7 +202,7 @@ def _simulate_log(truth: SmFile, rng: np.random.Generator, seed: int, settings: 
 
 
 def _with_poles(estimate: ParameterEstimate, channel: str, damping: float) -> ParameterEstimate:
-    """Append the poles to the estimate of a channel, with propagated uncertainty; `damping` is the true damping."""
+    """Append the poles and their propagated uncertainty to the estimate of a channel with the true `damping`."""
     poles = ("pole_1", "pole_2") if damping > _REAL_POLES_DAMPING else ("pole_1.real", "pole_1.imag")
     return estimate.derived(
         (*estimate.names, *(f"{channel}.{name}" for name in poles)), lambda row: _append_poles(row, damping)
@@ -209,7 +210,10 @@ def _with_poles(estimate: ParameterEstimate, channel: str, damping: float) -> Pa
 
 
 def _append_poles(row: FloatArray, damping: float) -> FloatArray:
-    """Append the poles to gain, natural frequency, damping and dead time; real or complex by the true `damping`."""
+    """Append two real poles, or real and imaginary part of complex poles, to gain, frequency, damping and dead time.
+
+    The true `damping` determines the kind of poles.
+    """
     _, w, zeta, _ = row
     if damping > _REAL_POLES_DAMPING:
         root = np.sqrt(max(zeta**2 - 1.0, 0.0))

@@ -1,7 +1,7 @@
 """Identification of the shipped models from the papers' experiments on the simulated robot.
 
-The papers' text does not contain the coefficients of MBM and SM. They are therefore identified from the digital twin,
-and the parameter files state this source.
+The papers do not contain the coefficients of MBM and SM. The coefficients are therefore identified from drives of the
+digital twin, and the parameter files state this source.
 """
 
 from __future__ import annotations
@@ -59,13 +59,14 @@ def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
 def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
     """Identify the track [m] by least squares from right minus left rim speed (K,) [m/s] and yaw rate (K,) [rad/s].
 
-    With the measured yaw rate, the result is the effective track, which is wider than the geometric one on a skid-steer
-    robot. With the commanded yaw rate and settled wheels, it is the firmware's track times the motors' gain.
+    With the measured yaw rate, the result is the effective track, which is wider than the geometric track on a
+    skid-steer robot. With the commanded yaw rate and settled wheels, the result is the firmware's track times the gain
+    of the motors.
 
     Raises
     ------
     ValueError
-        If the yaw rate is zero, or has the opposite sign of the wheels' difference.
+        If the yaw rate is zero, or its sign is opposite to that of the difference.
     """
     energy = float(yaw_rate @ yaw_rate)
     slope = float(difference @ yaw_rate) / energy if energy > 0 else 0.0
@@ -87,10 +88,10 @@ _DEAD_TIMES = "; dead times from the steps of SM, because the firmware filters v
 
 
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
-"""Total number of fitted transfer functions: both channels of SM, and each motor of MBM twice."""
+"""Total number of fitted transfer functions: both channels of SM, and each motor of MBM twice, see `_identify_mbm`."""
 
 Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChannel]
-"""Function that identifies a channel from its name, its experiments, and its dead time [s] if known."""
+"""Function that identifies a channel from its name, its experiments, and its dead time [s] or None."""
 
 
 class FittingSettings(StrictModel):
@@ -101,7 +102,7 @@ class FittingSettings(StrictModel):
     random_seeds: tuple[int, ...]
     validation_seeds: tuple[int, ...]
     settling_time: Positive
-    shortest: Positive
+    min_short: Positive
 
 
 @cache
@@ -114,8 +115,8 @@ def fitting_settings() -> FittingSettings:
 class PaperExperiments:
     """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot.
 
-    `random` drives are not in the paper: they have set-points of both inputs, because a robot turns differently while
-    driving than on the spot.
+    The drives `random`, which are not in the paper, have set-points of both inputs, because a robot turns differently
+    while driving than on the spot.
     """
 
     wheels: list[OpenLoopDrive]
@@ -126,7 +127,7 @@ class PaperExperiments:
 
 @cache
 def wheel_reading() -> ParameterEstimate:
-    """Identify delay [s] and gain [-] of the wheel speeds relative to the body, on smoothed random drives."""
+    """Identify delay [s] and gain [-] of the wheel speeds relative to the body from smoothed random drives."""
     drives = [
         drive_open_loop(make_plant("mujoco", seed=s), random_commands(s)) for s in fitting_settings().reading_seeds
     ]
@@ -137,13 +138,13 @@ def wheel_reading() -> ParameterEstimate:
 
 
 def _lag_and_scale() -> tuple[float, float]:
-    """Return delay [s] and gain [-] of the wheel speeds, rounded as in a configuration."""
+    """Return delay [s] and gain [-] of the wheel speeds with the digits of a configuration."""
     lag, scale = wheel_reading().values
     return round(float(lag), 4), round(float(scale), 4)
 
 
 def _output_delays() -> tuple[float, float]:
-    """Return the delays relative to the body [s] of v from the encoders and omega from the gyro."""
+    """Return the delays [s] of v from the encoders and omega from the gyro relative to the body."""
     return _lag_and_scale()[0], 0.0
 
 
@@ -154,7 +155,7 @@ def _scale_wheel_speeds(log: OpenLoopDrive) -> OpenLoopDrive:
 
 
 def run_experiments() -> PaperExperiments:
-    """Drive the simulated robot through steps and random set-points; scale wheel speeds to the speed over ground."""
+    """Drive the simulated robot with steps and random set-points; scale wheel speeds to the speed over ground."""
     seed = itertools.count(fitting_settings().first_seed)
 
     def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
@@ -170,7 +171,7 @@ def fit_models(
     date: datetime.date | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Table, list[str]]:
-    """Identify MBM, SM and two delays, write their files to `folder`, and return a table of their FIT, and warnings.
+    """Identify MBM, SM and the model with two delays, write their files, and return a table of their FIT and warnings.
 
     Parameters
     ----------
@@ -184,15 +185,16 @@ def fit_models(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `folder` cannot be written to; checked on entry. After any error its files are unchanged.
+        If `folder` cannot be written to, which is checked before the experiments. After any error, its files are
+        unchanged.
     """
     day = (date or datetime.date.today()).isoformat()
     announce = on_progress or (lambda _done, _total: None)
     count = itertools.count(1)
 
     def identify(label: str, experiments: list[SampledExperiment], dead_time: float | None) -> IdentifiedChannel:
-        form = TwoPolesForm(shortest=fitting_settings().shortest)
-        # The simulated sensors have no outliers, and the experiments stay below every limit.
+        form = TwoPolesForm(min_short=fitting_settings().min_short)
+        # The simulated sensors have no outliers, and the experiments are below all limits of the robot.
         channel = identify_channel(experiments, label, form=form, limit=False, robust=False, dead_time=dead_time)
         announce(next(count), IDENTIFICATIONS)
         return channel
@@ -220,7 +222,7 @@ def _write(
 ) -> None:
     """Write a parameter file, load it, and add the FIT of the loaded model; `origin` is date and method.
 
-    The file keeps the editor line of the file with this name in `previous_folder`.
+    The first line for editors is copied from the file with this name in `previous_folder`.
     """
     name, line = path.stem, read_editor_line(previous_folder / path.name)
     data["provenance"] = {
@@ -266,7 +268,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
 
 
 def model_delay(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
-    """Find the delay [s] of a model's channel relative to the `motion` (K,) of each drive, independent of the gain."""
+    """Find the delay [s] of channel `row` of a model relative to the `motion` (K,) of each drive, for any gain."""
     simulated = [model.discretise(load_robot().sample_time).simulate(log.command)[:, row] for log in logs]
     true = np.concatenate(motion)
 
@@ -348,7 +350,7 @@ def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> 
 
 
 def _settled_ticks(log: OpenLoopDrive) -> FloatArray:
-    """Return a mask (K,) of the samples at which the command has been constant for the settling time."""
+    """Return a mask (K,) of the samples of a motion whose command has been constant for the settling time."""
     window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
     recent = np.convolve(changed, np.ones(window))[: len(changed)]
@@ -388,7 +390,7 @@ def _yaml(name: str, data: dict[str, Any]) -> str:
 
 
 _REPETITION = 43
-"""Repetition number that determines the seeds of these drives; no study uses this number."""
+"""Number of the repetition whose seeds the drives have; no study uses this number."""
 _NOTES = {
     EXPERIMENTAL: "The structure is the paper's, whose Pioneer 3DX has two samples of 0.1 s and a lag of 0.1 s; its "
     "threshold's line and its slope limits are not in the text. All values are identified from the simulated robot. "
@@ -440,7 +442,7 @@ def fit_drives(folder: Path) -> Table:
 
 
 def _round_fit(fit: FloatArray) -> dict[str, float]:
-    """Return the FIT of v and omega, rounded to two decimal places [%]."""
+    """Round the FIT of v and omega to two decimal places [%]."""
     return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}
 
 
@@ -448,11 +450,11 @@ def _round_fit(fit: FloatArray) -> dict[str, float]:
 
 
 _NETWORK_FITTING_REPETITION = 41
-"""Repetition number that determines the seeds of these drives; no study uses this number."""
+"""Number of the repetition whose seeds the drives have; no study uses this number."""
 
 
 def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Table:
-    """Train the paper's network on a five-minute drive, write `lstm.yaml` to `folder`, and return a table of its FIT.
+    """Train the paper's network on a drive of five minutes, write its files to `folder`, and return a table of its FIT.
 
     Raises
     ------

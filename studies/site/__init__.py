@@ -1,1 +1,1 @@
-"""Site of the documents: input of MkDocs in addition to the Markdown in `docs`."""
+"""Site of the documents: pages and files for MkDocs in addition to the Markdown in `docs`."""

@@ -1,4 +1,4 @@
-"""Page on the command line, generated from the commands."""
+"""Page of the site that describes all commands, generated from the commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def command_line_page() -> str:
 
 
 def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - typer has no common type
-    """Yield the full name and the command of each executable command, including commands of groups."""
+    """Yield the full name and the object of each command, including the commands of groups."""
     for name, child in sorted(command.commands.items()):
         if hasattr(child, "commands"):
             yield from _commands(f"{prefix} {name}", child)

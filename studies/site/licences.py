@@ -1,4 +1,4 @@
-"""Table of this package's dependencies and their licences, updated by `python -m studies.site.licences`."""
+"""Table of the dependencies of this package and their licences; `python -m studies.site.licences` updates the table."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from studies.documents.documents import insert
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "install.md"
 MARKER = "licences"
-_OURS = "diffdrive-mpc"
+_PACKAGE = "diffdrive-mpc"
 _MAX_LENGTH = 60
+"""Maximum number of characters of a licence; a longer text is probably the whole licence."""
 
 
 def licence_table() -> str:
-    """Tabulate the dependencies of our package without extras, their licences, and the packages that require them."""
+    """Tabulate the dependencies of this package without extras, their licences, and the packages that require them."""
     packages = _dependencies()
     rows = [(name, licence(package), ", ".join(sorted(users))) for name, (package, users) in sorted(packages.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
@@ -26,9 +27,9 @@ def licence_table() -> str:
 
 
 def licence(package: Distribution) -> str:
-    """Return the stated licence of a package: its SPDX expression, its classifiers, or its field "License"."""
+    """Return the licence in the metadata of a package: SPDX expression, else classifiers, else the field "License"."""
     metadata = package.metadata
-    # For a missing entry, some versions of Python return None and others raise an error.
+    # The index operator returns None for a missing entry in some versions of Python and raises an error in others.
     if "License-Expression" in metadata:
         return str(metadata["License-Expression"])
     classifiers = [
@@ -44,9 +45,9 @@ def licence(package: Distribution) -> str:
 
 
 def _dependencies() -> dict[str, tuple[Distribution, set[str]]]:
-    """Collect the dependencies of our package by normalised name, with the packages that require them."""
+    """Collect all dependencies of this package by normalised name, with the packages that require them."""
     distributions: dict[str, tuple[Distribution, set[str]]] = {}
-    pending = [(_OURS, distribution(_OURS), frozenset[str]())]
+    pending = [(_PACKAGE, distribution(_PACKAGE), frozenset[str]())]
     visited: set[tuple[str, frozenset[str]]] = set()
     while pending:
         dependent, package, extras = pending.pop()
@@ -75,10 +76,10 @@ def _normalise(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def with_table(page: str) -> str:
-    """Update the licence table in the text `page`."""
+def insert_table(page: str) -> str:
+    """Return the text `page` with the licence table updated."""
     return insert(page, licence_table(), MARKER)
 
 
 if __name__ == "__main__":
-    PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(insert_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,7 +1,7 @@
-"""Conversion of tutorials from Markdown to notebooks, whose outputs are the pictures of the tutorials.
+"""Conversion of tutorials from Markdown to notebooks, which draw the pictures of the tutorials.
 
-``python -m studies.site.notebooks``, run from the top of the repository, writes the notebooks without outputs next to
-the tutorials, executes them, and writes the pictures of the pages. git ignores the notebooks.
+`python -m studies.site.notebooks`, run in the root folder of the repository, writes the notebooks without outputs next
+to the tutorials, executes them, and writes the pictures of the tutorials. Git ignores the notebooks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from nbclient import NotebookClient
 
 TUTORIALS = Path("docs/tutorials")
 
-# A notebook contains neither links to picture files nor the reference to the notebook.
+# A notebook omits the pictures of its tutorial, because its cells draw them, and the sentence about the notebook.
 _PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
 _REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps\.")
 _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -51,9 +51,9 @@ def notebook_text(markdown: str) -> str:
 
 
 def with_notebooks(documents: Mapping[str, str], out: Path) -> dict[str, str]:
-    """Write the notebooks of the tutorials in `documents` to the site at `out`.
+    """Write the notebooks of the tutorials in `documents` to the folder `out` of the site.
 
-    Return the documents with a link to each notebook.
+    Return the documents with a link to the notebook in each tutorial.
     """
     linked = dict(documents)
     for path, markdown in documents.items():

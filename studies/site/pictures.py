@@ -1,6 +1,6 @@
-"""Pictures of the documents that no study draws: results of commands, and the poster.
+"""Pictures of the documents that are not figures of studies: results of commands, and the poster.
 
-Run as ``python -m studies.site.pictures [NAME ...]``, from the top of the repository.
+`python -m studies.site.pictures [NAME ...]`, run in the root folder of the repository, draws the pictures.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from studies.site.robot_scene import BLUE, GREY, ORANGE, RobotScene, draw_line
 
 FOLDER = Path("docs/pictures")
-# Figures have few colours; a palette reduces the file to a third.
 _COLOURS = 64
+"""Number of colours of a picture; the palette reduces the file to a third, and figures have few colours."""
 POSTER, _POSTER_TIME = "poster", 5.2
-"""Name of the picture of the robot, and time in the drive at which the robot is drawn [s]."""
+"""Name of the picture of the robot, and time of the drive at which the robot is drawn [s]."""
 
 
 class SitePicture(StrictModel):
-    """Commands that draw a picture, and the path of the picture that they write."""
+    """Commands that draw a picture, and the path of the file that they write."""
 
     commands: list[str]
     shown: str
@@ -44,7 +44,7 @@ def load_pictures() -> dict[str, SitePicture]:
 
 
 def draw(picture: SitePicture, target: Path) -> None:
-    """Run the commands in a temporary folder, and write their picture to `target`.
+    """Run the commands of a picture in a temporary folder, and write the picture to `target`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def draw(picture: SitePicture, target: Path) -> None:
 
 
 def draw_poster(target: Path) -> None:
-    """Drive the trajectory `s`, and render robot, driven path, reference and plan at one time."""
+    """Drive the trajectory `s`, and render robot, driven path, reference and plan at `_POSTER_TIME`."""
     import mujoco  # noqa: PLC0415 - reads the environment's renderer setting on import
 
     config = load_config("ssm")

@@ -13,7 +13,7 @@ from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.logs.mapping import LogMapping
-from diffdrive_mpc.models.stated_robot import MakersRobot
+from diffdrive_mpc.models.stated_robot import ManufacturerRobot
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
 from diffdrive_mpc.sim.plants.surface import Surface
@@ -32,13 +32,13 @@ sensor set may omit every key: the value of the shipped `default` then applies.
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-# Maximum depth of groups whose keys are listed; deeper levels are only in the schema.
+# Maximum depth of groups whose keys are listed; keys of deeper groups are only in the schema.
 _MAX_DEPTH = 2
 _FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
     "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
     "model": ("velocity model", "--model", lambda: json.loads(json_schema("model"))),
     "mapping": ("columns or topics of a log", "--mapping", LogMapping.model_json_schema),
-    "stated-robot": ("data sheet of a robot", "identify --robot", MakersRobot.model_json_schema),
+    "stated-robot": ("data sheet of a robot", "identify --robot", ManufacturerRobot.model_json_schema),
     "robot": ("simulated robot", "--plant mujoco:FILE", SimulatedRobot.model_json_schema),
     "surface": ("driving surface", "--surface", Surface.model_json_schema),
     "sensors": ("sensor set", "--sensors", SensorSet.model_json_schema),
@@ -80,13 +80,13 @@ def _rows(part: Schema, schema: Schema, prefix: str, requirement: str = "require
 
 
 def _group(field: Schema, schema: Schema) -> Schema | None:
-    """Return the schema of a group if a field must be this group; otherwise None."""
+    """Return the schema of a group if a field accepts only this group; otherwise None."""
     alternatives = _alternatives(field, schema)
     return alternatives[0] if len(alternatives) == 1 and "properties" in alternatives[0] else None
 
 
 def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
-    """Return the alternatives of a field without null; references are resolved."""
+    """Return the schemas of the values that a field accepts, except null; references are resolved."""
     if "$ref" in field:
         return _alternatives(schema["$defs"][field["$ref"].rpartition("/")[2]], schema)
     choices = field.get("anyOf", field.get("oneOf", []))
@@ -136,7 +136,7 @@ This page lists them. See [the guide](../robot.md) for the setup of the node on 
 
 
 def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
-    """Build the reference pages as Markdown by path on the site; `documents` contains repository texts by path."""
+    """Build the reference pages as Markdown by path on the site; `documents` contains files of the repository."""
     pages: dict[str, Callable[[], str]] = {
         "api": api_page,
         "command-line": command_line_page,
@@ -147,7 +147,7 @@ def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
 
 
 def api_page() -> str:
-    """List the public names by purpose as directives of mkdocstrings."""
+    """Build the page of the public names by purpose, with directives of mkdocstrings."""
     parts = [_API]
     for title, names in public_names().items():
         imports = "\n".join(_imports(names))
@@ -156,11 +156,11 @@ def api_page() -> str:
 
 
 def _imports(names: list[str]) -> list[str]:
-    """Build the statements that import the names, starting with names of the top-level package."""
+    """Build the statements that import the names; names of the top-level package are first."""
     modules: dict[str, list[str]] = {}
     for module, name in (name.rsplit(".", 1) for name in names):
         modules.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
-    return [f"from {_PACKAGE}{home} import {', '.join(modules[home])}" for home in sorted(modules)]
+    return [f"from {_PACKAGE}{module} import {', '.join(modules[module])}" for module in sorted(modules)]
 
 
 def public_names() -> dict[str, list[str]]:
@@ -177,7 +177,7 @@ def ros_page(guide: str) -> str:
 
 
 def section(page: str, title: str) -> str:
-    """Extract a section by title; raise ConfigError if the page has no such section."""
+    """Extract a section by its title; raise ConfigError if the page does not contain the section."""
     match = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     if not match:
         raise ConfigError(f"no section '{title}' in the source page; restore its title")

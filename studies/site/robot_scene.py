@@ -15,8 +15,8 @@ from diffdrive_mpc.sim.plants.make import plant_body
 GREY, BLUE, ORANGE = (0.25, 0.25, 0.25, 1.0), (0.0, 0.45, 0.70, 1.0), (0.90, 0.38, 0.0, 1.0)
 _SEGMENTS = 300
 """Number of straight segments of a drawn line."""
-_TYRE = 0.6
-"""Ratio of tyre width and wheel radius [-], for pictures only."""
+_TYRE_WIDTH = 0.6
+"""Ratio of tyre width and wheel radius [-], chosen for the pictures."""
 _WORLD = """
 <mujoco><option gravity="0 0 0"/><visual><global offwidth="1280" offheight="720"/><quality offsamples="4"/>
 <headlight ambient="0.4 0.4 0.4" diffuse="0.4 0.4 0.4"/></visual><statistic extent="2"/>
@@ -39,7 +39,7 @@ _WHEEL = """
 
 
 class RobotScene:
-    """MuJoCo model of the robot of a plant on a plane, for pictures.
+    """MuJoCo model of the robot of a plant on a plane.
 
     Parameters
     ----------
@@ -52,20 +52,22 @@ class RobotScene:
 
         robot, twin = plant_body(plant)
         length, width, height = (size / 2 for size in twin.chassis.body_size)
-        radius, tyre, centre = robot.wheel_radius, _TYRE * robot.wheel_radius / 2, twin.chassis.body_height
+        radius, tyre, centre = robot.wheel_radius, _TYRE_WIDTH * robot.wheel_radius / 2, twin.chassis.body_height
         wheels = "".join(
             _WHEEL.format(x=x, y=y, radius=radius, tyre=tyre, spoke=0.6 * radius, rim=1.02 * tyre)
             for x in (twin.chassis.wheel_base / 2, -twin.chassis.wheel_base / 2)
             for y in (robot.track / 2, -robot.track / 2)
         )
         body = {"length": length, "width": width, "height": height, "centre": centre, "top": centre + height}
-        mark = {"front": 0.8 * length, "half_front": 0.7 * width}
+        direction_mark = {"front": 0.8 * length, "half_front": 0.7 * width}
         self.height = radius + centre + 1.2 * height
-        self.model: Any = mujoco.MjModel.from_xml_string(_WORLD.format(radius=radius, wheels=wheels, **body, **mark))
+        self.model: Any = mujoco.MjModel.from_xml_string(
+            _WORLD.format(radius=radius, wheels=wheels, **body, **direction_mark)
+        )
         self.data: Any = mujoco.MjData(self.model)
 
     def place(self, pose: ArrayLike, wheel_angles: ArrayLike = (0.0, 0.0, 0.0, 0.0)) -> None:
-        """Place the robot at `pose` (3,) with wheel angles (4,) [rad]."""
+        """Move the robot to `pose` (3,) with wheel angles (4,) [rad]."""
         import mujoco  # noqa: PLC0415 - an optional dependency
 
         x, y, theta = np.asarray(pose, dtype=float)
@@ -76,7 +78,7 @@ class RobotScene:
 
 
 def draw_line(scene: Any, points: FloatArray, height: float, colour: tuple[float, ...], width: float = 0.008) -> None:  # noqa: ANN401 - untyped
-    """Add a line through `points` (n, 2) [m] at a height [m] to a MuJoCo scene; `width` is its radius [m]."""
+    """Add a line through `points` (n, 2) [m] at a height [m] to a MuJoCo scene; `width` is the line's radius [m]."""
     import mujoco  # noqa: PLC0415 - an optional dependency
 
     rows = np.column_stack([points, np.full(len(points), height)])

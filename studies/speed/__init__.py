@@ -1,1 +1,1 @@
-"""Step time of the controller, compared with peers on the same problem."""
+"""Study of step times: the controller, compared with peers on the same problem."""

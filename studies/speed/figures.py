@@ -1,4 +1,4 @@
-"""Figures of step times: against the horizon, and their distribution."""
+"""Figures of step times: medians against the horizon, and distributions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studies.speed.results import ACADOS, SpeedResults
 
 
 def draw_horizons(results: SpeedResults, path: Path) -> None:
-    """Draw the median whole-step time of all solvers against the horizon, with log axes and one panel per model."""
+    """Draw the median step time of all solvers against the horizon, with logarithmic axes and one panel per model."""
     models, horizons = results.models, results.horizons
     with new_figure(path, 3.2 * len(models) + 1.6, 3.8) as figure:
         panels = figure.subplots(1, len(models), sharey=True, squeeze=False)[0]
@@ -42,7 +42,7 @@ def draw_horizons(results: SpeedResults, path: Path) -> None:
 
 
 def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
-    """Draw the share of steps that exceed a time, for the last model at one horizon, with logarithmic axes."""
+    """Draw the share of steps that exceed a time against this time, for the last model at one horizon."""
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
@@ -57,7 +57,7 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
 
 
 def _draw_tail(axes: Axes, times: ArrayLike, name: str, line_colour: str, style: str) -> None:
-    """Draw the share of `times` [s] that exceed a time; logarithmic axes show the tail."""
+    """Draw the share of `times` [s] that exceed a time, with logarithmic axes, which show the tail."""
     times = 1e3 * np.sort(np.asarray(times, dtype=float))
     share = 1.0 - np.arange(times.size) / times.size
     label = f"{name}, p99 {np.percentile(times, 99):.2f} ms"

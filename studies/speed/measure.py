@@ -1,4 +1,4 @@
-"""Time all subjects at one horizon: closed loops in turns of one tick, then replays in turns of one block."""
+"""Step times of all subjects at one horizon: closed loops in turns of one tick, then replays in turns of one block."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from studies.speed.stage import StageProblem, stage_data, stage_problem
 
 
 class PeerInput:
-    """Input of peers from our controller: estimate, reference and feed-forward; its computing time is not counted."""
+    """Input of peers: estimate, reference and feed-forward of our controller. Its computing time is not measured."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
         self._config, self._reference = config, reference
@@ -48,7 +48,7 @@ class PeerInput:
         """Compute the state of the first stage and the parameters of all stages at `t` [s], as in `stage_data`."""
         if not self._started:
             self._controller.start(self._reference, t)
-        # The subject's command was sent, not this controller's.
+        # The robot received the command of the subject, not the command of this controller.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
         complete_measurement = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
@@ -59,7 +59,7 @@ class PeerInput:
         return stage_data(self._controller.program, estimate, self._past)
 
     def limit(self, command: FloatArray) -> FloatArray:
-        """Limit a subject's `command` (2,) to range and slew, as for our controller; store and return the result."""
+        """Limit a subject's `command` (2,) to the range and slew of our controller; store and return the result."""
         sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
         self._past = np.concatenate([self._past[1:], sent[None]])
         return sent
@@ -67,7 +67,7 @@ class PeerInput:
 
 @dataclass
 class ClosedLoop:
-    """Closed loop of a subject and a simulated robot, which runs tick by tick.
+    """Closed loop of a subject and a simulated robot that runs tick by tick.
 
     Attributes
     ----------
@@ -76,11 +76,11 @@ class ClosedLoop:
     is_ours
         True for our controller, False for a peer.
     ticks, peer_data
-        Input of the subject at each tick, for replays, and input of a peer at these ticks.
+        Inputs at each tick, for replays: of the subject, and of a peer.
     steps, efforts
         Results and computing efforts of the steps.
     pose, twist, command
-        True pose (3,) and twist (2,) before each tick, and command sent (2,).
+        True pose (3,) and twist (2,) before each tick, and sent command (2,).
     """
 
     config: ControllerConfig
@@ -139,7 +139,7 @@ def closed_loop_cost(
 
     The stage cost is half the weighted sum of squares of the pose error (along and across the reference, and in
     heading), of the deviation of the command from its feed-forward, and of the increment of this deviation, plus the
-    penalties on violated soft limits. Terminal weight, slip and lead of the feed-forward are not included.
+    penalties on violated soft limits. The terminal weight, slip, and the lead of the feed-forward are not included.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def closed_loop_cost(
 
 
 def _hold_commands(parameters: FeedForward, twist: FloatArray, n: int) -> FloatArray:
-    """Compute the steady-state commands (n, 2) for the reference's twist without slip."""
+    """Compute the steady-state commands (n, 2) for the twist of the reference without slip."""
     rows = np.arange(n)[:, None] + parameters.whole
     current, following = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
     desired = (current + parameters.rest * (following - current)).T
@@ -209,12 +209,14 @@ def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig
 
 
 def _soft_limits(config: ControllerConfig) -> FloatArray:
-    lim = config.limits
-    return np.array([lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor])
+    limits = config.limits
+    return np.array(
+        [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+    )
 
 
 T = TypeVar("T")
-_AT_LIMIT = 1e-5
+_LIMIT_TOLERANCE = 1e-5
 """Distance from a limit below which a command counts as at the limit [m/s, rad/s]."""
 
 
@@ -231,7 +233,10 @@ class SpeedProblem:
 
 @dataclass(eq=False)
 class _RunningSubject:
-    """Subject with its process and closed loop, a `bench.turns.Replay`; `failure` is the reason for a failure."""
+    """Subject with its process and closed loop; satisfies `bench.turns.Replay`.
+
+    `failure` is the reason if the subject has failed, otherwise empty.
+    """
 
     name: str
     problem: SpeedProblem
@@ -250,12 +255,12 @@ class _RunningSubject:
         self.call(lambda: self.drive.subject.reset(self.drive.ticks[0]))
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Run ticks; return times (ticks, 2) of whole step and solver [s] and the effort, or None after a failure."""
+        """Run ticks; return times (ticks, 2) of step and solver [s] and the effort, or None if the subject failed."""
         result = self.call(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
         return None if result is None else (_times(result[0]), result[1])
 
     def call(self, function: Callable[[], T]) -> T | None:
-        """Call a function of the subject; store the reason for a failure, and return None from the failure on."""
+        """Call a function of the subject; return None if the subject fails or has failed, and store the reason."""
         try:
             return None if self.failure else function()
         except SubjectError as error:
@@ -268,7 +273,7 @@ def _times(steps: Sequence[TimedStep]) -> FloatArray:
 
 
 def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProblem:
-    """Load the problem for a model by name; raise ConfigError if its configuration is unusable."""
+    """Load the problem of a model by its name; raise ConfigError if the configuration is unusable."""
     config = controller_config(model, None, (*settings.config.items(), ("horizon", horizon)))
     linear = Controller(config).model
     assert isinstance(linear, VelocityModel)
@@ -283,20 +288,20 @@ def measure(
     core: int | None,
     on_tick: Callable[[], None],
 ) -> tuple[list[SpeedRecord], list[Missing]]:
-    """Time all subjects of `settings` on all `problems`; the timing of the problems is interleaved.
+    """Measure the step times of all subjects of `settings` on all `problems`; the subjects and problems alternate.
 
     Parameters
     ----------
     settings, problems
         Settings and problems of the study.
     environment
-        Environment of the peers, None if no peer requires it, or the reason for its absence.
+        Environment of the peers, None if no peer requires it, or the error if it cannot be created.
     folder
         Folder for files that the subjects generate.
     core
-        Processor core for all subjects; None if the system cannot bind a process to a core.
+        Processor core for all subjects; None if the operating system cannot bind a process to a core.
     on_tick
-        Function that is called after each tick of the closed loops.
+        Function that is called after each tick of the closed loops of all subjects.
     """
     missing: list[Missing] = []
     running: list[_RunningSubject] = []
@@ -335,14 +340,14 @@ def measure(
 
 
 def _replay(running: Sequence[_RunningSubject], settings: SpeedSettings) -> None:
-    """Time the subjects with replays; subjects that are too slow for replays keep the times of their closed loop."""
+    """Measure step times by replays; subjects that are too slow for replays keep the times of their closed loops."""
     fast = [subject for subject in running if _median_step_time(subject) < settings.replayed_below]
     (costs,), best = take_turns([fast], repetitions=settings.repetitions, block=settings.block)
     for subject, times in zip(fast, costs, strict=True):
         subject.times = times
     best = min([best, *(effort.pace for subject in running for effort in subject.drive.efforts)])
     for subject in running:
-        undisturbed = np.array([[effort.undisturbed(best) for effort in subject.drive.efforts]])
+        undisturbed = np.array([[effort.is_undisturbed(best) for effort in subject.drive.efforts]])
         subject.times = subject.times or TurnTimes(_times(subject.drive.steps)[None], undisturbed)
 
 
@@ -374,7 +379,7 @@ def _median_step_time(subject: _RunningSubject) -> float:
 
 
 def _gaps(subject: _RunningSubject, converged: Subject, interval: int) -> FloatArray:
-    """Compute |command - converged command| (n, 2) [m/s, rad/s] at ticks that are multiples of `interval`."""
+    """Compute |command - converged command| (n, 2) [m/s, rad/s] at every `interval`-th tick."""
     gaps: list[FloatArray] = []
     for k in range(0, len(subject.drive.ticks), interval):
         data = subject.drive.peer_data[k]
@@ -420,10 +425,11 @@ def _record(subject: _RunningSubject, gaps: FloatArray) -> SpeedRecord:
 
 
 def _active_share(command: FloatArray, config: ControllerConfig) -> float:
+    """Compute the share of ticks at which a command is at a limit of range or slew [-]."""
     increment = np.diff(command, axis=0, prepend=np.zeros((1, 2)))
     box = np.array([config.limits.v, config.limits.omega])
     slew = slew_step(config.limits, config.sample_time)
-    at_limit = (np.abs(command) > box - _AT_LIMIT) | (np.abs(increment) > slew - _AT_LIMIT)
+    at_limit = (np.abs(command) > box - _LIMIT_TOLERANCE) | (np.abs(increment) > slew - _LIMIT_TOLERANCE)
     return float(at_limit.any(axis=1).mean())
 
 

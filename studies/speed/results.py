@@ -12,8 +12,8 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
 ACADOS = "acados"
-"""Name of the peer to which ratios refer."""
-GROWTH_FROM = 20
+"""Name of the peer to which the step times of other solvers are compared."""
+MIN_GROWTH_HORIZON = 20
 """Minimum horizon for the growth exponent; at shorter horizons, costs that do not depend on the horizon dominate."""
 
 
@@ -24,11 +24,11 @@ class SpeedRecord:
     Attributes
     ----------
     solver, model, horizon
-        Solver, model and horizon of the result.
+        Names of solver and model, and horizon.
     step_p50_s, step_p95_s, step_p99_s, step_max_s
         Time of the whole step from Python [s], over all ticks of all repetitions.
     tick_p99_s, tick_max_s
-        Statistics, over ticks, of the median over repetitions [s]; other programs have no effect on them.
+        Percentile and maximum over ticks of the median over repetitions [s]; short disturbances do not affect them.
     solver_p50_s, solver_p95_s, solver_p99_s, solver_max_s
         Time inside the solver, as reported by the solver [s].
     iterations_p50, iterations_max
@@ -36,7 +36,7 @@ class SpeedRecord:
     closed_loop_cost
         Cost of the closed loop per tick, see `studies.speed.measure.closed_loop_cost`.
     gap_v_p50, gap_v_max, gap_omega_p50, gap_omega_max
-        Distance of the command from the command of the converged solution at the same state [m/s, rad/s].
+        Distance between the command and the command of the converged solution at the same state [m/s, rad/s].
     active_share
         Share of ticks at which a hard limit of range or slew is active [-].
     unsolved
@@ -44,9 +44,9 @@ class SpeedRecord:
     samples, clean_share, ticks
         Number of timed steps, share of undisturbed steps, and number of ticks of the drive.
     build_s, memory_bytes, memory_growth_bytes
-        Build time [s]; maximum memory of the process, and its growth since its modules were loaded [bytes].
+        Build time [s]; maximum memory of the process, and its increase after the import of the modules [bytes].
     whole
-        Times of the whole step (repetitions, ticks) [s], NaN for disturbed and cold steps; not written to the file.
+        Times of the whole step (repetitions, ticks) [s]; NaN if disturbed or with cold caches; not written to the file.
     """
 
     solver: str
@@ -80,14 +80,14 @@ class SpeedRecord:
     whole: FloatArray = field(repr=False)
 
     def as_json(self) -> dict[str, object]:
-        """Convert to plain values; times are rounded to nanoseconds."""
+        """Convert to values of JSON; times are rounded to nanoseconds."""
         values = {member.name: getattr(self, member.name) for member in fields(self) if member.name != "whole"}
         return {name: round(value, 9) if isinstance(value, float) else value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Subject that could not be run, with the reason."""
+    """Subject that could not run, with the reason."""
 
     solver: str
     model: str
@@ -134,38 +134,40 @@ class SpeedResults:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """Models, in order of appearance."""
+        """Models in order of first appearance."""
         return tuple(dict.fromkeys(record.model for record in self.records))
 
     @property
     def horizons(self) -> tuple[int, ...]:
-        """Horizons, ascending."""
+        """Horizons in ascending order."""
         return tuple(sorted({record.horizon for record in self.records}))
 
     @property
     def solvers(self) -> tuple[str, ...]:
-        """Solvers with at least one record, in order of appearance."""
+        """Solvers with at least one record, in order of first appearance."""
         return tuple(dict.fromkeys(record.solver for record in self.records))
 
     def find(self, solver: str, model: str, horizon: int) -> SpeedRecord | None:
-        """Find the record of a solver, model and horizon; None if it does not exist."""
+        """Return the record of a solver, model and horizon, or None if there is no such record."""
         key = (solver, model, horizon)
         return next((r for r in self.records if (r.solver, r.model, r.horizon) == key), None)
 
     def value(self, solver: str, model: str, horizon: int, field: Callable[[SpeedRecord], float]) -> float:
-        """Return a value of one record; NaN if the record does not exist."""
+        """Return a value of the record of a solver, model and horizon; NaN if there is no such record."""
         record = self.find(solver, model, horizon)
         return float("nan") if record is None else field(record)
 
     def growth(self, solver: str, model: str) -> float:
-        """Fit the growth exponent of the median step over horizons from `GROWTH_FROM` on; NaN for fewer than two."""
-        records = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
+        """Fit `growth_exponent` to the median steps at horizons of at least `MIN_GROWTH_HORIZON`."""
+        records = [
+            r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= MIN_GROWTH_HORIZON
+        ]
         return growth_exponent(
             np.array([r.horizon for r in records], dtype=float), np.array([r.step_p50_s for r in records])
         )
 
     def as_json(self) -> dict[str, object]:
-        """Convert to `{"records": [...], "missing": [...], "growth": [...]}` of plain values."""
+        """Convert to `{"records": [...], "missing": [...], "growth": [...]}` with values of JSON."""
         growth = [
             {"solver": solver, "model": model, "exponent": round(exponent, 3)}
             for model in self.models
@@ -183,9 +185,9 @@ class SpeedResults:
 
 
 _DETAIL_HORIZON = 30
-"""Horizon of the detailed tables, the shipped horizon; the longest horizon replaces it if it was not run."""
+"""Horizon of the detailed tables, which is that of the shipped configuration, if it is in the results."""
 _BASE_MODEL = "ssm"
-"""Model with the fewest states, with which other models are compared."""
+"""Model with the minimum number of states, to which other models are compared."""
 Value = Callable[[SpeedRecord], float]
 Cell = Callable[[str, str, int], str]
 """Function that formats a cell from solver, model and horizon."""
@@ -200,7 +202,7 @@ def _inside(record: SpeedRecord) -> float:
 
 
 def speed_tables(results: SpeedResults) -> list[Table]:
-    """Build all tables that are not empty."""
+    """Build the tables of the report."""
     models = results.models
     tables = [_medians(results, model) for model in models]
     if ACADOS in results.solvers:
@@ -217,7 +219,7 @@ def speed_tables(results: SpeedResults) -> list[Table]:
 
 
 def detailed_horizon(results: SpeedResults) -> int:
-    """Return the horizon of the detailed comparison."""
+    """Return the horizon of the detailed tables: `_DETAIL_HORIZON`, or the longest horizon if it was not run."""
     return _DETAIL_HORIZON if _DETAIL_HORIZON in results.horizons else results.horizons[-1]
 
 
@@ -246,9 +248,9 @@ def _medians(results: SpeedResults, model: str) -> Table:
     return _by_horizon(results, f"Median step {model.upper()}", model, cell, note, unit=" [ms]")
 
 
-def _against_acados(results: SpeedResults, model: str, clock: str, description: str, of_acados: Value) -> Table:
+def _against_acados(results: SpeedResults, model: str, clock: str, description: str, acados_time: Value) -> Table:
     def cell(solver: str, model: str, n: int) -> str:
-        return number(results.value(solver, model, n, _whole) / results.value(ACADOS, model, n, of_acados), 2)
+        return number(results.value(solver, model, n, _whole) / results.value(ACADOS, model, n, acados_time), 2)
 
     note = f"Ratio of medians: whole step over the time of acados, {description}."
     return _by_horizon(results, f"Against acados {clock} {model.upper()}", model, cell, note)
@@ -331,8 +333,8 @@ def _growth(results: SpeedResults) -> Table:
     columns[f"memory, N = {longest} [MB]"] = memory
     entries = [((solver,), solver) for solver in results.solvers]
     note = (
-        f"Exponent of the median step over the horizon, for N of at least {GROWTH_FROM}. Memory: maximum memory of "
-        "the process in addition to its loaded modules."
+        f"Exponent of the median step over the horizon, for N of at least {MIN_GROWTH_HORIZON}. Memory: maximum memory "
+        "of the process in addition to its loaded modules."
     )
     return Table.build("Growth and memory", ("solver",), columns, entries, note)
 
@@ -341,5 +343,5 @@ def _missing(results: SpeedResults) -> Table:
     reasons: dict[tuple[str, str], list[str]] = {}
     for entry in results.missing:
         reasons.setdefault((entry.solver, entry.reason), []).append(f"{entry.model} {entry.horizon}")
-    rows = tuple((solver, ", ".join(where), reason) for (solver, reason), where in reasons.items())
+    rows = tuple((solver, ", ".join(problems), reason) for (solver, reason), problems in reasons.items())
     return Table("Missing", ("solver", "where", "reason"), rows, text_columns=3)

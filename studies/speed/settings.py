@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -18,7 +18,7 @@ MAX_STEPS = 200
 
 
 class SubjectSettings(StrictModel):
-    """Solver of the problem with its settings."""
+    """Kind and settings of a solver."""
 
     kind: Literal["ours", "acados", "do-mpc", "nlpsol"]
     settings: dict[str, Any] = Field(description="configuration values for our controller, solver settings for a peer")
@@ -58,9 +58,9 @@ def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> Spe
 
 
 def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
-    """Select the named subjects; the name of a group selects its members (`ours` selects `ours/auto` etc.).
+    """Select subjects by name; the name of a group selects all its members, as `ours` selects `ours/auto`.
 
-    Raises ConfigError if a name is unknown.
+    Raise ConfigError if a name is unknown.
     """
     if names is None:
         return settings
@@ -68,6 +68,6 @@ def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> Spe
     for name in names:
         members = {key: subject for key, subject in settings.subjects.items() if f"{key}/".startswith(f"{name}/")}
         if not members:
-            raise ConfigError(f"--peers: unknown subject {not_among(name, settings.subjects)}")
+            raise ConfigError(f"--peers: unknown subject {format_unknown_name(name, settings.subjects)}")
         subjects |= members
     return settings.model_copy(update={"subjects": subjects})

@@ -1,8 +1,8 @@
-"""Tracking problem of `mpc.problem` by stages, for peers that solve multistage optimal control problems.
+"""Tracking problem of `mpc.problem` in stages, for peers that solve multistage optimal control problems.
 
 The state of a stage is z = (x, pose, past): the n states of the velocity model, the pose, and the last `memory`
-commands before the stage, oldest first. Stage k has the parameters p_k of `ROWS`; the state of the first stage is
-known.
+commands before the stage, oldest first. Stage k has the parameters p_k, which `ROWS` names; the state of the first
+stage is given.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ROWS = (
 
 @dataclass(frozen=True)
 class StageProblem:
-    """Problem for a peer as plain values; the process of a peer needs only CasADi and NumPy.
+    """Problem for a peer, whose process requires only CasADi and NumPy to read it.
 
     The cost is the sum of three terms. For k = 0 to N - 1: half of effort(z_k, u_k, p_k)^2, weighted by
     `effort_weights`. For k = 1 to N: half of tracking(z_k, p_k)^2, weighted by `tracking_weights`, and multiplied by
@@ -121,14 +121,14 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     Parameters
     ----------
     program, estimate
-        Problem of the tick in the memory of the core, and the estimate from which it was built.
+        Problem of the tick in the memory of the core, and the estimate on which the problem is based.
     past
         Commands (memory, 2) sent before the tick, oldest first.
 
     Raises
     ------
     ValueError
-        If the last command of the tick differs from the newest command in `past`; a stage contains only one of the two.
+        If the last command of the tick differs from the newest command in `past`; the state contains only the latter.
     """
     if not np.array_equal(program.last_command, past[-1]):
         raise ValueError("the last command differs from the newest past command; peers cannot represent both")
@@ -147,7 +147,7 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
 
 
 def _body_twist(turn_left: ca.SX, point: ca.SX) -> ca.SX:
-    """Compute the twist of the body's origin from the twist of its turning point."""
+    """Compute the twist of the body's origin from the twist of its centre of rotation."""
     return ca.vertcat(point[0] + turn_left * point[1], point[1])
 
 

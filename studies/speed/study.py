@@ -19,7 +19,7 @@ from studies.speed.settings import SpeedSettings
 
 
 class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
-    """Speed benchmark with the given settings.
+    """Study of step times.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         self._peer_folder = peer_folder
 
     def plan(self) -> list[list[SpeedProblem]]:
-        """Plan a problem for each horizon and model; raise ConfigError or ValueError if a problem is unusable."""
+        """Load a problem for each horizon and model; raise ConfigError or ValueError if a problem is unusable."""
         s = self.settings
         return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
     def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
-        """Run all problems sequentially on one core, ignoring `jobs`; raise ValueError if no subject could be run."""
-        del jobs
+        """Run all problems on one core; `jobs` is ignored. Raise ValueError if no subject could run."""
+        del jobs  # parallel processes would disturb the measurement of times
         load = os.getloadavg()[0]
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         records: list[SpeedRecord] = []
@@ -62,7 +62,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         return SpeedResults(tuple(records), tuple(missing), core, (load, os.getloadavg()[0]))
 
     def _environment(self) -> PeerEnvironment | SubjectError | None:
-        """Return the peers' environment, None if no subject requires it, or the reason for its absence."""
+        """Return the environment of the peers, None if no subject requires it, or the error if it cannot be created."""
         if not any(subject.needs_environment for subject in self.settings.subjects.values()):
             return None
         try:
@@ -71,7 +71,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
             return error
 
     def report(self, results: SpeedResults, seconds: float) -> Report:
-        """Build the report with drive, timing and peers."""
+        """Build the report with the tables and figures of all step times."""
         from studies.speed.figures import draw_horizons, draw_tails  # noqa: PLC0415
 
         s, (before, after) = self.settings, results.load
@@ -83,7 +83,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         undisturbed = float(np.mean([record.clean_share for record in results.records]))
         load = {"before": before, "after": after}
         return Report(
-            counted=f"{len(results.records)} records",
+            size=f"{len(results.records)} records",
             meta={"load": load, "core": results.core, "peers": peers, "settings": s},
             content=results.as_json(),
             facts=[

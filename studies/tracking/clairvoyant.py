@@ -1,9 +1,9 @@
 """Lower bound of the tracking error: a controller with exact knowledge of plant, pose and slip, without a time limit.
 
-The controller solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick.
-Weights and hard limits are those of the configuration, and the horizon is longer. The model is fitted to the plant,
-poses are true, and the prediction includes slip. Heading errors are relative to the heading that holds the path under
-side-slip. Soft limits are omitted, because they are not active on references within the limits.
+The controller solves the problem of the predictive controller (`mpc.problem`) with IPOPT to convergence at every tick.
+It has the weights and hard limits of the configuration and a longer horizon. Its model is fitted to the plant, its
+poses are true, and its prediction includes slip. Heading errors are relative to the heading at which a robot with
+side-slip stays on the path. Soft limits are omitted, because they are not active on references within the limits.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
 
 @dataclass(frozen=True)
 class PlantState:
-    """Pose, velocity states and disturbance of the plant at one tick.
+    """Pose, states of the velocity model, and disturbance at one tick.
 
     Attributes
     ----------
     pose
-        Pose (3,) x [m], y [m], theta [rad]; theta is within pi of the reference.
+        Pose (3,) x [m], y [m], theta [rad]; theta differs by at most pi from the heading of the reference.
     state, past
-        Velocity states (n,), and past commands (memory, 2), oldest first.
+        States (n,) of the velocity model, and past commands (memory, 2), oldest first.
     disturbance
-        Part (2,) of v [m/s] and omega [rad/s] that the model does not explain; assumed constant.
+        Part (2,) of v [m/s] and omega [rad/s] that the model does not explain; assumed constant in the prediction.
     """
 
     pose: FloatArray
@@ -64,11 +64,11 @@ class PlantState:
 
 
 class ClairvoyantProgram:
-    """Nonlinear program with cost, weights and hard limits of `mpc.problem`, side-slip, and no soft limits.
+    """Nonlinear program with cost, weights and hard limits of `mpc.problem`, with side-slip, without soft limits.
 
     Parameters
     ----------
-    known
+    plant
         Model and side-slip of the plant.
     config
         Weights, limits and sample time.
@@ -106,7 +106,7 @@ class ClairvoyantProgram:
 
         Parameters
         ----------
-        present
+        plant_state
             State of the plant at the current tick.
         reference
             Reference at the samples 0 to N.
@@ -116,10 +116,10 @@ class ClairvoyantProgram:
         Raises
         ------
         RuntimeError
-            If IPOPT does not converge; the bound is then unknown.
+            If IPOPT does not converge, so that the bound is unknown.
         """
         moving = np.abs(reference.twist[:, 0]) > metric_settings().moving_speed
-        # Heading error at which the robot moves along the tangent of the path despite side-slip.
+        # Heading error at which a robot with side-slip moves along the tangent of the path.
         side_slip_angle = np.where(moving, self._plant.side_slip * reference.twist[:, 1], 0.0)
         data = [
             plant_state.pose,
@@ -173,7 +173,7 @@ class ClairvoyantProgram:
         v, omega, dt = twist[0], twist[1], self._model.dt
         lateral = omega * (self._plant.load_shift * acceleration - self._plant.side_slip * v)
         half = omega * dt / 2
-        # Series of sin(x) / x, because the rotation in a sample is small.
+        # The series of sin(x) / x is exact for the small rotations in a sample, and is also defined at zero.
         length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
         c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
         return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
@@ -197,13 +197,13 @@ def _path_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
 
 
 class ClairvoyantController:
-    """Controller that solves the problem with the plant's model by IPOPT to convergence at every tick.
+    """Controller that solves the problem with the model of the plant to convergence at every tick.
 
-    The controller requires a pose without error and delay at each tick.
+    The controller requires a pose without error and delay at every tick.
 
     Parameters
     ----------
-    known
+    plant
         Model and side-slip of the plant.
     config
         Weights, limits and sample time.
@@ -246,8 +246,8 @@ class ClairvoyantController:
         if measurement.pose is None or abs(measurement.pose.time - t) > 1e-9:
             raise ValueError("the clairvoyant controller needs an undelayed pose at every tick: use --sensors perfect")
         pose = np.array(measurement.pose.value, dtype=float)
-        since_start = t - self._t0
-        times = np.asarray(since_start + self._config.sample_time * np.arange(self._settings.horizon + 1))
+        reference_time = t - self._t0
+        times = np.asarray(reference_time + self._config.sample_time * np.arange(self._settings.horizon + 1))
         sample = self._reference.sample(times)
         previous = self._past[-1]
         pose[2] += 2 * np.pi * np.round((sample.pose[0, 2] - pose[2]) / (2 * np.pi))
@@ -255,12 +255,12 @@ class ClairvoyantController:
         plant_state = PlantState(pose, self._state, self._past, self._disturbance)
         plan = self._program.solve(plant_state, sample, self._feed_forward(times))
         command = nearest_command(plan[0], self._config.limits, self._config.sample_time, previous)
-        finished = since_start >= self._reference.duration
+        finished = reference_time >= self._reference.duration
         self._advance_model(command)
         return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - start_time)
 
     def _feed_forward(self, times: FloatArray) -> FloatArray:
-        """Compute steady-state commands (N, 2) for the reference's twist one lag ahead, minus the disturbance."""
+        """Compute steady-state commands (N, 2) for the twist of the reference one lag later minus the disturbance."""
         assert self._reference is not None
         desired = np.column_stack(
             [self._reference.sample(times[:-1] + lag).twist[:, i] for i, lag in enumerate(self._lag)]
@@ -268,19 +268,19 @@ class ClairvoyantController:
         return np.asarray((desired - self._disturbance) @ self._inverse_gain.T)
 
     def _update_disturbance(self, pose: FloatArray) -> None:
-        """Update the filtered difference between the mean twist over the last sample and the model's mean twist."""
+        """Update the disturbance, the low-pass filtered difference between the mean twists of robot and model."""
         previous, self._previous_pose = self._previous_pose, pose
         if previous is None:
             return
         turn = pose[2] - previous[2]
         direction = previous[2] + turn / 2
         ahead = np.cos(direction) * (pose[0] - previous[0]) + np.sin(direction) * (pose[1] - previous[1])
-        unexplained = np.array([ahead, turn]) / self._model.dt - self._mean_twist
+        difference = np.array([ahead, turn]) / self._model.dt - self._mean_twist
         memory = self._settings.disturbance_memory
-        self._disturbance = memory * self._disturbance + (1 - memory) * unexplained
+        self._disturbance = memory * self._disturbance + (1 - memory) * difference
 
     def _advance_model(self, command: FloatArray) -> None:
-        """Advance the model by one sample with the command."""
+        """Advance the model by one sample with `command` (2,)."""
         model, start_output = self._model, self._model.C @ self._state
         (current_input,), (previous_input,) = model.effective_inputs(command[None], self._past)
         self._state = model.A @ self._state + model.B0 @ current_input + model.B1 @ previous_input

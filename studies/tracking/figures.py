@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc import load_trajectory
 from studies.tracking.measured import BOUND_NAME, ErrorParts, decompose
 
 _BAR = 0.2
-"""Width of a bar, in units of the distance of two groups."""
+"""Width of a bar, relative to the distance of two groups [-]."""
 _SOURCE_VARIANTS = ("none of them", "no side-slip", "everything on")
 """Variants in the figure of the sources of error."""
 _PARTS = {
@@ -26,11 +26,11 @@ _PARTS = {
     "along": "along the path (repeated)",
     "noise": "varies between seeds",
 }
-"""Labels of the fields of `ErrorParts`, in the order of the stack."""
+"""Labels of the fields of `ErrorParts`, from the bottom to the top of a stacked bar."""
 
 
 def draw_ablation(rows: DataFrame, path: Path) -> None:
-    """Draw bars by surface: means over models, trajectories and seeds, with the range over trajectories."""
+    """Draw the position error by surface and variant: means over models and seeds, and the range over trajectories."""
     variants = {**by(rows[rows["part"] == "ablation"], "variant"), BOUND_NAME: rows[rows["part"] == "bound"]}
     series = []
     for i, (name, variant) in enumerate(variants.items()):
@@ -49,7 +49,7 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
 def draw_margin(rows: DataFrame, path: Path) -> None:
     """Draw the position error against the delay margin of omega and against the change of omega_ref.
 
-    Peers have no margin; their error is a horizontal line.
+    Peers have no margin, so their error over the margin is a horizontal line.
     """
     margin_rows = rows[rows["part"] == "margin"]
     has_margin = margin_rows["margin"] != "-"
@@ -73,7 +73,10 @@ def draw_margin(rows: DataFrame, path: Path) -> None:
 
 
 def draw_error_sources(rows: DataFrame, path: Path) -> None:
-    """Draw the errors of selected variants and of the bound, for the first model and surface of the ablation."""
+    """Draw errors over time and parts of the errors for selected variants and the bound.
+
+    The figure shows the first model and the first surface of the ablation.
+    """
     ablation_rows = rows[rows["part"] == "ablation"]
     model, surface = ablation_rows[["driver", "surface"]].iloc[0]
     variants = by(ablation_rows[(ablation_rows["driver"] == model) & (ablation_rows["surface"] == surface)], "variant")

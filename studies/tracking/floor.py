@@ -1,10 +1,10 @@
 """Lower bound of the tracking error of a linear robot with Gaussian noise: LQG control about the twists of a path.
 
-The states are the velocity model with its delayed commands, the pose error in the frame of the reference, the pose
-errors of delayed measurements, and the last command. The measurements are those of the sensor set. Estimator and
-controller are the stationary Kalman filter and the infinite-horizon LQR with the weights of the configuration. No limit
-is active, and slip and gyro bias are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990,
-chapter 8.
+The states are those of the velocity model with its delayed commands, the pose error in the frame of the reference, the
+past pose errors that delayed measurements contain, and the last command. The sensor set defines the measurements. The
+estimator is the stationary Kalman filter, and the controller the infinite-horizon LQR with the weights of the
+configuration. Limits are not active, and slip and gyro bias are known. Source: Anderson, Moore, Optimal Control: Linear
+Quadratic Methods, 1990, chapter 8.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 from studies.tracking.known_plant import reference_drive
 
 _MIN_SHARE = 0.03
-"""Minimum share of the duration for a twist to be included [-]; excludes ramps."""
+"""Minimum share of the duration that a twist must have to be included [-]; twists of ramps have smaller shares."""
 _MIN_DEVIATION = 1e-6
 """Minimum standard deviation in the unit of each sensor; the Riccati equation requires positive variances."""
 _SCALE = 1e6
-"""Scale factor of the covariances in the Riccati equation, which is well conditioned in mm^2."""
+"""Factor of the covariances in the Riccati equation, which is well conditioned in mm^2 but not in m^2."""
 
 
 class LinearLoop(NamedTuple):
     """Linear system x[k+1] = A x[k] + B u[k] + w[k], z[k] = C x[k] + n[k] with cost x'Q x + 2 x'N u + u'R u.
 
-    `disturbance` and `noise` are the covariances of w and n. `position` selects the states that are the position
-    errors along and across the path [m].
+    `disturbance` and `noise` are the covariances of w and n. `position` is the slice of the position errors along and
+    across the path [m] in the state.
     """
 
     A: FloatArray
@@ -51,7 +51,7 @@ class LinearLoop(NamedTuple):
 
 
 class PositionFloor(NamedTuple):
-    """Lower bounds of RMS position errors [m]: of the estimate, and of the robot."""
+    """Lower bounds of the RMS position errors [m] of the estimate, and of the robot (`total`)."""
 
     estimate: float
     total: float
@@ -79,7 +79,7 @@ def linear_loop(
     noise_input = B * np.asarray(command_noise, dtype=float)
     B[-2:] = np.eye(2)
     C[:3, :n], C[3:, n + poses - 3 : n + poses] = c[[0, 1, 1]], np.eye(3)
-    # v is the mean of four wheels, and omega the difference of the means of two wheels on each side.
+    # v is the mean of the speeds of four wheels, and omega is the difference of the mean speeds of two wheels per side.
     rim, pose = sensors.encoders.speed_sd * load_robot().wheel_radius, sensors.pose
     deviations = [rim / 2, rim / load_robot().track, sensors.gyro.noise_sd, *[pose.position_sd] * 2, pose.heading_sd]
     Q, N = np.zeros_like(A), np.zeros_like(B)
@@ -92,21 +92,22 @@ def linear_loop(
 
 
 def stationary_covariances(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
-    """Solve for the covariances of the estimation error and of the state."""
+    """Compute the stationary covariances of the estimation error and of the state."""
     A, B, C = loop.A, loop.B, loop.C
     cost_to_go = solve_discrete_are(A, B, loop.Q, loop.R, s=loop.N)
     gain = np.linalg.solve(loop.R + B.T @ cost_to_go @ B, B.T @ cost_to_go @ A + loop.N.T)
     prior = solve_discrete_are(A.T, C.T, _SCALE * loop.disturbance, _SCALE * loop.noise) / _SCALE
     correction = prior @ C.T @ np.linalg.solve(C @ prior @ C.T + loop.noise, C @ prior)
-    # The innovations, which drive the estimate, are white; the estimate is uncorrelated with its error.
+    # The input of the estimate, the innovation, is white noise with the covariance `correction` in the state. Estimate
+    # and estimation error are uncorrelated, so their covariances add up to that of the state.
     return prior - correction, prior - correction + solve_discrete_lyapunov(A - B @ gain, correction)
 
 
 def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArray:
-    """Compute the standard deviations (2,) of white command noise that explain the open-loop error of the model.
+    """Compute the standard deviations (2,) of white noise on the commands that explain the open-loop error of a model.
 
-    This noise causes RMS errors of v and omega that equal those of the model's twist on a path, relative to the true
-    twist of the mujoco plant.
+    The noise causes the same RMS errors of v and omega as the simulation of the model along a trajectory, relative to
+    the true twist of the mujoco plant.
     """
     log, plant = reference_drive("mujoco", "default", trajectory), model.to_control(dt)
     errors = log.true_twist[:, [0, 2]] - model.discretise(dt).simulate(log.command)
@@ -118,9 +119,9 @@ def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArra
 
 @cache
 def position_floor(name: str, trajectory: str, sensors: str, *, assumed: bool = False) -> PositionFloor:
-    """Compute the lower bounds over the constant twists of a path, weighted by their share of the duration.
+    """Compute the RMS of the lower bounds for the constant twists of a path, weighted by the durations of the twists.
 
-    The disturbance is `command_noise`; with `assumed`, it is the filter's `v_input_noise` and `omega_input_noise`.
+    The disturbance is `command_noise`, or with `assumed` the filter's `v_input_noise` and `omega_input_noise`.
     """
     config, path = load_config(name), load_trajectory(trajectory)
     extra, dt, estimator = config.extra_dead_time, config.sample_time, config.estimator

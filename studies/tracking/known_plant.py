@@ -1,4 +1,4 @@
-"""Plant data of the clairvoyant controller: a velocity model fitted to the true motion, and the robot's slip."""
+"""Plant data for the clairvoyant controller: a velocity model fitted to the true motion, and the slip."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"
-_REST = 1.0
-"""Duration of the rest before each drive [s], which is longer than any response."""
+_REST_DURATION = 1.0
+"""Duration of the rest before each drive [s]; it must be longer than the response of the robot."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class KnownPlant:
     model
         Model from commands to the true (v, omega), including dead time.
     side_slip, load_shift
-        Coefficients [s, s^2] of the lateral speed omega (load_shift dv/dt - side_slip v). The robot slips outwards in
-        steady turns, and inwards while it accelerates, because load on the rear wheels moves the centre of rotation
-        back.
+        Coefficients [s, s^2] of the lateral speed `omega (load_shift dv/dt - side_slip v)`. The robot slips outwards in
+        steady turns. It slips inwards while it accelerates, because load on the rear wheels moves the centre of
+        rotation back.
     """
 
     model: VelocityModel
@@ -46,8 +46,8 @@ class KnownPlant:
 def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> KnownPlant:
     """Identify model and slip of a plant.
 
-    A plant that is a velocity model is known exactly. A physics plant is driven along `trajectories` with the
-    references' twists as commands, and two-pole models are fitted to its true motion. The evaluation uses the same
+    A plant that is a velocity model is known exactly. A physics plant is driven in open loop with the twists of
+    `trajectories` as commands, and two-pole models are fitted to its true motion. The bound is evaluated on the same
     trajectories.
 
     Parameters
@@ -65,7 +65,7 @@ def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> K
     if plant.startswith(_MODEL_PREFIX):
         return _exact_plant(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [reference_drive(plant, surface, trajectory) for trajectory in trajectories]
-    # The true motion has no outliers, and no reference exceeds a limit of the robot.
+    # The true motion has no outliers, and the references do not exceed the limits of the robot.
     fits = [
         identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False)
         for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
@@ -91,12 +91,12 @@ def reference_drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
 
 
 def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[SampledExperiment]:
-    """Build experiments that start with a period at rest, which determines the free initial state."""
+    """Build experiments that start with a period at rest, which determines the unknown initial state."""
     experiments = []
     for log in logs:
         if np.ptp(log.command[:, channel]) > 0:
             dt = float(log.time[1] - log.time[0])
-            padding = ((round(_REST / dt), 0), (0, 0))
+            padding = ((round(_REST_DURATION / dt), 0), (0, 0))
             signals = (log.command[:, [channel]], log.true_twist[:, [output]])
             command, motion = (np.pad(signal, padding) for signal in signals)
             experiments.append(SampledExperiment("reference", dt, command, motion, np.ones(motion.shape, dtype=bool)))

@@ -1,4 +1,4 @@
-"""Additional columns of a run, and decomposition of the errors of runs with different seeds."""
+"""Additional columns of a run, targets, and decomposition of the errors of runs with different seeds."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, ScoredRun
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-# Difference below which two twists are equal [m/s, rad/s]; the change of a ramp per sample is a hundred times larger.
 _TWIST_TOLERANCE = 1e-6
+"""Difference below which two twists count as equal [m/s, rad/s]; ramps change by a hundred times more per sample."""
 
 
 def steady_arc_lateral(run: ScoredRun) -> FloatArray:
@@ -57,17 +57,17 @@ def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
 
 
 BOUND = "clairvoyant"
-"""Name of the controller of the bound, which is not available on the command line."""
+"""Name of the clairvoyant controller in an experiment, which is not available on the command line."""
 BOUND_NAME = "clairvoyant bound"
 """Name of the bound in tables and figures."""
 MARGIN = "margin.omega"
-"""Configuration key that the part "margin" varies."""
+"""Key of the configuration that the part "margin" of the study varies."""
 _POINTS = 400
-"""Maximum number of ticks of a run on the page of the report."""
+"""Maximum number of ticks of a run in the charts of the page."""
 
 
 class FigureTarget(StrictModel):
-    """Statistic of the runs that `where` selects, and its limit."""
+    """Limit of a statistic of the runs that `where` selects; `targets.yaml` describes the fields."""
 
     quantity: str
     place: str
@@ -90,13 +90,14 @@ def load_targets() -> Targets:
 
 
 def additional_columns(case: Case, run: Run) -> dict[str, object]:
-    """Compute the columns of a run.
+    """Compute the additional columns of a run.
 
-    `arcs` (arcs,) are the mean lateral errors of the steady arcs [m]. `late_lateral_m` is the maximum |lateral| error
-    from `lateral_from` of `targets.yaml` on [m]. `omega_change` is the RMS change of omega_ref per tick [rad/s].
-    `margin` is the margin of omega [s] if the case overrides it, otherwise "-". `time` [s], the position errors `along`
-    (ahead of) and `across` (left of) the reference [m], and the flag `steady` of steady arcs have one value per counted
-    tick. `series` is the view of a run with the shipped configuration on the default surface, otherwise None.
+    `lost` is True if the run was not completed, and `plain` is the result of `is_plain`. `arcs` (arcs,) are the mean
+    lateral errors of the steady arcs [m]. `late_lateral_m` is the maximum |lateral| error after `lateral_from` of
+    `targets.yaml` [m]. `omega_change` is the RMS change of omega_ref per tick [rad/s]. `margin` is the margin of omega
+    [s] if the case overrides it, otherwise "-". `time` [s], the position errors `along` and `across` [m], which are
+    positive ahead and to the left of the reference, and the flag `steady` of steady arcs have one value per counted
+    tick. `series` are the charts of a run with the shipped configuration on the default surface, otherwise None.
     """
     counted = np.flatnonzero(run.counted)
     along, across = ahead_and_left((run.true_pose - run.reference_pose)[counted], run.reference_pose[counted, 2])
@@ -120,7 +121,7 @@ def additional_columns(case: Case, run: Run) -> dict[str, object]:
 
 
 def is_plain(case: Case) -> bool:
-    """Return True for the shipped controller on the physics plant with default sensors and no disturbance."""
+    """Return True for the shipped controller on the physics plant with default sensors and without a scenario."""
     default = ("mujoco", "default", NO_SCENARIO, ())
     return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == default
 
@@ -133,7 +134,7 @@ def _series(case: Case, run: Run) -> RunSeries:
 
 
 def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
-    """Run a case; the plant data of the bound are identified on `trajectories`."""
+    """Run a case; for the bound, the plant is identified on `trajectories`."""
     if case.controller != BOUND:
         return run_case(case)
     from studies.tracking.clairvoyant import ClairvoyantController  # noqa: PLC0415 - loads slowly
@@ -146,7 +147,7 @@ def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
 
 
 def worst_arc(rows: DataFrame) -> float:
-    """Return the maximum over arcs of the mean |lateral error| over seeds [m]; NaN without arcs."""
+    """Return the maximum over arcs of the mean |lateral error| over seeds [m], or NaN if no run has arcs."""
     arcs = [list(group["arcs"]) for group in by(rows, "trajectory").values()]
     means = [np.mean(np.abs(seed_rows), axis=0) for seed_rows in arcs if all(len(seed_arcs) for seed_arcs in seed_rows)]
     return float(np.max(np.concatenate(means))) if means else math.nan
@@ -165,7 +166,7 @@ class ErrorParts:
     along
         Repeated error along the path.
     noise
-        Error that varies between seeds, caused by the sensors.
+        Variance of the error over seeds, caused by the noise of the sensors.
     """
 
     bias: float
@@ -182,11 +183,11 @@ class ErrorParts:
 def decompose(rows: DataFrame) -> ErrorParts:
     """Split the mean squared error of runs that differ only in their seeds.
 
-    An error is repeated if it is equal for all seeds. With S seeds, the square of the mean over seeds contains 1/S of
-    the variance of the noise. This part is subtracted from the repeated error and added to the noise. Both are then
-    unbiased, and their sum is exact. With a single run, the noise is unknown, and the whole error counts as repeated.
+    The repeated error is the mean over seeds. With S seeds, its square contains 1/S of the variance of the noise. This
+    part is subtracted from the repeated error and added to the noise, so that both are unbiased and their sum is exact.
+    With a single run, the noise is unknown, and the whole error counts as repeated.
 
-    Raises ValueError if the runs have different lengths.
+    Raise ValueError if the runs have different numbers of ticks.
     """
     lengths = {len(times) for times in rows["time"]}
     if len(lengths) != 1:

@@ -19,13 +19,13 @@ from diffdrive_mpc.bench.html_report.page import (
     Chart,
     KeyFigure,
     Mark,
+    PageContents,
+    PageWarning,
     RunViews,
     Series,
-    Shown,
     Toggle,
     View,
-    Warned,
-    rounded,
+    round_digits,
 )
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
@@ -35,11 +35,11 @@ from studies.tracking.measured import BOUND, BOUND_NAME, additional_columns, loa
 
 _FOLDER = Path(__file__).parent
 _ADVICE = "docs/results.md explains the limit of each error; the ablation shows the effect of each estimator part"
-"""Advice for missed targets."""
+"""Advice in the warnings about missed targets."""
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
-    """Load a study, by default the built-in study; raise ConfigError if the file is invalid."""
+    """Load an experiment, by default the built-in experiment; raise ConfigError if the file is invalid."""
     experiment = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
     tables = experiment.tables or load_tables(_FOLDER / "tables.yaml")
     return experiment.model_copy(update={"tables": tables})
@@ -47,16 +47,16 @@ def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
 
 @dataclass(frozen=True)
 class TargetResult:
-    """Target and the values of the models.
+    """Target and the values that the models reach.
 
     Attributes
     ----------
     quantity, where
-        Limited quantity with unit, and description of the runs.
+        Quantity with unit, and description of the runs.
     limit
-        Maximum allowed value.
+        Maximum value at which the target is met.
     reached
-        Value of each model; NaN if the value could not be computed, which counts as above the limit.
+        Value of each model; NaN if the value could not be computed, so that the target is missed.
     """
 
     quantity: str
@@ -65,29 +65,29 @@ class TargetResult:
     reached: dict[str, float]
 
     def met_by(self, model: str) -> bool:
-        """Return True if `model` stays within the limit."""
+        """Return True if the value of `model` does not exceed the limit."""
         return self.reached[model] <= self.limit
 
     @property
     def met(self) -> bool:
-        """True if every model stays within the limit."""
+        """True if the values of all models do not exceed the limit."""
         return all(self.met_by(model) for model in self.reached)
 
 
 def evaluate_targets(rows: DataFrame) -> list[TargetResult]:
-    """Evaluate all targets for which `rows`, the rows of the part "targets", contain runs."""
-    verdicts = []
+    """Evaluate the targets on `rows` of the part "targets"; targets without runs are omitted."""
+    results = []
     for target in load_targets().targets:
         selected = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
         value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.quantity)
         values = {model: value(group) for model, group in by(selected, "driver").items()}
         if values:
-            verdicts.append(TargetResult(target.quantity, target.place, target.limit, values))
-    return verdicts
+            results.append(TargetResult(target.quantity, target.place, target.limit, values))
+    return results
 
 
 def target_table(verdicts: Sequence[TargetResult]) -> Table:
-    """Tabulate every target with the value of each model, and mark values above the limit."""
+    """Tabulate the targets with the value of each model; "(no)" marks values above the limit."""
     models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
 
     def format_value(value: float) -> str:
@@ -181,19 +181,19 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
     }
 
 
-def page_contents(rows: DataFrame) -> Shown:
-    """Build the contents of the page except tables and figures."""
+def page_contents(rows: DataFrame) -> PageContents:
+    """Build the content of the page in addition to tables and figures."""
     targets = rows[rows["part"] == "targets"]
     verdicts = evaluate_targets(targets) if len(targets) else []
     unique_rows = rows.drop_duplicates("case")
-    charted = unique_rows[unique_rows["series"].notna()]
-    first = charted[charted["seed"] == charted["seed"].min()]
+    rows_with_charts = unique_rows[unique_rows["series"].notna()]
+    first = rows_with_charts[rows_with_charts["seed"] == rows_with_charts["seed"].min()]
     models, paths = tuple(by(first, "driver")), tuple(by(first, "trajectory"))
     series = [run.in_style(models.index(name)) for name, run in zip(first["driver"], first["series"], strict=True)]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default surface and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
-    return Shown(
+    return PageContents(
         summary=[f"{met} of {len(verdicts)} targets are reached by all models."] if verdicts else [],
         key_figures=_key_figures(unique_rows, verdicts, first),
         toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if models else [],
@@ -219,12 +219,12 @@ def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], first: DataF
 
 
 def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
-    """Chart the value of each target relative to its limit; targets with limit zero are omitted."""
-    charted = [verdict for verdict in verdicts if verdict.limit > 0]
-    names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
+    """Build the chart of the values relative to their limits; targets with a limit of zero are omitted."""
+    selected = [verdict for verdict in verdicts if verdict.limit > 0]
+    names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in selected]
     series = []
-    for model in dict.fromkeys(model for entry in charted for model in entry.reached):
-        shares = [rounded(entry.reached.get(model, np.nan) / entry.limit) for entry in charted]
+    for model in dict.fromkeys(model for entry in selected for model in entry.reached):
+        shares = [round_digits(entry.reached.get(model, np.nan) / entry.limit) for entry in selected]
         style = models.index(model) if model in models else len(models)
         series.append(Series(model, shares, names, style, "rows", labels={"model": model} if model in models else {}))
     axes = Axis("share of the limit"), Axis("", "category")
@@ -232,17 +232,19 @@ def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Ch
     return Chart("Targets", *axes, series, note, [Mark(1.0, "limit", upright=True)], broad=True, height=560)
 
 
-def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]:
+def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[PageWarning]:
     warnings = []
     for verdict in verdicts:
         excesses = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
         if excesses:
             values = f"{', '.join(excesses)} instead of at most {verdict.limit:g}"
-            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _ADVICE))
+            warnings.append(PageWarning(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _ADVICE))
     incomplete = rows[~rows["completed"].astype(bool)]
     if len(incomplete):
         names = ("controller", "model", "trajectory", "surface", "scenario")
         where = ", ".join(str(incomplete[name].iloc[0]) for name in names)
         problem = f"{len(incomplete)} runs did not complete, the first: {where}, seed {incomplete['seed'].iloc[0]}."
-        warnings.append(Warned(problem, "run this case alone with `simulate` and these options, and read its report"))
+        warnings.append(
+            PageWarning(problem, "run this case alone with `simulate` and these options, and read its report")
+        )
     return warnings

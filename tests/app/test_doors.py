@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.csv_table import read_table
-from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
+from diffdrive_mpc.models.logs.drive_log.ros_messages import decode
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -181,7 +181,7 @@ def _read_ticks(untrusted, _):
 def _read_messages(untrusted, _):
     for message_type in ("std_msgs/msg/String", "nav_msgs/msg/Path", "trajectory_msgs/msg/MultiDOFJointTrajectory"):
         with pytest.raises(Exception):  # noqa: B017 - the library's own kinds
-            decoded(message_type, pickle.dumps(Payload(untrusted)))
+            decode(message_type, pickle.dumps(Payload(untrusted)))
     from diffdrive_mpc.mpc.ros.conversions import MessageError, check_frame
     from diffdrive_mpc.mpc.ros.parameters import fields
 

@@ -123,7 +123,7 @@ def test_draft_mapping_is_written_to_the_working_folder_and_never_replaced(tmp_p
     output = draft("log.csv").stdout
     mapping = tmp_path / "mapping.yaml"
     assert mapping.read_text() in output
-    assert "omega of the gyro has the opposite sign of the command" in output
+    assert "omega of the gyro has the opposite sign to the command" in output
     assert output.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
     mapping.write_text("corrected by hand")
     error = draft("log.csv", code=2).stderr

@@ -123,6 +123,6 @@ def test_stretch_without_the_gyro_is_skipped_with_a_warning(tmp_path):
     data = read_data([log], [], mapping=mapping, fit_share=0.5, wheels=False, on_findings=lambda findings: None)
     assert data.yaw == "gyro"
     assert max(record.end for record in (*data.train, *data.validation)) < 10.0
-    assert tuple(doubt.words for doubt in data.warnings) == (
+    assert tuple(doubt.message for doubt in data.warnings) == (
         "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 5; the stretch is not used for validation",
     )

@@ -12,7 +12,7 @@ import yaml
 from commands import invoke, refusal
 from diffdrive_mpc import ControllerConfig
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.input_file import read_input, reading
+from diffdrive_mpc.models.input_file import read_input, record_inputs
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.typed_command import named_inputs
@@ -31,7 +31,7 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(tmp_path: Path,
     if link:
         link(file, log)
     line = refusal("simulate", "--trajectory", file, "--log", log)
-    assert "this command reads that file" in line
+    assert "this command reads this file" in line
     assert "--log" in line
     assert file.read_text(encoding="utf-8") == _POSES
 
@@ -43,7 +43,7 @@ def test_file_named_by_another_input_file_is_not_replaced(tmp_path: Path) -> Non
     content = model.read_bytes()
     config = tmp_path / "config.yaml"
     config.write_text(f"model: {model}\n", encoding="utf-8")
-    assert "this command reads that file" in refusal("simulate", "--config", config, "--log", model)
+    assert "this command reads this file" in refusal("simulate", "--config", config, "--log", model)
     assert model.read_bytes() == content
 
 
@@ -57,9 +57,9 @@ def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) 
     assert "z.yaml" in named_inputs(["simulate", "--plant", "mujoco:z.yaml"])
     file = tmp_path / "a.txt"
     file.write_text("old", encoding="utf-8")
-    with reading():
+    with record_inputs():
         read_input(file, 100)
-    with reading(), whole_file(file) as draft:
+    with record_inputs(), whole_file(file) as draft:
         draft.write_text("new", encoding="utf-8")
     assert file.read_text(encoding="utf-8") == "new"
 

@@ -7,7 +7,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc import make_plant
 from diffdrive_mpc.bench.case import BY_OSQP, COMPARED, Case
-from diffdrive_mpc.bench.comparison.order import interval, order
+from diffdrive_mpc.bench.comparison.order import interval, rank_controllers
 from diffdrive_mpc.bench.comparison.plan import (
     LATE_TICKS,
     OTHER_SEEDS,
@@ -46,7 +46,7 @@ def test_bench_compares_the_declared_pairs() -> None:
     peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
     assert mpc == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
-    assert not set(plan.beyond) & set(plan.all)
+    assert not set(plan.sweep_cases) & set(plan.all)
 
 
 def test_top_speed_changes_the_timing_but_not_the_path() -> None:
@@ -99,14 +99,14 @@ def test_order_states_which_controllers_differ_significantly(outcome: RunOutcome
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
     difference = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
     rows = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + difference))
-    ranking = order(rows.assign(completed=False))
+    ranking = rank_controllers(rows.assign(completed=False))
     assert ranking[2].behind == pytest.approx(interval(difference))
     assert [entry.name for entry in ranking] == ["MBM", "SM", "SSM"]
     assert ranking[1].behind == pytest.approx([1e-3, 1e-3])
     assert ranking[1].is_significant and not ranking[2].is_significant
     assert ranking[0].rmse == pytest.approx(base.mean())
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
-    assert [entry.name for entry in order(unknown)] == ["SM", "SSM"]
+    assert [entry.name for entry in rank_controllers(unknown)] == ["SM", "SSM"]
     assert ranking[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 

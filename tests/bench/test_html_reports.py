@@ -23,13 +23,13 @@ from diffdrive_mpc.bench.html_report.page import (
     Mark,
     Origin,
     Page,
+    PageContents,
+    PageWarning,
     RunViews,
     Series,
-    Shown,
     Toggle,
-    Warned,
 )
-from diffdrive_mpc.bench.html_report.run_series import ERROR, kept_ticks, rounded_list, run_series
+from diffdrive_mpc.bench.html_report.run_series import ERROR, rounded_list, run_series, select_ticks
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
@@ -91,9 +91,9 @@ def page_of_all_views(name: str, outcome: RunOutcome) -> Page:
         Chart(name, Axis(name), Axis(name, "log", (0.0, 1.0)), series, name, marks),
         GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
-    content = Shown(
+    content = PageContents(
         [name], [name], [KeyFigure(name, name, name)], [Toggle("controller", (name,), (name,), styled=True)], views,
-        [Warned(name, name)], [ConfigurationView(name, name)],
+        [PageWarning(name, name)], [ConfigurationView(name, name)],
     )  # fmt: skip
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
     return Page(name, name, content, [table], Origin(name, [(name, name)]))
@@ -119,7 +119,7 @@ def test_content_cannot_end_its_script() -> None:
 
 def test_thinned_runs_preserve_peaks_and_series_preserve_values(outcome: RunOutcome) -> None:
     run = outcome.run
-    ticks = kept_ticks(run, 60)
+    ticks = select_ticks(run, 60)
     assert len(ticks) == 60
     assert (np.diff(ticks) > 0).all()
     assert run.errors.position[ticks].max() == run.errors.position.max()

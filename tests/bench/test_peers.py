@@ -26,14 +26,14 @@ from diffdrive_mpc.bench.peers.estimator import DelayPredictor, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import Delayed, LawInput, law_kind, load_gains, make_tracking_peer
+from diffdrive_mpc.bench.peers.tracking_peer import LawInput, RobotParameters, law_kind, load_gains, make_tracking_peer
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")
-ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
+ROBOT = RobotParameters(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
 PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
@@ -52,7 +52,7 @@ def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
         (recent,), (previous,) = sampled.effective_inputs(command[None], past)
         state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ previous
         past = np.vstack([past[1:], command])
-        predictor.sent(command)
+        predictor.record_command(command)
         plant.advance(command)
     expected = predictor.predict(plant.true_pose, state, known_slip)
     for _ in range(ticks):
@@ -82,7 +82,7 @@ def test_lyapunov_function_of_kanayama_decreases_for_an_ideal_robot(x: float, y:
 def test_lqr_gains_at_constant_speed_solve_the_algebraic_riccati_equation(twist: tuple[float, float]) -> None:
     law = LqrLaw(load_gains("lqr"), ROBOT)
     law.start(Arc(*twist, duration=20.0))
-    A, B = law.linearised(*twist)
+    A, B = law._linearise(*twist)
     P = solve_discrete_are(A, B, law._Q, law._R)
     K = np.linalg.solve(law._R + B.T @ P @ B, B.T @ P @ A)
     np.testing.assert_allclose(law._K[0], K, rtol=1e-4, atol=1e-6)
@@ -94,7 +94,7 @@ def test_lqr_linearises_the_motion_of_the_robot() -> None:
     law, dt = LqrLaw(load_gains("lqr"), ROBOT), 1e-3
     law._dt = dt
     v, omega = 0.7, 0.4
-    A, _ = law.linearised(v, omega)
+    A, _ = law._linearise(v, omega)
     error = 1e-4 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, -1.0])
     end_pose = integrate_pose(error[:3], v + error[4], omega + error[5], dt)
     reference = integrate_pose(np.zeros(3), v, omega, dt)
@@ -113,13 +113,13 @@ def test_arc_of_pursuit_passes_through_the_look_ahead_point(v: float, x: float, 
     forward = np.array([v, 0.5])
     view = LawInput(2.0, PredictedMotion(pose + [x, y, turn], forward), pose, forward)
     speed, turn = law.decide(view)
-    carrot = law.carrot(view)
+    look_ahead_point = law.look_ahead_point(view)
     # The pose after a drive along the arc until the chord equals the distance to the point.
     if abs(turn) > 1e-6:
         radius = speed / turn
-        angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
+        angle = 2 * np.arcsin(np.hypot(*look_ahead_point) / (2 * abs(radius))) * np.sign(turn)
         end_point = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
-        assert np.hypot(*(end_point - carrot)) < 1e-6 or carrot[0] * v < 0
+        assert np.hypot(*(end_point - look_ahead_point)) < 1e-6 or look_ahead_point[0] * v < 0
 
 
 # The tests of the laws use moderate gains: some tuned gains without slip are too high for a displaced start.

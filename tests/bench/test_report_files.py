@@ -16,7 +16,7 @@ from bench_parts import rows as rows_of
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.bench.comparison.figures import drawings
+from diffdrive_mpc.bench.comparison.figures import report_figures
 from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe_incomplete, json_row
@@ -91,7 +91,7 @@ def test_report_is_complete_and_valid(results: ComparisonResults, outcome: RunOu
     figures = sorted(path.name for path in (tmp_path / "figures").iterdir())
     expected = ["horizon.png", "overview.png", "ssm-cane.png", "step-time.png"]
     assert figures == expected
-    assert len(drawn_figures) == len(drawings(results)) == len(expected)
+    assert len(drawn_figures) == len(report_figures(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()
     assert all(f"(figures/{name})" in text for name in expected)
     assert all(f"## {table.title}" in text for table in report_tables(results))

@@ -94,4 +94,4 @@ def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_block_is_disturbed_by_switches_lost_time_or_a_slow_pace(changes: dict[str, float], undisturbed: bool) -> None:
-    assert UNDISTURBED._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed
+    assert UNDISTURBED._replace(**changes).is_undisturbed(best_pace=1e-5) is undisturbed

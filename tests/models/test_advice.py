@@ -35,7 +35,7 @@ from diffdrive_mpc.models.identification.fit.sensors import find_corrections
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text, to_topic_keys
+from diffdrive_mpc.models.logs.mapping_changes import apply_changes, format_mapping, to_topic_keys
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
 
 SKIDDING = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
@@ -172,7 +172,7 @@ SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
 def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected):
 
     (tmp_path / "map.yaml").write_text(SIMULATED)
-    mapping = changed(load_mapping(tmp_path / "map.yaml"), [MappingChange("encoders", key, value)])
+    mapping = apply_changes(load_mapping(tmp_path / "map.yaml"), [MappingChange("encoders", key, value)])
     assert mapping.columns.encoders.model_dump(exclude_defaults=True) == expected
 
 
@@ -180,12 +180,12 @@ def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():
 
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
     changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
-    changed_mapping = changed(bag, to_topic_keys(changes))
+    changed_mapping = apply_changes(bag, to_topic_keys(changes))
     assert changed_mapping.topics.imu.sign == 1
     assert changed_mapping.topics.command.on_change
-    assert "/cmd_vel" in mapping_text(changed_mapping)
+    assert "/cmd_vel" in format_mapping(changed_mapping)
     with pytest.raises(ConfigError, match=r"left\.unit"):
-        changed(bag, to_topic_keys([MappingChange("encoders", "left.unit", "rpm")]))
+        apply_changes(bag, to_topic_keys([MappingChange("encoders", "left.unit", "rpm")]))
 
 
 UNDETECTED = {"asphalt: command +0.3 s"}

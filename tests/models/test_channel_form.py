@@ -59,7 +59,7 @@ class ZeroForm:
     """Form with the logarithms of `TwoPolesForm`, and the time constant of the zero."""
 
     file = TwoPolesAndZero
-    words = "two poles, a zero"
+    description = "two poles, a zero"
     kinds: ClassVar = {**TWO_POLES.kinds, "zero": "effect"}
     names = tuple(kinds)
     may_be_zero = ("zero",)
@@ -72,8 +72,8 @@ class ZeroForm:
     def values(self, parameters):
         return np.append(TWO_POLES.values(parameters[:3]), parameters[3])
 
-    def first_guesses(self, gain, frequency):
-        (poles,) = TWO_POLES.first_guesses(gain, frequency)
+    def initial_guesses(self, gain, frequency):
+        (poles,) = TWO_POLES.initial_guesses(gain, frequency)
         return [np.append(poles, zero) for zero in (0.0, -0.5 / frequency, 0.5 / frequency)]
 
     def matrices(self, parameters):
@@ -139,6 +139,8 @@ def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
     noisy = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))
-    doubts = [doubt for doubt in identify_sm([noisy], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.words]
+    doubts = [
+        doubt for doubt in identify_sm([noisy], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.message
+    ]
     assert doubts
-    assert not [doubt for doubt in doubts if "zero = " in doubt.words]
+    assert not [doubt for doubt in doubts if "zero = " in doubt.message]

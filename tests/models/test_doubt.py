@@ -67,7 +67,7 @@ def test_uncertainty_of_a_fit_matters_only_if_relevant_for_driving():
         for count, noise in ((3000, 0.01), (150, 1.0))
     )
     assert not [str(doubt) for doubt in quiet if doubt.verdict.matters]
-    assert "v: dead time and lag" in " ".join(doubt.words for doubt in noisy if doubt.verdict.matters)
+    assert "v: dead time and lag" in " ".join(doubt.message for doubt in noisy if doubt.verdict.matters)
 
 
 def _channel(drive):

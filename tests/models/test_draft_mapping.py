@@ -77,6 +77,6 @@ def test_topics_are_guessed_by_type_and_name(tmp_path):
     assert [part.topic for part in (mapping.command, mapping.odometry, mapping.imu, mapping.pose)] == [
         *("/cmd_vel", "/odom", "/imu", "/pose")
     ]
-    assert "it could also be /joy/cmd_vel" in draft_mapping(bag)
+    assert "alternatives: /joy/cmd_vel" in draft_mapping(bag)
     assert "# wheels: {track: }" in draft_mapping(bag)
     assert len(read_log(bag, tmp_path / "draft.yaml").records) == 1

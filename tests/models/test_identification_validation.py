@@ -233,7 +233,7 @@ def test_known_dead_time_is_not_estimated():
 def test_bound_on_the_shorter_time_constant_is_respected():
     """A robot with one lag has no second pole: without the bound its estimate would become arbitrarily fast."""
     one_lag = [step_record((1.0, 80.0, 4.5), 0.04, level) for level in (0.5, -0.8)]
-    parameters = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
+    parameters = identify(one_lag, form=TwoPolesForm(min_short=5e-3)).parameters
     frequency, damping = parameters.value("natural_frequency"), parameters.value("damping")
     assert 0.5 / (frequency * damping) == pytest.approx(5e-3, rel=1e-3)
     assert parameters.value("dead_time") + 2 * damping / frequency == pytest.approx(0.04 + 0.1125, abs=2e-3)

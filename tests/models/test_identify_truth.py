@@ -258,7 +258,7 @@ def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_p
     clean = noisy_drive(SPIKE_MODEL, 5)
     records, findings = write_and_read(with_spikes(clean, size), tmp_path)
     assert [finding.severity for finding in findings] == ["warning", "warning"]
-    assert "(1 %)" in findings[1].words
+    assert "(1 %)" in findings[1].message
     reference, identified = (identify_sm(part, limits=False) for part in ([clean], records))
     assert validate(identified.system, [clean]).fit_percent == pytest.approx(
         validate(reference.system, [clean]).fit_percent, abs=0.3

@@ -21,8 +21,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.logs import read_log, sqlite_file
-from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpacked
-from diffdrive_mpc.models.logs.bag_topics import opened
+from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpack
+from diffdrive_mpc.models.logs.bag_topics import open_bag
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
 from refusals import one_line_error
@@ -221,7 +221,7 @@ def test_commands_in_bursts_give_a_finding_with_the_mapping_that_uses_the_whole_
     path = write_bag(tmp_path / "bag", teleoperated(seconds=40.0, seed=seed, sensor_dt=sensor_dt))
     log = read_log(path)
     (finding,) = [finding for finding in log.findings if finding.kind == "silent commands"]
-    assert "bag, /cmd_vel: commands come in bursts with 23 silences" in str(finding)
+    assert "bag, /cmd_vel: commands arrive in bursts; 23 silences" in str(finding)
     assert finding.changes == (MappingChange("command", "on_change", True),)
     assert log.records[0].dt == pytest.approx(sensor_dt, rel=1e-4)
     assert sum(record.end - record.start for record in log.records) < 20.0
@@ -367,7 +367,7 @@ def test_overlapping_chunks_are_not_all_in_memory(tmp_path: Path) -> None:
 def test_chunk_that_is_indexed_repeatedly_is_read_once(tmp_path: Path) -> None:
     content = mcap_message(b"")
     chunk = mcap_chunk(zstandard.ZstdCompressor().compress(content), "zstd", len(content))
-    with opened(_write_indexed(tmp_path / "again.mcap", [chunk], repeats=3)) as reader:
+    with open_bag(_write_indexed(tmp_path / "again.mcap", [chunk], repeats=3)) as reader:
         assert reader.connections == [("/cmd_vel", "geometry_msgs/msg/Twist", 1)]
 
 
@@ -395,12 +395,12 @@ def test_unpacked_data_equal_the_original_data() -> None:
     data = os.urandom(1000) * 3
     frames = zstandard.ZstdCompressor().compress(data[:1000]) + zstandard.ZstdCompressor().compress(data[1000:])
     for packed, compression in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
-        assert unpacked(Path("x"), packed, compression, len(data)) == data
+        assert unpack(Path("x"), packed, compression, len(data)) == data
         for size in (len(data) - 1, len(data) + 1):
             with pytest.raises(ConfigError, match="declared"):
-                unpacked(Path("x"), packed, compression, size)
+                unpack(Path("x"), packed, compression, size)
     with pytest.raises(ConfigError, match="compression 'rar' is not supported"):
-        unpacked(Path("x"), data, "rar")
+        unpack(Path("x"), data, "rar")
 
 
 @pytest.mark.parametrize("name", ["pipe.mcap", "pipe.db3", "pipe.bag", "bag/metadata.yaml", "bag/bag.mcap"])
@@ -429,7 +429,7 @@ def _write_database(path: Path, change: str) -> Path:
 
 
 _ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
-_NO_MESSAGES, _ONLY_TABLES = "DROP TABLE messages; ", "not just the tables of a bag"
+_NO_MESSAGES, _ONLY_TABLES = "DROP TABLE messages; ", "not only the tables of a bag"
 _COMPUTED = (
     "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
     "data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (1, 10)"

@@ -118,7 +118,7 @@ def test_readings_of_a_stuck_sensor_are_omitted(tmp_path, name, sensor, mask):
     if sensor == "encoders":
         changes |= with_value("omega_wheels", rows, COLUMNS["omega_wheels"][300])
     log = read_modified(tmp_path, changes)
-    message = f"the {sensor} read the same for 4.0 s while the robot should move; these readings are left out"
+    message = f"the {sensor} repeated one reading for 4.0 s under commands to move; these readings are left out"
     assert texts(log, "stuck sensor") == [f"log.csv, 6.0 to 10.0 s: {message}"]
     fresh = getattr(log.records[0], mask)
     assert not fresh[301:500].any() and fresh[:301].all() and fresh[500:].all()
@@ -149,7 +149,7 @@ def test_resting_wheels_are_stuck_only_for_a_large_command(tmp_path, fraction, c
 def test_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read_modified(tmp_path, {name: -COLUMNS[name]})
     (message,) = texts(log, "wrong sign")
-    assert message.startswith(f"log.csv: {reading} has the opposite sign of the command (correlation -")
+    assert message.startswith(f"log.csv: {reading} has the opposite sign to the command (correlation -")
     with pytest.raises(ConfigError, match="sign: -1"):
         log.require_sound()
 

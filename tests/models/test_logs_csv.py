@@ -9,7 +9,7 @@ from log_parts import DT, MAPPING, drive, write_csv, write_mapping
 from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory, make_plant
 from diffdrive_mpc.models.logs import csv_table, read_log
 from diffdrive_mpc.models.logs.csv_table import read_table
-from diffdrive_mpc.models.logs.long_logs import most_driven
+from diffdrive_mpc.models.logs.long_logs import most_excited_rows
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_csv import write_log
 from refusals import one_line_error
@@ -204,10 +204,10 @@ def test_kilohertz_log_is_decimated_with_a_finding(tmp_path):
     assert ["one row in 10" in str(finding) for finding in log.findings] == [True]
 
 
-def test_long_log_is_reduced_to_its_most_driven_parts():
+def test_long_log_is_reduced_to_its_most_excited_parts():
     speed = np.zeros(1000)
     speed[200:300] = speed[700:800] = np.tile([1.0, -1.0], 50)
-    assert list(most_driven([speed], 200, part=100)) == [*range(200, 300), *range(700, 800)]
+    assert list(most_excited_rows([speed], 200, part=100)) == [*range(200, 300), *range(700, 800)]
 
 
 def test_block_size_does_not_change_the_table(tmp_path, monkeypatch):
@@ -229,7 +229,7 @@ def test_block_parser_agrees_with_the_cell_parser_on_empty_cells(tmp_path, monke
             for k, cell_is_empty in enumerate(is_empty)]  # fmt: skip
     path.write_text("\n".join([",".join(names), *rows]) + "\n")
     block_table = read_table(path, names)
-    monkeypatch.setattr(csv_table, "_parse_quickly", lambda *_: None)
+    monkeypatch.setattr(csv_table, "_parse_with_numpy", lambda *_: None)
     cell_table = read_table(path, names)
     assert np.array_equal(block_table.empty["gyro"], is_empty)
     for name in names:

@@ -13,10 +13,10 @@ from diffdrive_mpc.models.logs.sampling import (
     RawStretch,
     Signal,
     hold,
-    increasing,
-    pieces,
+    is_increasing,
     resample,
     sample,
+    split_at_pauses,
     usual_step,
 )
 
@@ -79,7 +79,7 @@ def test_record_does_not_cross_a_gap(signal, max_gap):
     """Every sample of a record is between two adjacent rows."""
     stretch = RawStretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
     dt = 0.01
-    for first, last in pieces(stretch, max_gap):
+    for first, last in split_at_pauses(stretch, max_gap):
         record = resample("log", stretch, first, last, dt, check_settings())
         assert first <= record.start and record.end <= last + 0.1 * dt + 1e-9
         inside = signal.time[(signal.time >= first) & (signal.time <= last)]
@@ -93,7 +93,7 @@ def test_record_does_not_cross_a_gap(signal, max_gap):
 @given(signals(min_count=2))
 def test_pieces_contain_each_row_once(signal):
     stretch = RawStretch(signal.time, signal, {})
-    ends = list(pieces(stretch, 0.2))
+    ends = list(split_at_pauses(stretch, 0.2))
     counts = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
     assert sum(counts) == len(signal.time)
     assert all(later[0] - earlier[1] > 0.2 for earlier, later in pairwise(ends))
@@ -101,7 +101,7 @@ def test_pieces_contain_each_row_once(signal):
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
 def test_increasing_selects_times_later_than_all_previous_times(times):
-    selected = np.array(times)[increasing(np.array(times))]
+    selected = np.array(times)[is_increasing(np.array(times))]
     assert (np.diff(selected) > 0).all()
     assert selected[-1] == max(times)
 

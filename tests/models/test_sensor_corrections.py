@@ -100,7 +100,7 @@ def test_log_of_a_miswired_robot_gives_a_configuration_that_corrects_it(tmp_path
     for name, columns in (("plain.yaml", COLUMNS), ("turned.yaml", COLUMNS | {"gyro": gyro})):
         (tmp_path / name).write_text(yaml.safe_dump({"columns": columns}), encoding="utf-8")
     output = call("log", "check", tmp_path / "drive.csv", "--mapping", tmp_path / "plain.yaml", code=1)
-    assert "omega of the gyro has the opposite sign of the command" in output and "`yaw_rate.sign: -1`" in output
+    assert "omega of the gyro has the opposite sign to the command" in output and "`yaw_rate.sign: -1`" in output
     output = call("log", "check", tmp_path / "drive.csv", "--mapping", tmp_path / "turned.yaml")
     assert "yaw_rate: {sign: -1}" in output and "pose: {delay: 0.1" in output
     identify(tmp_path / "drive.csv", tmp_path / "turned.yaml").write(tmp_path / "robot")
@@ -115,7 +115,7 @@ def test_record_of_a_drive_with_an_inverted_gyro_gives_a_configuration_that_corr
     controller = Controller(load_config("sm", {"sensors.yaw_rate.sign": -1}))
     plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")
     write_log(simulate(controller, plant, load_trajectory("figure8")), tmp_path / "drive.mcap")
-    with pytest.raises(AdvisedError, match="has the opposite sign of the command") as error:
+    with pytest.raises(AdvisedError, match="has the opposite sign to the command") as error:
         identify(tmp_path / "drive.mcap")
     error.value.advice.write(tmp_path)
     identify(tmp_path / "drive.mcap", tmp_path / "fixed.yaml").write(tmp_path)

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures import registry
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import ModelFile, TwoPoles, side_by_side, structure_name
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
@@ -55,7 +55,9 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
         values += [-drive / decay, -records[0].dt / np.log(1 + decay)]
     names = ("v.gain", "v.time", "omega.gain", "omega.time")
     by_name = dict(zip(names, values, strict=True))
-    content = {name: {key: rounded(by_name[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")}
+    content = {
+        name: {key: round_values(by_name[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")
+    }
     parameters = ParameterEstimate(names, np.array(values), 1e-6 * np.eye(4))
     model = IdentifiedModel(LagsFile, content, parameters, np.zeros(2), conditions.yaw, "regression", (), ())
     return StructureFit(model)

@@ -94,7 +94,7 @@ INVALID_TABLES = {
     ),
     "a pointer of Git LFS": (
         "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n",
-        "log.csv: cannot be read as CSV (it is a pointer of Git LFS, not the file; `git lfs pull` fetches that)",
+        "log.csv: cannot be read as CSV (it is a pointer of Git LFS, not the file; fetch it: `git lfs pull`)",
     ),
 }
 

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, TopicRequest, TopicRows, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import (
+    COMMANDS,
+    POSES,
+    Reading,
+    TopicRequest,
+    TopicRows,
+    open_bag,
+    read_topics,
+)
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
@@ -37,7 +45,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     ConfigError
         If the bag cannot be read.
     """
-    with opened(bag) as reader:
+    with open_bag(bag) as reader:
         twist = {"geometry_msgs/msg/TwistStamped": _body_twist}
         requests = {
             "poses": TopicRequest(Topic(topic="/ground_truth/pose"), POSES),
@@ -93,7 +101,7 @@ def _body_twist(message: Any) -> Reading:
 
 def missed_samples(bag: Path, sample_time: float) -> int:
     """Return the number of periods between commands that are longer than one and a half sample times."""
-    with opened(bag) as reader:
+    with open_bag(bag) as reader:
         requests = {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}
         (commands,) = read_topics(reader, bag, requests).values()
     return int(np.count_nonzero(1e-9 * np.diff(command_times(commands)) > _MISSED * sample_time))

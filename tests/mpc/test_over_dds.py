@@ -16,7 +16,7 @@ from two_processes import DriveFailedError, drive_over_dds, own_domain, running
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, open_bag, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
@@ -109,7 +109,7 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
         while np.abs(next_twist()).max() > 0.01:
             assert base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
-    with opened(bag) as reader:
+    with open_bag(bag) as reader:
         requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in ("/cmd_vel", "/ground_truth/twist")}
         commands, truth = read_topics(reader, bag, requests).values()
     assert commands.value[-1, 0] > 0.2
@@ -126,7 +126,7 @@ def check_record(folder, commands):
     while not path.read_bytes().endswith(MAGIC):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         recorded = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
     by_stamp = dict(zip(recorded.stamped.tolist(), recorded.value.tolist(), strict=True))
     # The last command may have been sent in the tick in which the node was killed.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ros_parts import DT, stack
 
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, open_bag, read_topics
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
 from diffdrive_mpc.models.logs.mapping import Topic
@@ -28,7 +28,7 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     assert not log.cut and log.pose_sensor == pose_topic
     columns = log.columns
     commands = np.column_stack([columns["v_ref_m_s"], columns["omega_ref_rad_s"]])
-    with opened(path) as reader:
+    with open_bag(path) as reader:
         (samples,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
     assert np.array_equal(samples.value, commands)

@@ -52,7 +52,7 @@ def test_true_parameters_are_within_four_standard_deviations():
     progress = []
     recoveries = recover_all(6, lambda count, total: progress.append((count, total)))
     assert progress == [(i, 6) for i in range(1, 7)]
-    scores = np.concatenate([recovery.standardised for recovery in recoveries])
+    scores = np.concatenate([recovery.standardised_errors for recovery in recoveries])
     assert np.abs(scores).max() < 4.0
     # Deviations that are much too large would pass the previous check.
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5

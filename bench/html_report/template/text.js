@@ -10,9 +10,9 @@ function element(tag, attributes = {}, ...children) {
   return node;
 }
 
-// Words between backticks are code.
-const words = (text) => text.split("`").map((part, i) => (i % 2 ? element("code", {}, part) : part));
-const sentence = (text) => words(/[.!?]$/.test(text) ? text : `${text}.`);
+// Text between backticks is code.
+const inlineNodes = (text) => text.split("`").map((part, i) => (i % 2 ? element("code", {}, part) : part));
+const sentence = (text) => inlineNodes(/[.!?]$/.test(text) ? text : `${text}.`);
 
 function keyFigure(figure) {
   return element("div", { class: `key-figure ${figure.state}` },
@@ -25,12 +25,12 @@ function tableCard(table) {
   const kind = (i) => (i < table.text_columns ? "text" : "number");
   const head = element("tr", {}, ...table.columns.map((name, i) => element("th", { class: kind(i), scope: "col" }, name)));
   const rows = table.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { class: kind(i) }, cell))));
-  const drawn = element("div", { class: "scroll", tabindex: "0" },
+  const scrollable = element("div", { class: "scroll", tabindex: "0" },
     element("table", {}, element("thead", {}, head), element("tbody", {}, ...rows)));
-  const parts = [drawn, ...(table.note ? [element("p", { class: "note" }, ...words(table.note))] : [])];
+  const parts = [scrollable, ...(table.note ? [element("p", { class: "note" }, ...inlineNodes(table.note))] : [])];
   if (table.rows.length <= 24) return element("div", { class: "card table" }, element("h3", {}, table.title), ...parts);
-  const folded = element("details", {}, element("summary", {}, `${table.title}: ${table.rows.length} rows`), ...parts);
-  return element("div", { class: "card table" }, folded);
+  const details = element("details", {}, element("summary", {}, `${table.title}: ${table.rows.length} rows`), ...parts);
+  return element("div", { class: "card table" }, details);
 }
 
 function warningCard(warning) {
@@ -58,14 +58,14 @@ function writeText() {
   byId("command").textContent = content.command;
   byId("title").textContent = content.title;
   byId("key-figures").append(...content.key_figures.map(keyFigure));
-  byId("sentences").append(...content.summary.map((line) => element("p", {}, ...words(line))), ...content.notes.map((line) => element("p", { class: "note" }, ...words(line))));
+  byId("sentences").append(...content.summary.map((line) => element("p", {}, ...inlineNodes(line))), ...content.notes.map((line) => element("p", { class: "note" }, ...inlineNodes(line))));
   fill("views", "Views", content.views.length ? [""] : []);
   fill("tables", "Tables", content.tables.map(tableCard));
   const count = content.warnings.length;
   const link = count === 1 ? "1 warning, with its remedy" : `${count} warnings, each with its remedy`;
   if (count) byId("sentences").prepend(element("p", {}, element("a", { href: "#warnings" }, link)));
-  const fine = element("p", {}, "No warnings.");
-  fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [fine]);
+  const noWarnings = element("p", {}, "No warnings.");
+  fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [noWarnings]);
   fill("configuration", "Configuration", content.configurations.map(configurationCard));
   fill("repeat", "How to repeat", [element("div", { class: "card" },
     element("pre", { tabindex: "0" }, content.origin.command), facts(content.origin.facts))]);

@@ -1,34 +1,34 @@
 "use strict";
-// Draws the figures of the page. Toggles show and hide traces in all figures; pointing at a run marks the tick in the
-// linked figure.
+// Draws the figures of the page. Toggles show and hide traces in all figures; pointing at a tick of a run marks the same
+// tick in the linked figure.
 const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
 const DASHES = { solid: "", dash: "6 3", dashdot: "6 2 2 2", dot: "2 2", longdash: "10 3", longdashdot: "10 2 2 2" };
-const shown = Object.fromEntries(content.toggles.map((toggle) => [toggle.name, new Set(toggle.shown)]));
-const isShown = (trace) => Object.entries(trace.meta.labels).every(([name, value]) => !(name in shown) || shown[name].has(value));
+const visibleValues = Object.fromEntries(content.toggles.map((toggle) => [toggle.name, new Set(toggle.shown)]));
+const isVisible = (trace) => Object.entries(trace.meta.labels).every(([name, value]) => !(name in visibleValues) || visibleValues[name].has(value));
 const plots = [];
 
 function draw(figure, place) {
   plots.push(place);
-  return Plotly.newPlot(place, figure.data.map((trace) => ({ ...trace, visible: isShown(trace) })), figure.layout, CONFIG);
+  return Plotly.newPlot(place, figure.data.map((trace) => ({ ...trace, visible: isVisible(trace) })), figure.layout, CONFIG);
 }
 
-const hide = () => plots.forEach((place) => Plotly.restyle(place, { visible: place.data.map(isShown) }));
+const updateVisibility = () => plots.forEach((place) => Plotly.restyle(place, { visible: place.data.map(isVisible) }));
 
 function swatch(index) {
-  const drawn = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const sample = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const { colours, dashes } = content.look;
   const dash = DASHES[dashes[index % dashes.length]];
-  drawn.innerHTML = `<line x1="0" y1="6" x2="26" y2="6" stroke-width="2.5" stroke="${colours[index % colours.length]}" stroke-dasharray="${dash}"/>`;
-  for (const [name, value] of [["width", 26], ["height", 12], ["aria-hidden", true]]) drawn.setAttribute(name, value);
-  return drawn;
+  sample.innerHTML = `<line x1="0" y1="6" x2="26" y2="6" stroke-width="2.5" stroke="${colours[index % colours.length]}" stroke-dasharray="${dash}"/>`;
+  for (const [name, value] of [["width", 26], ["height", 12], ["aria-hidden", true]]) sample.setAttribute(name, value);
+  return sample;
 }
 
 function toggleBox(toggle, value, index) {
   const box = element("input", { type: "checkbox", "data-toggle": toggle.name, "data-value": value });
-  box.checked = shown[toggle.name].has(value);
+  box.checked = visibleValues[toggle.name].has(value);
   box.addEventListener("change", () => {
-    shown[toggle.name][box.checked ? "add" : "delete"](value);
-    hide();
+    visibleValues[toggle.name][box.checked ? "add" : "delete"](value);
+    updateVisibility();
   });
   return element("label", { class: "toggle" }, box, ...(toggle.styled ? [swatch(index)] : []), value);
 }

@@ -24,7 +24,7 @@ from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
 from diffdrive_mpc.models.logs.record import Record, Topics
 from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.stated_robot import MakersRobot, StatedKey
+from diffdrive_mpc.models.stated_robot import ManufacturerRobot, StatedKey
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, VelocityLimit, YawRateLimit, sides_of
@@ -119,7 +119,7 @@ def settling_time(model: VelocityModel) -> float:
     of a model without lag and dead time is 0.
     """
     share = identification_settings().settling_tolerance
-    # After seven time constants, the slowest pole has decayed to a thousandth.
+    # After seven time constants, the response of the slowest pole has decayed to a thousandth.
     max_time_constant = max((-1.0 / pole.real for pole in model.poles), default=0.0)
     duration = float(np.max(model.dead_time)) + 7.0 * max_time_constant
     if not duration > 0.0:
@@ -146,7 +146,8 @@ def round_period(dt: float) -> float:
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
     """Choose period and horizon that cover the robot's step response, for a log with sample time `dt` [s].
 
-    For a robot that is slow relative to `dt`, the period is several samples, so that the horizon has few enough steps.
+    For a robot that is slow relative to `dt`, the period is several samples, so that the horizon does not exceed the
+    maximum number of steps.
     """
     settings, settling = identification_settings(), settling_time(model)
     prediction_time = settings.look_ahead * settling
@@ -185,7 +186,7 @@ class Setting:
     name
         Key in the group.
     value
-        Positive number, rounded as in the file; two-sided limit; integer; or text.
+        Positive number, rounded to the digits of the file; two-sided limit; integer; or text.
     reason
         Unit and source of the value.
     """
@@ -245,7 +246,7 @@ class IdentifiedConfiguration:
 
     @property
     def room(self) -> tuple[Setting, ...]:
-        """Lengths of all groups that exceed the defaults: margins for a larger or faster robot, not its limits."""
+        """Lengths of all groups that exceed the defaults, because the robot is larger or faster."""
         lengths = identification_settings().lengths
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
@@ -489,7 +490,7 @@ def _slew_limits(identified: IdentifiedModel) -> list[Setting]:
 
 
 def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
-    """Return the maximum measured speed of a side [m/s] if the robot limits v; otherwise infinity."""
+    """Return the maximum measured speed of a side [m/s] if the robot limits v, otherwise infinity."""
     if "v" not in identified.limits:
         return np.inf
     twist = np.concatenate([r.twist for r in train if r.twist is not None])
@@ -527,7 +528,7 @@ def _format_value(value: float | str) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def apply_stated_values(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
+def apply_stated_values(configuration: IdentifiedConfiguration, robot: ManufacturerRobot) -> IdentifiedConfiguration:
     """Reduce limits to those stated by the manufacturer, and add stated values that the log does not determine.
 
     The base clips commands at the manufacturer's limits, so the controller's model is wrong beyond them.

@@ -1,4 +1,4 @@
-"""Text lines on the limits of the base: limits that the log reaches, with intervals, and limits not reached."""
+"""Description of the limits of the base: limits that the log reaches, with intervals, and the other limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SPEEDS = 2
 
 
 def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[str]:
-    """Return a line with a 95 % interval for each identified limit, and one line for the limits not reached."""
+    """Return a line with a 95 % interval for each identified limit, and one line for limits that are not reached."""
     commands, reached, missing = np.concatenate([record.command for record in records]), [], []
     for row, channel in enumerate(CHANNELS):
         maximum = np.maximum([commands[:, row].max(), -commands[:, row].min()], 0.0)

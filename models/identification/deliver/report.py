@@ -31,9 +31,9 @@ from diffdrive_mpc.models.identification.fit.slip import SlipPrior
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.record import Finding, counted
+from diffdrive_mpc.models.logs.record import Finding, format_findings
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.stated_robot import MakersRobot
+from diffdrive_mpc.models.stated_robot import ManufacturerRobot
 from diffdrive_mpc.models.table import TextTable, plain_line, plain_text
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -60,7 +60,7 @@ class IdentificationReport:
     poses: PoseResults
     slip: SlipPrior
     day: date
-    robot: MakersRobot | None = None
+    robot: ManufacturerRobot | None = None
 
     def __repr__(self) -> str:
         """Format the name only, without arrays."""
@@ -91,7 +91,7 @@ class IdentificationReport:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user, one line each: findings in the logs and `doubts` about the model."""
-        return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
+        return tuple(dict.fromkeys([*format_findings(self._findings), *lines(self.doubts)]))
 
     @property
     def _parameter_tables(self) -> list[TextTable]:
@@ -128,17 +128,17 @@ class IdentificationReport:
         return limit_lines(self.fitted.identified, self.data.train)
 
     def summary_lines(self) -> list[str]:
-        """Return the findings and the verdict on the model."""
+        """Return the summary of findings and the grade of the model."""
         return [*self.findings_summary, f"Trust: {self.verdict}."]
 
     @cached_property
     def trust(self) -> Trust:
-        """Trust in the model, graded from its logs."""
+        """Grade of the model, based on its logs."""
         return judge(self.data, self.fitted, self.doubts)
 
     @property
     def verdict(self) -> str:
-        """Grade of trust with reasons in one line."""
+        """Grade of the model with reasons in one line."""
         return str(self.trust)
 
     @property
@@ -192,7 +192,7 @@ class IdentificationReport:
         figures
             Relative paths by title, in order.
         first
-            Lines that replace summary and verdict, for instance after trial drives.
+            Lines that replace summary and grade, for instance after trial drives.
         """
         parts = [
             f"# {plain_line(self.name)}",

@@ -30,7 +30,7 @@ def score_table(fitted: Fitted) -> TextTable:
         for i, channel in enumerate(CHANNELS)
     ]
     columns = ("channel", "FIT training [%]", "FIT validation [%]", "RMSE training", "RMSE validation")
-    note = "Simulation from commands alone, started once in each record; RMSE in m/s and rad/s."
+    note = "Simulation from commands only, started once in each record; RMSE in m/s and rad/s."
     return TextTable("Scores of the model", columns, tuple(rows), note=note)
 
 
@@ -53,12 +53,12 @@ def drift_table(poses: PoseResults) -> TextTable:
         for d in poses.drift
     ]
     columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
-    note = "Poses predicted from commands alone, compared with measured poses, on validation data."
+    note = "Poses predicted from commands only, compared with measured poses, on validation data."
     return TextTable("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
 
 
 def delay_table(delays: ParameterEstimate) -> TextTable:
-    """Tabulate the delay of the robot: sum of dead time and lag, which a log determines well, and both parts."""
+    """Tabulate the delay of the robot: sum of dead time and lag, which a log determines well, and both terms."""
     cells = [f"{value:.3g} +- {deviation:.2g}" for _, value, deviation in delays.rows]
     names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
@@ -84,7 +84,7 @@ def order_table(choice: OrderChoice) -> TextTable:
     for order, row in enumerate(choice.rows, start=1):
         fits = (row.train_fit_percent, row.block_fit_percent, row.validation_fit_percent)
         cells = [number(float(x), 2) for fit in fits for x in (np.full(2, np.nan) if fit is None else fit)]
-        mark = "chosen" if order == choice.order else ""
+        mark = "selected" if order == choice.order else ""
         rows.append((f"{order}", mark, str(row.parameters), *cells, f"{row.aic:.0f}", f"{row.bic:.0f}"))
     columns = (
         *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT blocks v [%]", "omega [%]"),
@@ -114,7 +114,7 @@ def effect_table(base: IdentifiedBase) -> TextTable:
 def finding_table(findings: Sequence[Finding]) -> TextTable:
     """Tabulate the findings in the logs."""
     rows = tuple(
-        (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
+        (finding.severity, finding.kind, finding.place, finding.message, str(finding.verdict or ""))
         for finding in findings
     )
     return TextTable(

@@ -1,4 +1,4 @@
-"""Trust in a model, graded from its logs; all reports use this rule."""
+"""Grade of a model, based on its logs; all reports use this grade."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Grade = Literal["Yes", "With care", "No"]
 
 @dataclass(frozen=True)
 class Trust:
-    """Grade of trust in a model.
+    """Grade of a model for driving.
 
     Attributes
     ----------
     grade
         "Yes", "With care" or "No".
     reasons
-        Reasons against a better grade, one clause each; empty for "Yes".
+        Reasons against a better grade, as clauses; empty for "Yes".
     """
 
     grade: Grade
@@ -74,9 +74,9 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
 
 
 def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
-    """List the reasons, one clause each, for which no controller should use the model."""
+    """List the reasons, as clauses, why no controller should use the model."""
     limits = identification_settings().warn
-    reasons = [finding.words for finding in findings if finding.severity == "error"]
+    reasons = [finding.message for finding in findings if finding.severity == "error"]
     fit = fitted.validation.fit_percent
     if not min(fit) >= limits.refused_fit:
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))

@@ -29,7 +29,7 @@ from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, split_rows
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import fit_percents
-from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, round_values
 from diffdrive_mpc.models.structures.model_file import SmFile, TwoPoles
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -174,7 +174,7 @@ def identify_with_effects(
 
 def effects_content(effects: BaseEffects) -> Mapping[str, Any]:
     """Return the group `base_effects` of a model file, without absent effects."""
-    return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
+    return {name: round_values(values) for name, values in effects.model_dump(exclude_none=True).items()}
 
 
 def _linear_content(point: Point) -> Mapping[str, Any]:
@@ -188,8 +188,8 @@ def _linear_content(point: Point) -> Mapping[str, Any]:
         for channel in CHANNELS
     }
     return {
-        "dead_time": rounded({channel: point[f"dead_time.{channel}"] for channel in CHANNELS}),
-        "channels": rounded(channels),
+        "dead_time": round_values({channel: point[f"dead_time.{channel}"] for channel in CHANNELS}),
+        "channels": round_values(channels),
     }
 
 

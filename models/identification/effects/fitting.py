@@ -25,7 +25,7 @@ class Weighted:
     experiments
         Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro if present.
     weights
-        Weights (K, p) of each experiment: 1 / scale, smaller for outliers, and 0 without a reading.
+        Weights (K, p) of each experiment: 1 / scale, smaller for outliers, and 0 if there is no reading.
     scale
         Scale (p,) of the residuals of each sensor [m/s, rad/s, rad/s].
     """
@@ -40,7 +40,7 @@ class Weighted:
         return Weighted(extract(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
-        """Compute the weighted errors (K, p) of a free run for each experiment; NaN without a reading."""
+        """Compute the weighted errors (K, p) of a free run for each experiment; NaN at missing readings."""
         return [
             w * (free_run(point, s, smooth=smooth) - s.readings)
             for s, w in zip(self.experiments, self.weights, strict=True)

@@ -28,7 +28,7 @@ LINEAR = (
     "gyro.offset",
 )
 BY_ENCODERS = LINEAR[:6]
-"""Parameters in `LINEAR` that encoders alone determine."""
+"""Parameters in `LINEAR` that are determined without a gyro."""
 _CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     _CLIPPED: ("limit.v", "limit.omega"),
@@ -70,7 +70,7 @@ class FoldFits:
 
 
 def fit_folds(fit: EffectFit, data: Weighted) -> FoldFits:
-    """Repeat the fit without each block in turn; the initial values are those of `fit`."""
+    """Repeat the fit without each block in turn, with the parameters of `fit` as initial values."""
     trial = effect_settings().trial_evaluations
     folds = blocks(data.experiments)
     fits = [fit_effects(fit.point, fit.free, data.part(rest), trial, near=True) for rest, _ in folds]
@@ -257,7 +257,7 @@ def _fit_with(fit: EffectFit, effect: str, data: Weighted, initial_limits: Point
 
     best = min(map(with_step, settings.resolutions), key=_cost)
     coarse_step = best.point["wheels.resolution"]
-    # Start from the best fit so far, because the coarse search may be incomplete.
+    # Start from the best fit so far, because the fits of the coarse search may not have converged.
     for factor in settings.resolution_factors:
         start = dict(best.point)
         best = min(best, with_step(factor * coarse_step), key=_cost)
@@ -296,7 +296,7 @@ def _initial_top_speed(experiments: Sequence[SampledExperiment]) -> float:
 
 
 def _fit_to_convergence(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fit to convergence; parameters at a bound are fixed at this bound.
+    """Fit to convergence, with parameters at a bound fixed at this bound.
 
     A pole that is too fast for an estimate is fixed at the minimum time constant.
     """
@@ -309,7 +309,7 @@ def _fit_to_convergence(fit: EffectFit, data: Weighted) -> EffectFit:
             lag = np.sqrt(slow * _MIN_TIME_CONSTANT)
             point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _MIN_TIME_CONSTANT) / lag}
             fixed.append(f"damping.{channel}")
-    # With a fixed fast pole, the short lag determines the slow pole; it does not count as a lag at its bound.
+    # With a fixed fast pole, the lag determines the slow pole, so it is not fixed at its bound.
     for name in [name for name in fit.free if name.replace("lag.", "damping.") not in fixed]:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):

@@ -9,8 +9,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
-# Of normally distributed values, 90 % are within 1.645 standard deviations. The median could be zero, because counted
-# pulses have plateaus.
+# 90 % of normally distributed values are within 1.645 standard deviations. The quantile is larger than the median,
+# which may be zero, because counts of encoder pulses have plateaus.
 _SHARE, _DEVIATIONS = 0.9, 1.645
 # Ratio of the standard deviations of x[k-1] - 2 x[k] + x[k+1] and x for white noise; linear changes cancel.
 SECOND_DIFFERENCE = np.sqrt(6.0)
@@ -42,7 +42,7 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
 
 
 def second_differences(record: Record, signal: str, columns: list[int]) -> FloatArray:
-    """Compute the second differences (n,) of equally spaced readings; all columns are flattened."""
+    """Compute the second differences (n,) of equally spaced readings of all columns."""
     fresh = record.fresh(signal)
     if fresh is None:
         return np.empty(0)

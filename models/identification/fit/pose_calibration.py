@@ -24,7 +24,7 @@ from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 
 _MIN_WINDOWS = 20
 _ROUNDS = 6
-# Window for the estimation of lags, as a share of the configured window; lags affect speed changes over a window.
+# Window for the estimation of lags, as a share of the configured window; short windows have larger speed changes.
 _LAG_WINDOW = 0.4
 _SHIFTS = 3
 
@@ -307,7 +307,7 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Solve for the least squares of the window errors (n, r), with iterative weights from their scale and spikes."""
+    """Minimise the squared window errors (n, r), with iterative weights from their scale and spikes."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
@@ -326,5 +326,5 @@ def _apply_weight(errors: Callable[[FloatArray], FloatArray], weight: FloatArray
 
 
 def _nonzero_names(names: tuple[str, ...]) -> list[str]:
-    """List the parameters whose true value is not zero."""
+    """List the parameters whose true value cannot be zero."""
     return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]

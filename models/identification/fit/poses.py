@@ -173,13 +173,13 @@ class PoseResults:
 
     @property
     def mount(self) -> tuple[str, ...]:
-        """Names of the two parameters of the pose point, ahead and left; empty without an estimate."""
+        """Names of the two parameters of the pose point, ahead and left; empty if they are not estimated."""
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
     @property
     def place(self) -> tuple[float, float]:
-        """Pose point ahead and to the left of the rotation centre [m]; zeros if it is near the centre or unknown."""
+        """Position of the pose point ahead and left of the rotation centre [m]; zeros if it is near or unknown."""
         ahead, left = [self.parameters.value(name) for name in self.mount] or (0.0, 0.0)
         is_far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
         return (ahead, left) if is_far else (0.0, 0.0)

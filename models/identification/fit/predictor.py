@@ -1,4 +1,4 @@
-"""Predictors: models such as networks that are identified in addition to the linear model, and predict instead of it.
+"""Predictors: models such as networks that are identified in addition to the linear model and replace its predictions.
 
 The linear model still determines limits, tracks and calibration from poses. To add a kind of predictor, register a
 `models.function_structure.FunctionStructure` as described in `models.plug_ins`.

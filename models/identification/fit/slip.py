@@ -30,7 +30,7 @@ class SlipPrior(NamedTuple):
     estimate: ParameterEstimate
     """Estimate of the parameters `NAMES`; the covariance includes the spread between surfaces."""
     is_regressed: bool
-    """True if the log reduces the standard deviation of side_slip to less than half of the prior's."""
+    """True if the log reduces the standard deviation of side_slip to less than half of its prior value."""
 
     def source(self) -> str:
         """Describe the source of the values for comments in the configuration."""
@@ -60,7 +60,7 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
 
 
 def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
-    """Estimate the parameters `NAMES`; None without encoders, or with too few poses or turns."""
+    """Estimate the parameters `NAMES`; return None if encoders are missing or if there are too few poses or turns."""
     table = np.array([window for record in records for window in _window_means(record)])
     if len(table) < _MIN_WINDOWS:
         return None
@@ -92,7 +92,7 @@ def _window_means(record: Record) -> list[FloatArray]:
         theta = rotation + float(np.mean((pose[:, 2] - rotation)[fresh]))
         left = np.column_stack([-np.sin(theta), np.cos(theta)])
         forward = np.column_stack([np.cos(theta), np.sin(theta)])
-        # Least-squares slope over time, in the lateral direction at the middle: the rotation in a window is small.
+        # Least-squares slope over time, in the lateral direction at the middle, because the window rotates little.
         time = np.flatnonzero(fresh) - np.mean(np.flatnonzero(fresh))
         slope = time / (dt * time @ time)
         paths = [_integrate(terms[part, k, None] * left, dt) for k in range(2)]
@@ -102,7 +102,7 @@ def _window_means(record: Record) -> list[FloatArray]:
 
 
 def _scaled_yaw_rate(record: Record) -> FloatArray:
-    """Return the yaw rate (K,) [rad/s] of the gyro; without a gyro, that of the encoders, scaled to fit the poses."""
+    """Return the yaw rate (K,) [rad/s] of the gyro, or of the encoders, scaled to fit the poses, without a gyro."""
     if record.yaw_rate is not None:
         return record.yaw_rate
     assert record.twist is not None and record.pose is not None

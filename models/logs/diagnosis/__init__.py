@@ -1,6 +1,6 @@
-"""Diagnosis of a whole log before a fit: one finding with one remedy for each cause.
+"""Diagnosis of a log before a fit, with one finding and one remedy for each cause.
 
-Each rule checks the streams after the corrections of earlier rules, so each fault is reported once.
+Each rule checks the streams after the corrections by earlier rules, so each fault is reported once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["compare_logs", "diagnose", "summary"]
 
 
 def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about the relations between commands and sensors of one log.
+    """Return findings about contradictions between commands and sensors of one log.
 
     Parameters
     ----------
@@ -40,25 +40,25 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     settings
         The thresholds.
     """
-    streams = replace(streams)  # rules replace them
+    streams = replace(streams)  # a copy, because the rules replace its arrays
     findings = check_presence(log, streams)
     if not _is_long_enough(streams, settings):
         return findings
     findings += check_counts(log, streams, settings)
-    if changed := check_order(log, streams, settings) or check_jumps(log, streams, settings):
-        return [*findings, *changed]  # no other check is valid for both parts
+    if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):
+        return [*findings, *change]  # the parts before and after the change contradict each other in all later checks
     if echo := check_echo(log, streams, settings):
         return [*findings, *echo]
     findings += check_rectified(log, streams, settings)
     findings += check_clipped_side(log, streams, settings)
-    # Faults of the encoders come before axes, signs and units, as which they would appear.
+    # Check the encoders first, because their faults would also appear as wrong axes, signs or units.
     findings += check_wheels(log, streams, settings)
     if latch := check_latch(log, streams, settings):
         return [*findings, *latch]
     findings += check_axes(log, streams, settings)
     findings += check_signs(log, streams, settings)
     findings += check_units(log, streams, settings)
-    # Gains and shifts can be compared once signs and units are correct.
+    # Gains and shifts can only be compared after signs and units have been corrected.
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
     findings += check_turning(log, streams, settings) or check_motions(log, streams, settings)
@@ -71,17 +71,17 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
 def _is_long_enough(streams: Streams, settings: CheckSettings) -> bool:
     """Return True if the commands cover enough time to distinguish responses from chance."""
     samples = int(np.isfinite(streams.command[:, 0]).sum())
-    return samples * streams.dt >= settings.shortest_drive
+    return samples * streams.dt >= settings.min_duration
 
 
 def compare_logs(logs: Sequence[Log]) -> list[Finding]:
-    """Compare logs that are used together; report insufficient excitation and different robots."""
+    """Compare logs that are used for one model; return findings about little excitation and different robots."""
     settings = check_settings()
     findings = check_excitation(", ".join(log.name for log in logs), [r for log in logs for r in log.records], settings)
-    sound = [log for log in logs if not log.errors]
-    known = [relations(log.streams, settings) for log in sound] if len(sound) > 1 else []
-    for log, log_relations in zip(sound[1:], known[1:], strict=True):
-        findings += compare(sound[0].name, log.name, known[0], log_relations, settings)
+    valid_logs = [log for log in logs if not log.errors]
+    known = [relations(log.streams, settings) for log in valid_logs] if len(valid_logs) > 1 else []
+    for log, log_relations in zip(valid_logs[1:], known[1:], strict=True):
+        findings += compare(valid_logs[0].name, log.name, known[0], log_relations, settings)
     return findings
 
 
@@ -129,4 +129,4 @@ def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -
         else:
             times = f"{response.gain[0, 0]:.3g} times, {response.delay:.2f} s later"
             lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
-    return "command -> " + "; ".join(lines) if lines else "measured by nothing"
+    return "command -> " + "; ".join(lines) if lines else "no sensor"

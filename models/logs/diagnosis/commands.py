@@ -1,4 +1,4 @@
-"""Detection of logged commands that differ from those of the robot: odometry, skipped, curved and rounded commands."""
+"""Detection of logged commands that the robot did not receive: odometry, latched, curved and rounded commands."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         if shift is None or lag is None or not is_changed.any():
             return []
         shift_residual, lag_residual = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
-        is_echo = shift.correlation[0] > settings.echo and shift.dead_time < 0.2 * streams.dt
-        # Set-points stay constant for some time, readings do not; for real commands a lag explains more.
-        lag_explains = settings.shape * shift_residual > lag_residual + settings.echo_noise
+        is_echo = shift.correlation[0] > settings.echo_correlation and shift.dead_time < 0.2 * streams.dt
+        # Set-points stay constant for some time, readings do not. For true commands, a lag explains more than a shift.
+        lag_explains = settings.shape_ratio * shift_residual > lag_residual + settings.echo_noise
         if not is_echo or is_changed.mean() < settings.echo_changes or lag_explains:
             return []
         delays.append(-shift.dead_time)
@@ -46,12 +46,12 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 
 
 def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: the log has only some of the commands that the robot received."""
+    """Return at most one finding: the log contains only some of the commands that the robot received."""
     leads = [part for part in (_crossings(streams, channel, settings) for channel in (0, 1)) if len(part)]
     if not leads:
         return []
     ends = np.array([np.percentile(part, [10, 90]) for part in leads])
-    # A shift has the same lead at each change; with a latch the lead varies up to its period.
+    # For a time shift, the lead is the same at each change; for a latch it varies between zero and the latch period.
     if ends[:, 0].max() > -settings.sensor_shift or np.ptp(ends, axis=1).min() < settings.latch_spread:
         return []
     message = (
@@ -62,9 +62,10 @@ def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 
 def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> FloatArray:
-    """Return times [s], relative to clear changes of the command, of the last crossing of the response's midpoint.
+    """Return the time (n,) [s] from each clear change of the command to the response.
 
-    The result is empty if there are too few changes.
+    The response is timed by its last crossing of the midpoint of the change. The result is empty if there are too few
+    changes.
     """
     names = streams.speed_sensors(channel)
     if not names:
@@ -77,7 +78,7 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
     sign = np.sign(np.corrcoef(command[is_finite], values[is_finite])[0, 1])
     response = values * sign * np.std(command[is_finite]) / np.std(values[is_finite])
     min_step = 0.3 * float(np.ptp(np.percentile(command[is_finite], [5, 95])))
-    reach, after = (round(seconds / streams.dt) for seconds in (settings.longest_latch, settings.longest_lag))
+    reach, after = (round(seconds / streams.dt) for seconds in (settings.max_latch_lead, settings.max_dead_time))
     steps = np.diff(command, prepend=np.nan)
     changes = np.flatnonzero(np.abs(np.nan_to_num(steps)) > min_step)
     times = []
@@ -87,35 +88,35 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
         crossings = np.flatnonzero(~is_past[:-1] & is_past[1:])
         if len(crossings):
             times.append((first + 1 + crossings[-1] - index) * streams.dt)
-    return np.array(times) if len(times) >= settings.refused_changes + settings.fewest_changes else np.empty(0)
+    return np.array(times) if len(times) >= settings.min_total_changes + settings.min_changes else np.empty(0)
 
 
 def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: the gain is lower for small commands, as with an expo curve."""
-    curved = []
+    effects = []
     for channel in (0, 1):
         for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
-            share = command / max(float(np.nanmax(np.abs(command))), settings.least_command)
-            # Expo curve of remote controls: a share `expo` of the command is replaced by its cube.
+            share = command / max(float(np.nanmax(np.abs(command))), settings.zero_command)
+            # Expo curve of a remote control: a share `expo` of the command is replaced by its cube.
             trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
             responses = [fit_response(streams, trial, values, settings) for trial in trials]
             residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
-            best = int(np.argmin(residuals))
-            if best and settings.curve_least < residuals[0] < 1.0 and residuals[best] < settings.shape * residuals[0]:
-                # At a third of the maximum, the cube is a ninth of the linear command.
-                curved.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
-    if not curved:
+            linear, best = residuals[0], int(np.argmin(residuals))
+            if best and settings.min_curve < linear < 1.0 and residuals[best] < settings.shape_ratio * linear:
+                # At a third of the maximum, the cubic term is a ninth of the linear term, so 8/9 of the share is lost.
+                effects.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
+    if not effects:
         return []
     message = (
-        f"the gain is lower for small commands ({', '.join(curved)}): there is an expo curve between the logged "
+        f"the gain is lower for small commands ({', '.join(effects)}): there is an expo curve between the logged "
         "command and the base; switch it off, or log the command after it"
     )
     return [Finding("curved command", "warning", log, message)]
 
 
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about channels with rounded commands, while the robot moves at speeds between them."""
+    """Return findings about channels with rounded commands: the robot moves at speeds between the logged levels."""
     findings = []
     for channel in (0, 1):
         names = streams.speed_sensors(channel)
@@ -126,7 +127,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
         response = None if step is None else fit_response(streams, command, values, settings)
         if step is None or response is None or response.correlation[0] < settings.clear_correlation:
             continue
-        threshold = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
+        threshold = settings.rounding_scatter * step * abs(float(response.gain[0, 0]))
         scatter = _scatter_of_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
         if scatter > threshold:
             message = (
@@ -139,7 +140,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
 
 
 def _rounding_step(command: FloatArray, settings: CheckSettings) -> float | None:
-    """Return the step of which all commands (n,) are multiples; None if there is none or it is fine."""
+    """Return the step if all commands (n,) are multiples of one coarse step; otherwise None."""
     levels = np.unique(np.round(np.abs(command), 9))
     if len(levels) < 2 or len(levels) > settings.rounded_levels:
         return None
@@ -151,19 +152,19 @@ def _rounding_step(command: FloatArray, settings: CheckSettings) -> float | None
 def _scatter_of_holds(
     streams: Streams, command: FloatArray, values: FloatArray, seconds: float, settings: CheckSettings
 ) -> float:
-    """Compute the standard deviation of the mean motion under equal commands, or under zero if that is smaller.
+    """Compute the standard deviation of the mean motion under equal commands, or under zero commands if it is smaller.
 
-    The mean of each hold starts `seconds` after its start. The effect of the previous command is removed, because the
-    response may not have settled.
+    The mean of each held command starts `seconds` after its start. The effect of the previous command is removed,
+    because the response may not have settled.
     """
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # NaN also starts a hold
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # NaN is unequal to all values
     rows = []
     for before, start, stop in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
         part = values[start + round(seconds / streams.dt) : stop]
         if len(part) and np.isfinite(part).all() and np.isfinite(command[before] + command[start]):
             noise = np.sum(np.diff(part) ** 2), len(part) - 1
             rows.append((command[start], command[before], part.mean(), 1 / len(part), *noise))
-    if len(rows) < settings.fewest_samples:
+    if len(rows) < settings.min_samples:
         return 0.0
     level, previous, mean, share, squares, count = np.array(rows).T
     regressors = np.column_stack([np.ones(len(level)), level, previous])
@@ -171,7 +172,7 @@ def _scatter_of_holds(
     # Differences of adjacent readings have twice the variance of the noise.
     noise = squares.sum() / max(2 * count.sum(), 1)
     scatter = [
-        np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
+        np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.min_changes else 0.0
         for part in (level == 0, np.isfinite(level))
     ]
     return float(np.sqrt(max(0.0, min(scatter))))

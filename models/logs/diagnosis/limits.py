@@ -1,4 +1,4 @@
-"""Commands after the limits of a base; without them a limit on one side appears as a wrong unit."""
+"""Estimation of the limits of a base, because a limit of a command otherwise appears as a wrong unit."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import KINDS, limited
+from diffdrive_mpc.models.base_effects import KINDS, apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 
 _SHARES = np.geomspace(0.03, 0.8, 10)
-"""Candidate limits: levels as shares of the maximum command, rates as shares of twice that per second."""
+"""Candidate limits: levels as shares of the maximum command, rates as shares of twice the maximum per second."""
 _GROUPS = np.array([[1, 1, 0, 0], [0, 0, 1, 1], *np.eye(len(KINDS))], dtype=bool)
-"""Groups of limits that are varied together, in this order."""
+"""Groups of `KINDS` of limits that are varied together, in the order of the search."""
 
 
-def within_limits(streams: Streams, channel: int, settings: CheckSettings) -> Streams:
-    """Return the streams with the limited command that best explains the sensors of a channel.
+def apply_best_limits(streams: Streams, channel: int, settings: CheckSettings) -> Streams:
+    """Apply the limits to the command of a channel that explain its sensors best.
 
-    The streams are unchanged if limits do not clearly reduce the residual variance.
+    The streams are returned unchanged if limits do not clearly reduce the residual variance.
     """
     command = streams.command[:, channel]
     above, below = (np.maximum([np.nanmax(command), -np.nanmin(command)], 1e-9)).tolist()
@@ -33,7 +33,7 @@ def within_limits(streams: Streams, channel: int, settings: CheckSettings) -> St
             (_residual_share(_with_limit(streams, channel, limit), channel, settings), limit) for limit in candidates
         ]
         best = min([best, *trials], key=lambda trial: trial[0])
-    return _with_limit(streams, channel, best[1]) if best[0] < settings.clipped_rest * before else streams
+    return _with_limit(streams, channel, best[1]) if best[0] < settings.clipped_residual * before else streams
 
 
 def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:
@@ -41,7 +41,7 @@ def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:
     for part in streams.slices:
         rows = command[part, channel : channel + 1]
         if np.isfinite(rows).all():
-            command[part, channel : channel + 1] = limited(rows, limit[None], streams.dt, rows[0])
+            command[part, channel : channel + 1] = apply_limits(rows, limit[None], streams.dt, rows[0])
     return replace(streams, command=command)
 
 

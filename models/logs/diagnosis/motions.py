@@ -65,10 +65,10 @@ def compare_sensors(streams: Streams, settings: CheckSettings) -> list[Compariso
         for name in streams.sensors(channel)
         if (readings := streams.channel(name, channel)) is not None
     }
-    command = streams.delay(streams.command, settings.usual_response)
+    command = streams.delay(streams.command, settings.default_dead_time)
     # The robot also rests in two windows before, so that its own response has ended.
     earlier = command[np.maximum(rows[:, :1] - np.arange(1, 2 * count + 1), 0)]
-    is_rest = (np.abs(np.concatenate([command[rows], earlier], axis=1)) <= settings.least_command).all(axis=(1, 2))
+    is_rest = (np.abs(np.concatenate([command[rows], earlier], axis=1)) <= settings.zero_command).all(axis=(1, 2))
     comparisons = []
     for name, channel in values:
         readings = values[name, channel][is_rest]

@@ -1,4 +1,4 @@
-"""Detection of separate ramps of both sides of a base."""
+"""Detection of bases that limit the rate of each wheel separately."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_SAMPLES = 6_000
 
 
 def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one note: the speeds of the wheels have limited rates."""
+    """Return at most one note: the base limits the rate of each wheel separately."""
     if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sides = commanded_sides(streams)
@@ -33,23 +33,23 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     if linear is None or linear.correlation.min() < settings.weak_correlation:
         return []
     residual = 1 - float(np.mean(linear.correlation**2))
-    if residual < settings.ramp_least:
+    if residual < settings.ramp_threshold:
         return []
     rates = np.abs(np.diff(wheels, axis=0)).max(axis=1) / streams.dt
     rates = rates[np.isfinite(rates)]
     if not len(rates) or rates.max() == 0:
         return []
     bounds = np.unique(np.percentile(rates[rates > 0], [60, 75, 85, 95]))
-    half = np.array([[0.5, 0.5], [-0.5, 0.5]])
+    sides_to_twist = np.array([[0.5, 0.5], [-0.5, 0.5]])
     by_side, by_twist = (
         _best_ramp(streams, sides @ transform.T, np.linalg.inv(transform).T, bounds, settings)
-        for transform in (np.eye(2), half)
+        for transform in (np.eye(2), sides_to_twist)
     )
-    if by_side[0] > settings.ramp_rest * residual or by_side[0] > settings.shape * by_twist[0]:
+    if by_side[0] > settings.ramp_residual * residual or by_side[0] > settings.shape_ratio * by_twist[0]:
         return []
     message = (
         f"each wheel changes its speed by at most about {by_side[1]:.2g} rad/s per second, independently of the other: "
-        "the base ramps its wheels, so v and omega are coupled; drive smaller steps, or raise that limit"
+        "the base ramps its wheels, so v and omega are coupled; drive smaller steps, or raise this limit"
     )
     return [Finding("ramped wheels", "note", log, message)]
 
@@ -57,7 +57,7 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _best_ramp(
     streams: Streams, inputs: FloatArray, back_transform: FloatArray, bounds: FloatArray, settings: CheckSettings
 ) -> tuple[float, float]:
-    """Return the residual variance of the wheels with the best ramp of `inputs` (N, 2), and its rate."""
+    """Return the residual variance of the wheels with the best rate limit of `inputs` (N, 2), and this limit."""
     best = (1.0, np.inf)
     limited = _limit_rates(streams, inputs, bounds * streams.dt)
     assert streams.wheels is not None
@@ -71,7 +71,7 @@ def _best_ramp(
 def _limit_rates(streams: Streams, inputs: FloatArray, steps: FloatArray) -> FloatArray:
     """Limit the changes of inputs (N, 2) per sample to each of `steps` (n,); return (n, N, 2).
 
-    Stretches start with their first values.
+    The first sample of each stretch is not limited.
     """
     result = np.repeat(inputs[None], len(steps), axis=0)
     for part in streams.slices:

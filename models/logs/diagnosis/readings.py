@@ -1,4 +1,4 @@
-"""Detection of faulty readings and stamps: spikes, held values, dead zones, shuffled and bursty clocks."""
+"""Detection of faulty readings and stamps: spikes, held values, dead zones, shuffled and bursty stamps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
         if not fields:
             continue
         masks = [_spikes([stretch.measured[name].value for stretch in stretches], settings) for name in fields]
-        # Outliers are matched by time, because signals of one sensor may lack single readings.
+        # Match outliers by time, because single readings may be missing in some signals of a sensor.
         spike_times = [
             np.unique(
                 np.concatenate([stretch.measured[name].time[part] for name, part in zip(fields, parts, strict=True)])
@@ -34,12 +34,12 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
         ]
         count = sum(len(times) for times in spike_times)
         total = sum(max(len(stretch.measured[name].time) for name in fields) for stretch in stretches)
-        if not count or count > settings.most_spikes * total:
+        if not count or count > settings.max_spike_share * total:
             continue
         first = next(times[0] for times in spike_times if len(times))
         message = (
             f"{count} readings of the {sensor} ({100 * count / total:.2g} %) are spikes, far from the readings before "
-            "and after; they are left out"
+            "and after them; they are left out"
         )
         findings.append(Finding("spikes", "warning", f"{raw.name}, first at {first:.1f} s", message))
         stretches = [_without(stretch, fields, part) for stretch, part in zip(stretches, spike_times, strict=True)]
@@ -47,7 +47,7 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
 
 
 def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray]:
-    """Mark readings (n,) of each stretch that deviate from both sides by much more than usual, at most two in a row."""
+    """Mark isolated readings (n,) of each stretch, at most two in a row, that deviate strongly from both neighbours."""
     deviations = [_deviations(part) for part in values]
     all_deviations, readings = np.concatenate(deviations), np.concatenate(values)
     if len(all_deviations) < _MIN_READINGS:
@@ -59,7 +59,7 @@ def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray
 
 
 def _deviations(values: FloatArray) -> FloatArray:
-    """Compute the deviations (n, width) of readings from their neighbours; 0 between the neighbours."""
+    """Compute the deviations (n, width) of readings from their neighbours; 0 for values between the neighbours."""
     deviation = np.zeros_like(values)
     if not len(values):
         return deviation  # a stretch without readings of the sensor
@@ -87,16 +87,16 @@ def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     sizes = [np.abs(np.concatenate([stretch.measured[name].value for stretch in raw.stretches])) for name in names[:1]]
     for size in (column for table in sizes for column in table.T):
         levels, zero_share = np.unique(size[size > 0]), float(np.mean(size == 0))
-        if len(levels) < _MIN_READINGS or zero_share < settings.clipped_readings:
+        if len(levels) < _MIN_READINGS or zero_share < settings.clipped_share:
             continue
-        # The levels must be finer than the minimum speed (no coarse quantisation), and many must be close to it.
-        bound = settings.dead_resolution * np.array([levels[0], levels[-1]])
+        # A dead zone has levels that are finer than the minimum speed, unlike coarse quantisation, and many near it.
+        bound = settings.dead_zone_resolution * np.array([levels[0], levels[-1]])
         slow_count = np.count_nonzero(levels < 2.0 * levels[0])
-        if np.median(np.diff(levels)) < bound[0] and levels[0] > bound[1] and slow_count >= settings.fewest_samples:
+        if np.median(np.diff(levels)) < bound[0] and levels[0] > bound[1] and slow_count >= settings.min_samples:
             unit = "rad/s" if names[0] != "twist" else "m/s or rad/s"
             message = (
                 f"the encoders read 0 below {levels[0]:.3g} {unit}, in {100 * zero_share:.0f} % of the readings: the "
-                "counting interval is too short; log running counts (`unit: ticks`), or drive faster than that"
+                "counting interval is too short; log running counts (`unit: ticks`), or drive faster"
             )
             return [Finding("dead readings", "warning", raw.name, message)]
     return []
@@ -109,33 +109,33 @@ def check_publishers(raw: RawLog, settings: CheckSettings) -> list[Finding]:
         size, nonzero = np.linalg.norm(command.value, axis=1), np.flatnonzero(command.value.any(axis=1))
         before, after = nonzero[:-1], nonzero[1:]
         change = np.linalg.norm(command.value[after] - command.value[before], axis=1)
-        is_short = command.time[after] - command.time[before] < settings.longest_moment
-        zero_count += int(np.sum((after - before > 1) & (change < settings.same_command * size[before]) & is_short))
+        is_short = command.time[after] - command.time[before] < settings.zero_duration
+        zero_count += int(np.sum((after - before > 1) & (change < settings.command_change * size[before]) & is_short))
         total += len(nonzero)
-    if zero_count < max(settings.fewest_samples, settings.publisher_share * total):
+    if zero_count < max(settings.min_samples, settings.publisher_share * total):
         return []
     message = (
-        f"the command falls to zero {zero_count} times for less than {settings.longest_moment:g} s and returns to its "
+        f"the command falls to zero {zero_count} times for less than {settings.zero_duration:g} s and returns to its "
         "value: a second publisher sends zeros; stop it (`ros2 topic info -v` lists the publishers), and record again"
     )
     return [Finding("second publisher", "error", raw.name, message)]
 
 
 def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
-    """Return the number of rows for which each reading (n, width) is held; 1 without holds, None if unclear.
+    """Return the number of rows for which each reading (n, width) is held; None if it is unclear.
 
-    The result is based on the distances between changes. Held readings change after multiples of the period, even with
-    a coarse resolution. If the period is not a whole number of rows, quickly changing readings change after one of two
-    adjacent numbers of rows.
+    The result is based on the distances between changes. Held readings change after multiples of the period, even if
+    their resolution is coarse. If the period is not a whole number of rows, quickly changing readings change after one
+    of two adjacent numbers of rows.
     """
     readings = readings[np.isfinite(readings).all(axis=1)]
     changes = 1 + np.flatnonzero((np.diff(readings, axis=0) != 0).any(axis=1))
     gaps = np.diff(changes)
-    if len(readings) < _MIN_READINGS or len(gaps) < settings.fewest_samples:
+    if len(readings) < _MIN_READINGS or len(gaps) < settings.min_samples:
         return None
     half_window = 4
     padded = np.pad(readings, ((half_window, half_window), (0, 0)), mode="edge")
-    # Change over several rows, relative to the range: holds can only be counted while the readings change quickly.
+    # Change over several rows relative to the range; hold times are only visible while the readings change quickly.
     slope = np.max(
         np.abs(padded[2 * half_window :] - padded[: -2 * half_window]) / np.maximum(np.ptp(readings, 0), 1e-12), axis=1
     )
@@ -153,32 +153,33 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
 
 
 def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:
-    """Return the finding if the stamps (n,) [s] of the rows are unusable; None for stamps that increase evenly.
+    """Return the finding if the stamps (n,) [s] of the rows are unusable; None for regular stamps.
 
     Parameters
     ----------
     name
         Name of the log.
     time, readings
-        Stamps, and one measured signal (n,) in the order of the rows, whose smoothness indicates the true order.
+        (n,) stamps [s], and (n,) a measured signal in the order of the rows; its smoothness indicates the true order.
     settings
         The thresholds.
     """
     steps = np.diff(time)
-    if len(steps) < settings.fewest_samples:
+    if len(steps) < settings.min_samples:
         return None
     backward_count = int((steps < 0).sum())
-    if backward_count > max(3.0, settings.disordered * len(steps)):
+    if backward_count > max(3.0, settings.backward_share * len(steps)):
         # Readings are smooth in their true order.
         order = np.argsort(time, kind="stable")
-        as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
-        mean_step = float(np.ptp(time)) / len(steps)
-        remedy = (
-            "sort the rows by their time" if in_order <= as_written else "the rows are in order and the stamps are not"
+        row_variation, time_variation = (
+            float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order])
         )
+        is_sortable = time_variation <= row_variation
+        mean_step = float(np.ptp(time)) / len(steps)
+        remedy = "sort the rows by their time" if is_sortable else "the rows are in order and the stamps are not"
         message = f"time runs backwards {backward_count} times in {len(steps)} steps: {remedy}"
-        by_rows = () if in_order <= as_written else (MappingChange("time", "sample_time", float(f"{mean_step:.4g}")),)
-        return Finding("shuffled stamps", "error", name, message, changes=by_rows)
+        changes = () if is_sortable else (MappingChange("time", "sample_time", float(f"{mean_step:.4g}")),)
+        return Finding("shuffled stamps", "error", name, message, changes=changes)
     typical = float(np.median(steps))
     forward = steps[(steps > 0) & (steps < settings.clock_jump)]
     if not len(forward):
@@ -191,8 +192,8 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
             f"stamps come in bursts: most steps are {typical:.2g} s, with pauses of {pause:.2g} s and a mean of "
             f"{mean_step:.3g} s; the rows were stamped when they were written, not when the sensors were read"
         )
-        by_rows = (MappingChange("time", "sample_time", float(f"{mean_step:.3g}")),)
-        return Finding("bursty stamps", "error", name, message, changes=by_rows)
+        changes = (MappingChange("time", "sample_time", float(f"{mean_step:.3g}")),)
+        return Finding("bursty stamps", "error", name, message, changes=changes)
     return None
 
 
@@ -209,10 +210,10 @@ def check_period(name: str, period: float, settings: CheckSettings) -> Finding |
 
 
 def in_degrees(heading: FloatArray) -> bool:
-    """Return True if headings (n,) declared in radians have steps of values in degrees.
+    """Return True if the steps of headings (n,) that are declared as radians indicate degrees.
 
-    Between readings, radians change by less than 1.5 modulo a full turn; degrees change by up to 360. Headings within
-    10 count as radians, because poses that restart leap, too.
+    Between readings, headings in radians change by less than 1.5 modulo a full turn, and headings in degrees by up to
+    360. Headings with a range of less than 10 count as radians, because poses also leap when they restart.
     """
     steps = np.abs(np.diff(heading[np.isfinite(heading)]))
     steps = steps[steps > 0]

@@ -1,4 +1,4 @@
-"""Checks of signs, units and axes by the agreement of streams that measure the same quantity."""
+"""Checks of signs, units and axes by comparison of streams that measure the same quantity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.limits import within_limits
+from diffdrive_mpc.models.logs.diagnosis.limits import apply_best_limits
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, fit_response
 from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
@@ -26,7 +26,7 @@ _UNITS: dict[tuple[str, int], tuple[str, ...]] = {
 }
 """Possible units of the columns of a stream, by stream and channel."""
 _SAME_FACTOR = 0.1
-"""Maximum log ratio of indistinguishable units; m/s and rev/s are alike for a wheel radius of 0.16 m."""
+"""Maximum log ratio of indistinguishable units: for a wheel radius of 0.16 m, m/s and rev/s have equal factors."""
 _SIGNALS = {
     (COMMAND, 0): "v of the command",
     (COMMAND, 1): "omega of the command",
@@ -45,9 +45,9 @@ class _CommandRelation:
     Attributes
     ----------
     size
-        Ratio of magnitudes.
+        Ratio of the stream to the command.
     correlation
-        Correlation at the best lag, with the sign of `size`, because few changes do not determine the sign.
+        Correlation at the best lag with the sign of `size`, because the correlation of few changes has a random sign.
     """
 
     size: float
@@ -55,7 +55,7 @@ class _CommandRelation:
 
 
 def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about contradictory axes, headings and motion of poses; correct `streams`."""
+    """Return findings about poses whose axes, heading and motion are inconsistent; correct `streams`."""
     if streams.pose is None:
         return []
     relations = _command_relations(streams, 1, settings)
@@ -67,17 +67,17 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     size = float((np.abs(motion[is_used]) * np.abs(direction[is_used])).sum())
     if not is_used.any() or size == 0 or np.ptp(streams.command[is_used, 0]) == 0:
         return []
-    # Without a fault, motion turned back by the heading is real and positive. For a mirrored pose, that holds for the
-    # conjugate of the motion, up to an angle that shows which axis is wrong.
-    along = complex((motion * heading * direction)[is_used].sum()) / size
-    across = complex((np.conj(motion) * heading * direction)[is_used].sum()) / size
-    if abs(across) < settings.clear_correlation or abs(across) < 1.5 * abs(along):
+    # The motion in the frame of a correct pose is real and positive. For a mirrored pose, the conjugate of the motion
+    # is constant instead, and its angle indicates the wrong axis.
+    regular = complex((motion * heading * direction)[is_used].sum()) / size
+    mirrored = complex((np.conj(motion) * heading * direction)[is_used].sum()) / size
+    if abs(mirrored) < settings.clear_correlation or abs(mirrored) < 1.5 * abs(regular):
         return _rotation_finding(log, streams, settings)
     if is_inverted:
         streams.pose = streams.pose * [1.0, 1.0, -1.0]
-        message = "omega of the pose has the opposite sign of the command and of the path of the pose"
+        message = "omega of the pose has the opposite sign to the command and to the path of the pose"
         return [Finding("wrong sign", "error", log, message, changes=(MappingChange(POSE, "theta.sign", -1),))]
-    angle = math.degrees(np.angle(across))
+    angle = math.degrees(np.angle(mirrored))
     if abs(abs(angle) - 90) < 30:
         streams.pose = streams.pose[:, [1, 0, 2]]
         message = "the pose moves as if x and y were exchanged: exchange the columns of 'x' and 'y' of the pose"
@@ -94,7 +94,8 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return the finding for a constant angle between the heading of the pose and the direction of motion.
 
-    A point away from the centre of rotation moves sideways with omega; this part is attributed to omega.
+    A point away from the centre of rotation also moves sideways in proportion to omega; a regression separates this
+    part from the rotation.
     """
     assert streams.pose is not None
     step = streams.pose_rates()
@@ -103,7 +104,7 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     is_used = np.isfinite(velocity) & np.isfinite(v) & np.isfinite(step[:, 2])
     rows, velocity = np.column_stack([v, step[:, 2]])[is_used].astype(complex), velocity[is_used]
     commands = streams.command[is_used]
-    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinear:
+    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinearity:
         return []  # the effects of v and omega cannot be separated
     coefficients, *_ = np.linalg.lstsq(rows, velocity, rcond=None)
     explained = 1 - np.sum(np.abs(velocity - rows @ coefficients) ** 2) / max(
@@ -111,7 +112,7 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     )
     offset = -float(np.angle(coefficients[0]))
     # Half a turn indicates a wrong sign.
-    if explained < settings.clear_correlation**2 or not settings.turned_pose < abs(offset) < np.pi - 0.5:
+    if explained < settings.clear_correlation**2 or not settings.pose_rotation < abs(offset) < np.pi - 0.5:
         return []
     streams.pose = streams.pose - [0.0, 0.0, offset]
     message = (
@@ -121,17 +122,17 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     return [Finding("turned pose", "warning", log, message, changes=(change,))]
 
 
-def _swapped_sides(log: str, relations: dict[str, _CommandRelation], streams: Streams) -> Finding | None:
-    """Return the finding if gyro and pose contradict commands and encoders; correct `streams`."""
-    body, sides = [name for name in (GYRO, POSE) if name in relations], relations.get(ENCODERS)
-    if len(body) < 2 or sides is None or streams.wheels is None or sides.correlation < 0:
+def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], streams: Streams) -> Finding | None:
+    """Return the finding if gyro and pose turn in the opposite direction of the encoders; correct `streams`."""
+    body_sensors, encoders = [name for name in (GYRO, POSE) if name in relations], relations.get(ENCODERS)
+    if len(body_sensors) < 2 or encoders is None or streams.wheels is None or encoders.correlation < 0:
         return None
-    if any(relations[name].correlation > 0 for name in body):
+    if any(relations[name].correlation > 0 for name in body_sensors):
         return None
     for name in (COMMAND, ENCODERS):
         _invert(streams, name, 1)
     message = (
-        "gyro and pose turn in the opposite direction of command and encoders: exchange left and right of the "
+        "gyro and pose turn in the opposite direction to command and encoders: exchange left and right of the "
         "encoders and of the commands"
     )
     command = (
@@ -159,7 +160,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 findings.append(_weak_finding(log, name, channel, relation, max_correlation, settings))
                 _remove(streams, name)
                 del relations[name]
-        if channel == 1 and (swapped := _swapped_sides(log, relations, streams)):
+        if channel == 1 and (swapped := _swapped_sides_finding(log, relations, streams)):
             findings.append(swapped)
             continue
         inverted = [name for name, relation in relations.items() if relation.correlation < 0]
@@ -175,7 +176,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 if all_inverted
                 else relations[name].correlation
             )
-            message = f"{signal} has the opposite sign of {reference} (correlation {minimum:.2f})"
+            message = f"{signal} has the opposite sign to {reference} (correlation {minimum:.2f})"
             changes = _sign_changes(name, channel, streams)
             _invert(streams, name, channel)
             if (
@@ -183,7 +184,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 and ENCODERS in (others := _command_relations(streams, 1, settings))
                 and others[ENCODERS].correlation < 0
             ):
-                _invert(streams, ENCODERS, 1)  # reversed wheels invert v and omega
+                _invert(streams, ENCODERS, 1)  # reversed wheels invert both v and omega
                 changes += _sign_changes(ENCODERS, 1, streams)
             findings.append(Finding("wrong sign", "error", log, message, changes=changes))
     return findings
@@ -197,20 +198,20 @@ def _weak_finding(
         f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.correlation:.2f}); check "
         f"the column{restarts}, and that the robot executed these commands"
     )
-    # If another sensor responds, this one is faulty. Poses are not used for the model.
+    # The sensor is faulty if another sensor responds. For poses a warning suffices, as the model does not use them.
     is_faulty = name != POSE and max_correlation > settings.clear_correlation
     return Finding("weak response", "error" if is_faulty else "warning", log, message)
 
 
 def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about streams whose magnitude contradicts the others; correct `streams`."""
+    """Return findings about streams whose scale contradicts that of the others; correct `streams`."""
     findings: list[Finding] = []
     for channel in (0, 1):
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
         sizes = _magnitudes(streams, channel, settings)
         if len(sizes) > 1 and _find_outlier(sizes, low, high) is not None:
-            # A limit of the base also reduces the response, which must not be taken for a unit.
-            streams.command = within_limits(streams, channel, settings).command
+            # A limit of the base also reduces the response; without it, the reduction would appear as a wrong unit.
+            streams.command = apply_best_limits(streams, channel, settings).command
             sizes = _magnitudes(streams, channel, settings)
         while len(sizes) > 1:
             outlier = _find_outlier(sizes, low, high)
@@ -220,10 +221,10 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 outlier == ENCODERS
                 and len(sizes) == 2
                 and streams.commands_wheels
-                and _command_is_odd(streams, settings)
+                and _has_wrong_command_unit(streams, settings)
             ):
                 outlier = COMMAND
-            # Gyro and pose measure the body; wheels follow commands even if the robot skids.
+            # Gyro and pose both measure the body, so compare them; wheels follow their commands despite skid.
             partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(outlier, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != outlier]
             reference = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
@@ -240,22 +241,22 @@ def _magnitudes(streams: Streams, channel: int, settings: CheckSettings) -> dict
     return {COMMAND: 1.0} | {name: abs(relation.size) for name, relation in relations.items() if relation.size}
 
 
-def _command_is_odd(streams: Streams, settings: CheckSettings) -> bool:
-    """Return True if omega indicates that the wheel commands, not the encoders, have a wrong unit."""
+def _has_wrong_command_unit(streams: Streams, settings: CheckSettings) -> bool:
+    """Return True if the magnitudes of omega indicate a wrong unit of the wheel commands instead of the encoders."""
     sizes = _magnitudes(streams, 1, settings)
     return len(sizes) > 2 and _find_outlier(sizes, *settings.gain_of_omega) == COMMAND
 
 
 def _find_outlier(sizes: dict[str, float], low: float, high: float) -> str | None:
-    """Return the stream with the largest implausible ratio to the others' median; of two streams, the sensor."""
-    logs = {name: math.log(size) for name, size in sizes.items()}
+    """Return the stream with the largest implausible ratio to the median of the others; of two streams, the sensor."""
+    log_sizes = {name: math.log(size) for name, size in sizes.items()}
     selected = None
     for name in sizes:
-        others = [value for log_name, value in logs.items() if log_name != name]
-        difference = logs[name] - float(np.median(others))
+        others = [value for other_name, value in log_sizes.items() if other_name != name]
+        difference = log_sizes[name] - float(np.median(others))
         bound = (low, high) if name not in (COMMAND, ENCODERS) else (1 / high, 1 / low)
         is_outside = not math.log(bound[0]) <= difference <= math.log(bound[1])
-        # In a tie of sensor and command, the sensor is selected.
+        # In a tie between sensor and command, select the sensor.
         rank = (abs(difference) if is_outside else -1.0, name != COMMAND)
         if is_outside and (selected is None or rank > selected[0]):
             selected = (rank, name)
@@ -271,10 +272,10 @@ def _unit_finding(
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
         factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
-    # With skidding wheels the body turns less than the wheels indicate.
-    skid = settings.usual_skid if skids else 1.0
+    # A body with skidding wheels turns less than the wheels indicate.
+    skid = settings.typical_skid if skids else 1.0
     deviation = {unit: abs(math.log(ratio / (skid * factor))) for unit, factor in factors.items()}
-    # If SI data are declared in that unit, the effect is inverse.
+    # Data in SI units that are declared in another unit have the inverse ratio.
     deviation |= {
         f"{_si_unit(unit)} (and not {unit})": abs(math.log(ratio * factor / skid))
         for unit, factor in factors.items()
@@ -293,7 +294,7 @@ def _unit_finding(
         else:
             units = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
             remedy = f"its column has {units}; the log does not distinguish them"
-    elif (name == ENCODERS or wheels) and ratio > settings.most_unit_gain:
+    elif (name == ENCODERS or wheels) and ratio > settings.max_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no supported unit explains this; check its column, its unit and the lengths under 'wheels'"
@@ -315,7 +316,7 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
 
 
 def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
-    """Return the changes that invert a channel; for omega of wheels, an exchange of sides."""
+    """Return the changes that invert a channel; `apply_changes` converts those of wheel columns."""
     columns = _columns(name, channel, streams)
     if columns[0] in (*SIDES, *FOUR_WHEELS):
         columns = (CHANNELS[channel],)
@@ -329,7 +330,7 @@ def _si_unit(unit: str) -> str:
 
 
 def _wheel_radius(streams: Streams) -> float | None:
-    """Return the wheel radius that the mapping used to compute v [m]; None without wheels."""
+    """Return the wheel radius [m] with which the mapping computed v; None if there are no wheels."""
     if streams.wheels is None or streams.twist is None:
         return None
     mean, v = streams.wheels.mean(axis=1), streams.twist[:, 0]
@@ -339,7 +340,7 @@ def _wheel_radius(streams: Streams) -> float | None:
 
 
 def _command_relations(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _CommandRelation]:
-    """Compute the relation of each sensor of the channel to the command; empty for a constant command."""
+    """Compute the relation of each sensor of the channel to the command; return {} for a constant command."""
     relations = {}
     for name in streams.sensors(channel):
         response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
@@ -364,7 +365,7 @@ def _invert(streams: Streams, name: str, channel: int) -> None:
 
 
 def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
-    """Scale one channel of a stream, or all channels if they share their columns and `factor` is positive."""
+    """Scale one channel of a stream, or both if they are computed from the same columns and `factor` is positive."""
     columns = np.where(np.arange(2) == channel, factor, 1.0)
     if name == COMMAND:
         shared = streams.commands_wheels and factor > 0
@@ -386,7 +387,7 @@ def check_presence(log: str, streams: Streams) -> list[Finding]:
         if np.nanmax(command) == np.nanmin(command):
             continue
         for name in streams.sensors(channel):
-            # Stretches shorter than the pose's window have no speeds, which is not a fault of the pose.
+            # Stretches shorter than the window of `pose_rates` have no speeds; use the coordinates of the pose instead.
             values = streams.channel(name, channel)
             if name == POSE and streams.pose is not None:
                 values = streams.pose[:, :2] if channel == 0 else streams.pose[:, 2]

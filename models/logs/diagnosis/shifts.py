@@ -1,4 +1,4 @@
-"""Detection of time shifts between streams, including non-causal ones."""
+"""Detection of time shifts between streams, including responses that precede their commands."""
 
 from __future__ import annotations
 
@@ -47,29 +47,29 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
             response = fit_response(streams, a, b, settings, intervals=True, both_measured=True)
             if response is None or response.correlation[0] < settings.clear_correlation:
                 continue
-            if (first, second) not in shifts or channel == 1:  # turns determine the shift better
+            if (first, second) not in shifts or channel == 1:  # omega determines the shift more accurately than v
                 shifts[first, second] = (
                     response.dead_time,
                     response.deviation if np.isfinite(response.deviation) else 0.0,
                 )
-    shifted = {
+    significant = {
         pair: value for pair, value in shifts.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])
     }
-    if not shifted:
+    if not significant:
         return []
-    name = _shifted_sensor(shifted, streams, settings)
-    signed = [
+    name = _shifted_sensor(significant, streams, settings)
+    delays = [
         (shift if pair[1] == name else -shift, deviation)
-        for pair, (shift, deviation) in shifted.items()
+        for pair, (shift, deviation) in significant.items()
         if name in pair
     ]
-    # A filter is not a shift: a `delay` in the mapping would not correct it.
-    if lagging := _lag_finding(log, name, signed[0][0] > 0, shifted, streams, settings):
-        return [lagging]
-    delay, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
+    # Check for a filter first, because a `delay` in the mapping would not correct its lag.
+    if lag_finding := _lag_finding(log, name, delays[0][0] > 0, significant, streams, settings):
+        return [lag_finding]
+    delay, deviation = (float(np.mean([part[i] for part in delays])) for i in (0, 1))
     if abs(delay) <= settings.sensor_shift:
-        return []  # later than one sensor and earlier than another
-    others = sorted({sensor for pair in shifted for sensor in pair} - {name})
+        return []  # the sensor is later than one sensor and earlier than another
+    others = sorted({sensor for pair in significant for sensor in pair} - {name})
     message = (
         f"the {name} is {abs(delay):.2f} +- {1.96 * deviation:.2f} s {'later' if delay > 0 else 'earlier'} than the "
         f"{' and the '.join(others)}"
@@ -86,7 +86,7 @@ def _lag_finding(
     streams: Streams,
     settings: CheckSettings,
 ) -> Finding | None:
-    """Return the finding if a lag explains the difference of sensors clearly better than a shift; else None."""
+    """Return the finding if a lag explains the difference between sensors clearly better than a shift; else None."""
     residuals, lags, late_sensors = [], [], set()
     for (first, second), (shift, _) in shifted.items():
         if name not in (first, second):
@@ -102,7 +102,7 @@ def _lag_finding(
         lags.append(2 * lagged_fit.lag)
         late_sensors.add(late)
     lag_residual, shift_residual = np.mean(residuals, axis=0)
-    if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape) * shift_residual):
+    if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape_ratio) * shift_residual):
         return None
     lag = float(np.mean(lags))
     if (
@@ -127,7 +127,11 @@ def _lag_finding(
 def _shifted_sensor(
     shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings
 ) -> str:
-    """Return the sensor in most of the pairs; in a tie, the sensor that precedes its command, or else the later one."""
+    """Return the sensor that occurs in most of the shifted pairs.
+
+    In a tie, return the earlier sensor of the pair with the largest shift if it precedes its command, else the later
+    sensor.
+    """
     names = sorted({name for pair in shifted for name in pair})
     counts = [sum(name in pair for pair in shifted) for name in names]
     if len(names) > 2 and counts.count(max(counts)) == 1:
@@ -136,7 +140,7 @@ def _shifted_sensor(
     early, late = (first, second) if shift > 0 else (second, first)
     responses = _clear_responses(streams, settings)
     dead_times = [response.dead_time for (name, _), response in responses.items() if name == early]
-    return early if dead_times and min(dead_times) < -settings.earliest_response else late
+    return early if dead_times and min(dead_times) < -settings.response_lead else late
 
 
 def _shift(streams: Streams, name: str, seconds: float) -> None:
@@ -151,6 +155,7 @@ def _shift(streams: Streams, name: str, seconds: float) -> None:
 def _check_command_times(
     log: str, streams: Streams, responses: dict[tuple[str, int], StreamResponse], settings: CheckSettings
 ) -> list[Finding]:
+    """Return at most one finding: the stamps of the commands are late, or all sensors respond late."""
     if not responses:
         return []
     times = [response.dead_time for response in responses.values()]
@@ -159,19 +164,19 @@ def _check_command_times(
     deviation = float(
         np.hypot(scatter, np.nan_to_num(np.nanmedian(deviations)) if np.isfinite(deviations).any() else 0.0)
     )
-    # The lead must be significant, because sensors differ in a short drive.
+    # The lead must be significant, because the dead times of sensors scatter in a short drive.
     is_early = median + 2 * deviation < 0
-    if is_early and median < -settings.earliest_response and _precedes_commands(streams, responses, settings):
+    if is_early and median < -settings.response_lead and _precedes_commands(streams, responses, settings):
         message = (
             f"every sensor responds {-median:.2f} +- {2 * deviation:.2f} s before its command, which is impossible: "
-            "the commands are stamped late"
+            "the stamps of the commands are late"
         )
-        delay = MappingChange(COMMAND, "delay", round(settings.usual_response - median, 2))
+        delay = MappingChange(COMMAND, "delay", round(settings.default_dead_time - median, 2))
         return [Finding("time shift", "error", log, message, changes=(delay,))]
-    if median > settings.late_response:
+    if median > settings.long_dead_time:
         message = (
             f"all sensors respond to the command only after {median:.2f} +- {2 * deviation:.2f} s; if the robot is "
-            "faster, the commands are stamped early and need a negative `delay`"
+            "faster, the stamps of the commands are early and need a negative `delay`"
         )
         return [Finding("time shift", "note", log, message)]
     return []
@@ -180,11 +185,11 @@ def _check_command_times(
 def _precedes_commands(
     streams: Streams, responses: dict[tuple[str, int], StreamResponse], settings: CheckSettings
 ) -> bool:
-    """Return True if sensors respond to later commands; a different shape of the lag can appear as a lead."""
+    """Return True if later commands explain the sensors; otherwise the lead is due to the shape of the response."""
     shares = []
     for name, channel in responses:
         command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)
         assert command is not None and values is not None
         if name != POSE:
             shares.append(explained_by_future(streams, command, values, settings))
-    return bool(shares) and float(np.median(shares)) > settings.foresight
+    return bool(shares) and float(np.median(shares)) > settings.future_share

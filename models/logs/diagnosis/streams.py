@@ -22,9 +22,10 @@ _BLOCKS = 5
 
 @dataclass
 class Streams:
-    """All stretches of one log in sequence, N samples, with NaN between them and for missing readings.
+    """Signals of all stretches of one log in sequence, with N samples.
 
-    Checks correct the streams after they report a fault, so that each fault is reported once. Records stay unchanged.
+    Samples between stretches and missing readings are NaN. Checks correct the streams after they report a fault, so
+    that each fault is reported once; the records of the log are unchanged.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class Streams:
     commands_wheels: bool = False
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
-        """Return v (0) or omega (1) of a stream (N,), or None; speeds of the pose are means over its window."""
+        """Return v (channel 0) or omega (1) of a stream (N,), averaged over the window for poses; None if missing."""
         if name == COMMAND:
             return self.command[:, channel]
         if name == ENCODERS:
@@ -68,9 +69,9 @@ class Streams:
         if self.pose is None:
             return None
         step = self.pose_rates()
-        # Rotated into the frame of the robot: the real part is forward.
-        along = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * self.pose[:, 2])
-        return np.asarray(along.real if channel == 0 else step[:, 2])
+        # Velocity in the frame of the robot; the real part is forward.
+        velocity = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * self.pose[:, 2])
+        return np.asarray(velocity.real if channel == 0 else step[:, 2])
 
     def pose_rates(self) -> FloatArray:
         """Compute rates of x, y, theta of the pose (N, 3) by central differences over its window."""
@@ -85,7 +86,7 @@ class Streams:
         return [name for name in SENSORS if self.channel(name, channel) is not None]
 
     def speed_sensors(self, channel: int) -> list[str]:
-        """List the sensors that measure the channel directly; poses are excluded."""
+        """List the sensors that measure the channel directly, without poses."""
         return [name for name in self.sensors(channel) if name != POSE]
 
     def map_stretches(self, function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
@@ -134,7 +135,10 @@ class Streams:
         return np.asarray(np.where(is_known, total / np.maximum(weight, 1e-9), np.nan))
 
     def pair(self, first: str, second: str, channel: int) -> tuple[FloatArray, FloatArray]:
-        """Return v (0) or omega (1) of two streams, (N,) and (N,); if one is the pose, the other is averaged."""
+        """Return v (channel 0) or omega (1) of two streams, (N,) and (N,).
+
+        If one stream is the pose, the other is averaged over the window of the pose.
+        """
         a, b = self.channel(first, channel), self.channel(second, channel)
         assert a is not None and b is not None
         if POSE not in (first, second):
@@ -142,7 +146,7 @@ class Streams:
         return a if first == POSE else self.smooth(a), b if second == POSE else self.smooth(b)
 
     def crop(self, values: FloatArray, seconds: float) -> FloatArray:
-        """Replace `seconds` at each end of the stretches of values (N, ...) by NaN, at most a sixth of a stretch."""
+        """Set `seconds` at each end of each stretch of values (N, ...) to NaN, but at most a sixth of a stretch."""
 
         def crop_part(part: FloatArray) -> FloatArray:
             count = min(round(seconds / self.dt), len(part) // 6)
@@ -165,11 +169,11 @@ def _interpolate_missing(values: FloatArray) -> FloatArray:
 
 def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     """Build the streams of all records."""
-    stride = max(1, round(settings.compared_every / records[0].dt))
+    stride = max(1, round(settings.comparison_step / records[0].dt))
     dt = stride * records[0].dt
     counts = [-(-len(record.command) // stride) for record in records]
-    # The gap between stretches is longer than any shift, so no pair of samples crosses it.
-    padding = round((settings.longest_lag + settings.longest_lead) / dt) + 1
+    # Gaps between stretches are longer than any shift, so that no pair of samples is from two stretches.
+    padding = round((settings.max_dead_time + settings.max_lead) / dt) + 1
     ends = padding + np.cumsum([count + padding for count in counts])
     total = int(ends[-1])
     slices = tuple(
@@ -191,7 +195,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     time = gather("time")
     assert command is not None and time is not None
     # Values below the threshold are rounding residues, not commands.
-    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.least_command, command, 0.0 * command)
+    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.zero_command, command, 0.0 * command)
     four = gather("wheel_speeds")
     return Streams(
         dt=dt,
@@ -208,7 +212,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
 
 
 def _covered_samples(fresh: BoolArray) -> BoolArray:
-    """Mark samples (K,) on readings and between readings with normal distances."""
+    """Mark samples (K,) at readings, and between two readings at the usual distance."""
     samples = np.flatnonzero(fresh)
     covered = np.zeros(len(fresh), dtype=bool)
     if len(samples) < 2:
@@ -227,8 +231,8 @@ class StreamResponse:
     Attributes
     ----------
     dead_time, deviation
-        Dead time of the response [s], negative if the response precedes the input, and its standard deviation from
-        parts of the log.
+        Dead time of the response [s], negative if the response precedes the input, and its standard deviation, from
+        the scatter between parts of the log.
     lag
         Time constant of each of two equal lags after the dead time [s].
     gain
@@ -236,7 +240,8 @@ class StreamResponse:
     correlation
         (m,) correlation of each output with the best combination of inputs; for one input, with the sign of the gain.
     size
-        Ratio of the first output to the first input including constant parts, for drives at an almost constant speed.
+        Ratio of the first output to the first input, including their means; it is also valid for drives at almost
+        constant speed.
     """
 
     dead_time: float
@@ -264,22 +269,22 @@ def fit_response(
 ) -> StreamResponse | None:
     """Fit the response of `outputs` (N,) or (N, m) to `inputs` (N,) or (N, c); return None if either is constant.
 
-    Commands pass two equal lags and a dead time, which may be negative. Between two sensors (`both_measured`) only a
-    shift is fitted unless `lags` are given. The correlations at all shifts are computed by Fourier transforms over the
-    common samples. With `intervals` the standard deviation of the dead time is estimated.
+    The response to commands has two equal lags and a dead time, which may be negative. Between two sensors
+    (`both_measured`), only a shift is fitted unless `lags` are given. The correlations at all shifts are computed by
+    Fourier transforms over the common samples. With `intervals`, the standard deviation of the dead time is estimated.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
-        lags, span = lags or [0.0], (-settings.longest_shift, settings.longest_shift)
+        lags, span = lags or [0.0], (-settings.max_shift, settings.max_shift)
     else:
-        lags, span = lags or settings.lags, (-settings.longest_lead, settings.longest_lag)
+        lags, span = lags or settings.lags, (-settings.max_lead, settings.max_dead_time)
         if not (np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)).any():
             return None
         u, streams = _with_initial_commands(streams, u, y, settings)
 
     def filtered_input(lag: float) -> FloatArray:
         values = streams.low_pass(u, lag)
-        return streams.crop(values, settings.longest_shift) if both_measured else values
+        return streams.crop(values, settings.max_shift) if both_measured else values
 
     low, high = (round(seconds / streams.dt) for seconds in span)
     best: tuple[float, float, FloatArray] | None = None
@@ -308,12 +313,13 @@ def fit_response(
 def _with_initial_commands(
     streams: Streams, u: FloatArray, y: FloatArray, settings: CheckSettings
 ) -> tuple[FloatArray, Streams]:
-    """Extend the inputs before each stretch by the command that explains its first readings with the steady gains.
+    """Extend the inputs before each stretch by the constant command that explains its first readings.
 
-    This is needed if each stretch has one step of the command, because only the start then determines the dead time.
+    The command follows from the steady gains. The extension is needed if each stretch has one step of the command at
+    its start, because only this step then determines the dead time.
     """
-    padding = round(settings.longest_lag / streams.dt)
-    gain, _ = _regress(u, y, round(0.5 * settings.longest_lag / streams.dt))
+    padding = round(settings.max_dead_time / streams.dt)
+    gain, _ = _regress(u, y, round(0.5 * settings.max_dead_time / streams.dt))
     inverse = np.linalg.pinv(gain)
     u = u.copy()
     low, high = np.nanmin(u, axis=0), np.nanmax(u, axis=0)
@@ -328,10 +334,10 @@ def _with_initial_commands(
 
 
 def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> FloatArray | None:
-    """Compute the share (shifts,) of the variance of y (N, m) that u (N, c) explains at each shift, mean over m.
+    """Compute the share (shifts,) of the variance of y (N, m) that u (N, c) explains at each shift, averaged over m.
 
-    For one input and output, negative gains are accepted only if positive gains explain clearly less: a periodic drive
-    is similar to its inverse half a period later.
+    For one input and one output, negative gains are accepted only if positive gains explain clearly less, because a
+    periodic drive is similar to its inverse half a period later.
     """
     finite_u, finite_y = (np.asarray(np.isfinite(part).all(axis=1)) for part in (u, y))
     if finite_u.sum() < 2 or finite_y.sum() < 2:
@@ -356,7 +362,7 @@ def _explained_variance(u: FloatArray, y: FloatArray, low: int, high: int) -> Fl
     # Share of the variance that the regression on all inputs explains, at each shift.
     explained = np.einsum("lcm,cd,ldm->lm", cross, np.linalg.inv(inner), cross) / np.maximum(energy, 1e-300)
     explained_variance = explained.mean(axis=1)
-    # Few pairs correlate by chance.
+    # Shifts with few pairs are ignored, because few pairs correlate by chance.
     explained_variance[pairs < 0.5 * pairs.max()] = 0.0
     if u.shape[1] == y.shape[1] == 1:
         positive = explained_variance * (cross[:, 0, 0] > 0)
@@ -376,7 +382,7 @@ def _peak(explained_variance: FloatArray, low: int) -> float:
 
 
 def finite_pairs(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of u, and the rows of y `shift` samples later, that are both finite."""
+    """Return the rows of u and the rows of y `shift` samples later for which both are finite."""
     if shift >= 0:
         u, y = u[: len(u) - shift], y[shift:]
     else:
@@ -397,11 +403,12 @@ def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, Floa
 
 
 def explained_by_future(streams: Streams, inputs: FloatArray, outputs: FloatArray, settings: CheckSettings) -> float:
-    """Compute the share of the residual variance of `outputs` (N,) after past commands that later commands explain.
+    """Compute the share of the residual variance of `outputs` (N,) that later commands explain.
 
-    Past commands enter through lags and dead times that cover all bases; no robot can react to the future.
+    The residual is that of a regression on past commands, with lags and dead times that cover all bases. For a causal
+    robot the share is small.
     """
-    cropped = streams.crop(outputs, settings.longest_shift)
+    cropped = streams.crop(outputs, settings.max_shift)
     past = [streams.delay(streams.low_pass(inputs, lag), delay) for lag in settings.lags for delay in (0.0, 0.1, 0.3)]
     future = [streams.delay(inputs, -lead) for lead in (0.1, 0.2, 0.3)]
     rows = np.column_stack([cropped, np.ones(len(cropped)), *past, *future])

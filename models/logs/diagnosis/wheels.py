@@ -15,7 +15,7 @@ _NAMES = {2: SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
 
 
 def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding about the encoders; correct them in `streams`, or remove them."""
+    """Return at most one finding about the encoders; correct or remove them in `streams`."""
     if streams.twist is None:
         return []
     check = _dead_side_of_twist if streams.wheels is None else _check_each_wheel
@@ -24,7 +24,7 @@ def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
 
 
 def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: the sides of the encoders are exchanged from some time on."""
+    """Return at most one finding: the sides of the encoders are exchanged during the log."""
     if streams.twist is None or streams.wheels is None:
         return []
     command, omega = streams.command[:, 1], streams.twist[:, 1]
@@ -32,7 +32,7 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     if original is None or abs(original.correlation[0]) > settings.clear_correlation:
         return []
     known = np.flatnonzero(np.isfinite(streams.time))
-    starts = known[np.linspace(0, len(known) - 1, 4 * settings.parts + 1).astype(int)[1:-1]]
+    starts = known[np.linspace(0, len(known) - 1, 4 * settings.part_count + 1).astype(int)[1:-1]]
 
     def correlation(start: int) -> float:
         exchanged = np.where(np.arange(len(omega)) < start, omega, -omega)
@@ -43,8 +43,8 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     index = int(np.argmax(correlations))
     if correlations[index] < settings.clear_correlation:
         return []
-    # Each part must respond by itself, one of them inverted: a steady stretch after a change of speed does not
-    # determine the order.
+    # Both parts must respond clearly, one of them with inverted sign. A steady part after a change of speed does not
+    # determine the order of the sides.
     before = np.arange(len(omega)) < starts[index]
     parts = [fit_response(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
     signed = [0.0 if part is None else float(part.correlation[0]) for part in parts]
@@ -52,14 +52,14 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         return []
     times = streams.time[starts]
     message = (
-        f"left and right of the encoders are exchanged from about {times[index]:.0f} s on, with the opposite sign of "
-        "omega: the order of the joints changed; split the log there and identify from one part"
+        f"left and right of the encoders are exchanged from about {times[index]:.0f} s on, which inverts omega: the "
+        "order of the joints changed; split the log there and identify from one part"
     )
     return [Finding("order change", "error", log, message, *change_location(times, index))]
 
 
 def check_counts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: the encoders are running counts; remove them from `streams`."""
+    """Return at most one finding: the encoder readings are running counts; remove them from `streams`."""
     if streams.twist is None:
         return []
     response = fit_response(streams, streams.command, streams.twist, settings)
@@ -100,11 +100,11 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
     gain = response.gain.T  # rows: wheels; columns: commanded left, right
     direct = np.array([gain[i, i % 2] for i in range(len(names))])
     crossed = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
-    # On a circle the commands of both sides are proportional, so the assignment of sides is ambiguous.
+    # On a circle the commands of both sides are proportional, so the sides cannot be distinguished.
     is_distinct = not _are_collinear(sides, settings)
     if is_distinct and (np.abs(crossed) > 2 * np.abs(direct)).all():
         if (crossed < 0).all():
-            return None  # exchanged and reversed sides: the sign of v reports a robot that drives backwards
+            return None  # sides are exchanged and reversed, as if the robot drove backwards; `check_signs` reports v
         streams.twist = streams.twist * [1.0, -1.0]
         message = (
             "each side of the encoders follows the command of the other side: exchange left and right of the encoders, "
@@ -114,19 +114,19 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
             "swapped sides", "error", log, message, changes=(MappingChange("encoders", "sides", "exchanged"),)
         )
     is_direct = (np.abs(direct) > np.abs(crossed)) | (not is_distinct)
-    # For similar motion of both sides the joint gains are uncertain; the gain from the command of one side is reliable.
-    own_gain = np.array([_single_gain(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
-    is_reversed = is_direct & (own_gain < 0)
+    # If both sides move alike, the joint gains are uncertain, but the gain from the command of the same side is not.
+    side_gains = np.array([_single_gain(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
+    is_reversed = is_direct & (side_gains < 0)
     if is_reversed.any() and not is_reversed.all():
         reversed_names = [name for name, flag in zip(names, is_reversed, strict=True) if flag]
         quoted = " and ".join(f"'{name}'" for name in reversed_names)
-        message = f"the wheel {quoted} turns in the opposite direction of its command, the others do not"
+        message = f"the wheel {quoted} turns in the opposite direction to its command, the others do not"
         streams.twist = streams.wheels = None
         changes = tuple(MappingChange("encoders", f"{name}.sign", -1) for name in reversed_names)
         return Finding("reversed wheel", "error", log, message, changes=changes)
-    # A wrong unit of the command also affects these gains. Uneven wheels differ in joint and single gains; if the sides
-    # are not distinct, at least one gain must be plausible.
-    gains, (low, high) = np.abs(own_gain), settings.gain_of_v
+    # Uneven wheels differ in the joint and in the single gains. A wrong unit of the command changes all gains; if the
+    # sides are not distinct, at least one gain must therefore be plausible.
+    gains, (low, high) = np.abs(side_gains), settings.gain_of_v
     is_uneven = gains.min() * settings.uneven_wheels < gains.max()
     if is_distinct:
         is_uneven &= np.abs(direct).min() * settings.uneven_wheels < np.abs(direct).max()
@@ -153,7 +153,7 @@ def _late_wheel(log: str, streams: Streams, sides: FloatArray, lag: float, setti
     fits = [fit_response(streams, sides, wheel, settings, intervals=True, lags=[lag]) for wheel in streams.wheels.T]
     left, right = ((np.nan, np.nan) if fit is None else (fit.dead_time, fit.deviation) for fit in fits)
     delay, deviation = right[0] - left[0], float(np.hypot(*np.nan_to_num([left[1], right[1]])))
-    if not abs(delay) > max(settings.late_wheel, 3 * deviation):
+    if not abs(delay) > max(settings.wheel_delay, 3 * deviation):
         return None
     streams.twist = streams.wheels = None
     message = (
@@ -171,11 +171,11 @@ def _single_gain(streams: Streams, side: FloatArray, wheel: int, settings: Check
 
 def _are_collinear(sides: FloatArray, settings: CheckSettings) -> bool:
     present = sides[np.isfinite(sides).all(axis=1)]
-    return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinear)
+    return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinearity)
 
 
 def _outlier_side(response: StreamResponse) -> int:
-    """Return the side whose gain differs more from 1."""
+    """Return the index of the side whose gain differs more from 1."""
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
@@ -188,25 +188,25 @@ def commanded_sides(streams: Streams) -> FloatArray | None:
     difference = wheels[:, 1::2].mean(axis=1) - wheels[:, ::2].mean(axis=1)
     if not (mean @ mean > 0 and difference @ difference > 0):
         return None
-    # The mapping computed v = r mean and omega = r difference / b from these wheels, so both ratios are exact.
+    # The mapping computed v = r mean and omega = r difference / b from these wheel speeds, so both ratios are exact.
     radius = abs(float(mean @ twist[:, 0]) / float(mean @ mean))
-    per_track = abs(float(difference @ twist[:, 1]) / float(difference @ difference))
-    if radius == 0 or per_track == 0:
+    radius_over_track = abs(float(difference @ twist[:, 1]) / float(difference @ difference))
+    if radius == 0 or radius_over_track == 0:
         return None
-    half = 0.5 * streams.command[:, 1] / per_track
+    half = 0.5 * streams.command[:, 1] / radius_over_track
     middle = streams.command[:, 0] / radius
     return np.column_stack([middle - half, middle + half])
 
 
 def _dead_side_of_twist(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
-    """Return the finding for a dead side in a log without wheels, where v and omega become proportional."""
+    """Return the finding for a dead side in a log without wheel speeds; it makes v and omega proportional."""
     assert streams.twist is not None
     present = np.isfinite(streams.twist).all(axis=1) & np.isfinite(streams.command).all(axis=1)
     twist, command = streams.twist[present], streams.command[present]
     if len(twist) < 2 or np.ptp(command, axis=0).min() == 0 or np.ptp(twist, axis=0).min() == 0:
         return None
     measured_correlation, commanded_correlation = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
-    if abs(measured_correlation) < settings.collinear or abs(commanded_correlation) > settings.clear_correlation:
+    if abs(measured_correlation) < settings.collinearity or abs(commanded_correlation) > settings.clear_correlation:
         return None
     side = "left" if measured_correlation > 0 else "right"
     streams.twist = None

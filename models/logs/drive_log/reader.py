@@ -40,13 +40,13 @@ class DriveLog:
     path
         The file.
     metadata
-        Information about the drive: for each record name, texts by key.
+        Information about the drive: values by key, by name of the metadata record.
     rows
         Row of each tick, keyed by the names in tick.schema.json.
     plans
         (N + 1, 3) predicted poses of each tick, None if missing; empty if they were not requested.
     cut
-        True if the file is truncated, so that data are missing at the end.
+        True if the file is truncated, so that its end is missing.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class DriveLog:
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All columns by name, (n,) each: numbers, NaN if missing, or texts."""
+        """All columns (n,) by name: numbers, NaN if missing, or strings, "" if missing."""
         kinds = {name: entry["type"] for name, entry in tick_schema()["properties"].items()}
         columns: dict[str, NDArray[Any]] = {}
         for name, kind in kinds.items():
@@ -96,7 +96,7 @@ def is_drive_log(path: Path) -> bool:
     try:
         return any(isinstance(content, McapChannel) and content.topic == topic.STATE for content in mcap_content(path))
     except (OSError, ValueError):
-        return False  # the reader of bags reports the fault
+        return False  # the reader of bags then reports the fault
 
 
 def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
@@ -107,12 +107,12 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     path
         The file.
     plans
-        Whether to read the predicted poses, which takes longer.
+        True to read the predicted poses, which takes longer.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be read or holds no tick.
+        If the file cannot be read or contains no tick.
     """
     path, content = Path(path), _Content()
     try:
@@ -123,7 +123,7 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, LookupError, struct.error) as error:  # damaged messages raise the last two
-        # The rows before the damage are valid.
+        # The rows before the damaged part are valid.
         content.cut = True
         if not content.rows:
             raise ConfigError(f"{path}: is not an MCAP file of a drive ({_reason(error)})") from error
@@ -171,7 +171,7 @@ def _add_record(path: Path, record: McapContent, content: _Content, *, plans: bo
             raise ConfigError(f"{path}: more than {content.max_rows:,} ticks; shorten it (`mcap filter`)")
         content.rows.append((record.log_time, row))
     elif isinstance(record, McapMessage) and plans and record.channel.topic == topic.PLAN:
-        plan = ros.decoded(topic.KINDS[topic.PLAN], bytes(record.data))
+        plan = ros.decode(topic.KINDS[topic.PLAN], bytes(record.data))
         content.plans[record.log_time] = np.array([ros.planar(place.pose) for place in plan.poses])
 
 
@@ -179,19 +179,19 @@ def _reason(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-# Drive files as logs for identification: the rows are those of the CSV log of the same drive.
+# Drive files as logs for identification; their rows are the same as in the CSV log of the drive.
 
 
-OWN_FORMAT = "drive_log"
+DRIVE_MAPPING = "drive_log"
 """Mapping of drive files."""
 _IDLE = ("IDLE", "FAULT")
 
 
 def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
-    """Read a drive file with a mapping or `OWN_FORMAT`; raise models.checked_yaml.ConfigError on failure."""
+    """Read a drive file with a mapping or `DRIVE_MAPPING`; raise models.checked_yaml.ConfigError on failure."""
     log = read_drive_log(path)
     columns = log.columns
-    # While idle the controller did not run or measure, and the robot may have been pushed.
+    # In idle ticks there is no command or measurement, and the robot may have been moved by hand.
     is_driven = ~np.isin(columns["mode"].astype(str), _IDLE)
     values = {name: column[is_driven] for name, column in columns.items() if column.dtype != object}
     number = np.flatnonzero(is_driven)
@@ -202,8 +202,8 @@ def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
 
 
 def _columns(log: DriveLog, mapping: LogMapping | None, names: set[str]) -> Columns:
-    """Remove from the mapping sensors without readings and sensors that are derived from others."""
-    columns = (mapping or load_mapping(OWN_FORMAT)).columns
+    """Return the columns of the mapping without sensors that have no readings or are derived from other sensors."""
+    columns = (mapping or load_mapping(DRIVE_MAPPING)).columns
     assert columns is not None
     encoders = columns.encoders
     if encoders is not None and "wheel_fl_rad_s" not in names:
@@ -215,7 +215,7 @@ def _columns(log: DriveLog, mapping: LogMapping | None, names: set[str]) -> Colu
     }
     if not any(by_name.values()):
         raise ConfigError(f"{log.path}: no sensor has a reading")
-    return columns.model_copy(update=by_name).found_in(names)
+    return columns.model_copy(update=by_name).without_absent_sensors(names)
 
 
 def _truncation_finding(log: DriveLog) -> tuple[Finding, ...]:

@@ -1,7 +1,8 @@
-"""Recorder of a drive, which sends data to a writing process without blocking."""
+"""Recorder of a drive that sends data to a writing process without blocking."""
 
 from __future__ import annotations
 
+import errno
 import os
 import pickle
 import queue
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
-# The writing process reads data from a socket until the other end closes for any reason.
+# The writing process reads data from a socket until the other end is closed, for instance because its process died.
 
 
 MAX_PARCEL = 1 << 18
@@ -25,7 +26,7 @@ MAX_PARCEL = 1 << 18
 READY, ENDED = "ready", "over"
 """Kinds of replies: the file has been created, or writing has ended for the given reason."""
 _MAX_QUEUE = 20_000
-"""Maximum number of queued parcels for a slow disk, some minutes."""
+"""Maximum number of queued parcels: some minutes of data, in case the disk is slow."""
 _NICENESS = 10
 
 
@@ -33,7 +34,7 @@ def main(descriptor: int) -> None:
     """Write the data from the socket `descriptor`; the first parcel names the target file."""
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter  # noqa: PLC0415 - the node does not write
 
-    # A low priority, so that writing does not preempt the control loop on the same core.
+    # Use a low priority, so that writing does not preempt the control loop on the same core.
     os.nice(_NICENESS)
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     with socket.socket(fileno=descriptor) as link:
@@ -48,7 +49,7 @@ def main(descriptor: int) -> None:
 
 
 def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # noqa: ANN401 - an open file
-    # A thread empties the socket: while the disk is slow, its buffer would fill up and the sender would lose parcels.
+    # A thread empties the socket; otherwise a slow disk would fill its buffer, and the sender would lose parcels.
     parcels: queue.Queue[bytes] = queue.Queue(_MAX_QUEUE)
     threading.Thread(target=_receive, args=(link, parcels), daemon=True).start()
     while parcel := parcels.get():
@@ -59,7 +60,7 @@ def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # no
 
 
 def _receive(link: socket.socket, parcels: queue.Queue[bytes]) -> None:
-    """Queue incoming parcels; a closed socket gives an empty parcel, which ends the drive."""
+    """Queue incoming parcels; a closed socket yields an empty parcel, which ends the drive."""
     parcel = b"?"
     while parcel:
         parcel = link.recv(MAX_PARCEL)
@@ -67,7 +68,7 @@ def _receive(link: socket.socket, parcels: queue.Queue[bytes]) -> None:
 
 
 def _create_file(path: Path) -> Any:  # noqa: ANN401 - an open file
-    """Create a file with this name or, if it exists, with the next free number."""
+    """Create the file, with the next free number in its name if it exists."""
     path.parent.mkdir(parents=True, exist_ok=True)
     names = (path.with_stem(f"{path.stem}-{number}") if number else path for number in range(1000))
     for name in names:
@@ -75,7 +76,7 @@ def _create_file(path: Path) -> Any:  # noqa: ANN401 - an open file
             return name.open("xb")
         except FileExistsError:
             continue
-    raise FileExistsError(17, "a thousand files with this name and a number exist", str(path))
+    raise FileExistsError(errno.EEXIST, "a thousand numbered files with this name exist", str(path))
 
 
 def _reply(link: socket.socket, *texts: str) -> None:
@@ -90,7 +91,7 @@ if __name__ == "__main__":
 
 
 _BUFFER = 1 << 22
-"""Maximum pending bytes; the system may grant less."""
+"""Requested size of the send buffer [bytes]; the system may grant less."""
 Metadata = Mapping[str, Mapping[str, str]]
 
 
@@ -100,7 +101,7 @@ class DriveRecorder:
     Parameters
     ----------
     path
-        Target file; if it exists, it is kept and the new file gets a number.
+        Target file; an existing file is not replaced, and the new file then has a number in its name.
     metadata
         Information about the drive.
     timeout
@@ -115,35 +116,35 @@ class DriveRecorder:
     fault
         Reason for the end of recording; empty while recording.
     sent, lost
-        Numbers of parcels that were sent, and that were lost because the writer was too slow.
+        Number of parcels that were sent, and number that were lost because the writer was too slow.
     """
 
     def __init__(self, path: Path, metadata: Metadata, *, timeout: float, **options: object) -> None:
         self.path, self.fault, self.sent, self.lost = path, "", 0, 0
         self._prepared: list[tuple[object, ...]] = []
-        # Ordered datagrams are sent whole or not at all, without blocking.
+        # SOCK_SEQPACKET delivers datagrams in order, as a whole or not at all, without blocking.
         self._link, writer_link = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._link.setblocking(False)
         command = [sys.executable, "-m", "diffdrive_mpc.models.logs.drive_log.recorder", str(writer_link.fileno())]
         try:
-            # In a separate session Ctrl-C does not reach the writer, so the file includes the last command.
+            # In a separate session, Ctrl-C does not reach the writer, so it also writes the last command.
             self._process: subprocess.Popen[bytes] | None = subprocess.Popen(
                 command, pass_fds=[writer_link.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
         except OSError as error:
             self._process, self.fault = None, f"the writing process cannot be started ({error.strerror})"
-        # The process has its own copy. If this one stayed open, the end of the process would not close the socket.
+        # The process has its own copy. If this copy stayed open, the end of the process would not close the socket.
         writer_link.close()
         self._send((str(path), metadata, options))
         self._receive_reply(timeout)
 
     def prepare(self, method: str, now: int, *arguments: object, **keywords: object) -> None:
-        """Prepare a call of a method of `DriveWriter` for the next `send`: name, time [ns], arguments."""
+        """Queue a call of a method of `DriveWriter` for the next `send`: name, time [ns], arguments."""
         self._prepared.append((method, now, arguments, keywords))
 
     def send(self, method: str, now: int, *arguments: object, **keywords: object) -> None:
-        """Send a call and all prepared calls in one parcel, because each parcel is costly."""
+        """Send a call and all queued calls in one parcel, because each parcel is costly."""
         self.prepare(method, now, *arguments, **keywords)
         if not self.fault:
             self._send(self._prepared)
@@ -155,7 +156,7 @@ class DriveRecorder:
             self._receive_reply(0.0)
 
     def close(self, timeout: float) -> None:
-        """End the file and wait at most `timeout` [s] for it; the writer completes it even after a timeout."""
+        """End the recording and wait at most `timeout` [s] for the file; the writer also completes it afterwards."""
         self.poll()
         self._link.close()
         if self._process is not None:
@@ -171,7 +172,7 @@ class DriveRecorder:
         except BlockingIOError:
             self.lost += 1
         except OSError as error:
-            # The last reply of the process holds the reason for its end.
+            # The last reply of the process contains the reason for its end.
             self._receive_reply(0.0)
             self.fault = self.fault or f"the writing process has ended ({error.strerror})"
 

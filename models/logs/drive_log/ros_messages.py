@@ -1,4 +1,4 @@
-"""ROS 2 messages from numbers and their CDR serialisation by `rosbags`, without ROS. Units and frames per REP 103."""
+"""ROS 2 messages from numbers and their CDR serialisation by `rosbags`, without ROS. Units and axes follow REP 103."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def definition(kind: str) -> bytes:
     return str(_store().generate_msgdef(kind, ros_version=2)[0]).encode()
 
 
-def serialized(kind: str, message: Message) -> bytes:
+def serialize(kind: str, message: Message) -> bytes:
     """Serialise a message as CDR."""
     return bytes(_store().serialize_cdr(message, kind))
 
 
-def decoded(kind: str, data: bytes) -> Message:
+def decode(kind: str, data: bytes) -> Message:
     """Deserialise a message from CDR."""
     return _store().deserialize_cdr(data, kind)
 
@@ -58,7 +58,7 @@ def true_twist(now: int, twist: Numbers) -> Message:
 def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
     """Build Odometry: twist of the wheels (2,), pose (3,) in odom.
 
-    As usual in ROS, a covariance of zeros is unknown. The covariance of the integrated pose is always unknown.
+    As usual in ROS, a covariance of zeros means unknown. The covariance of the integrated pose is always unknown.
     """
     v, omega = _list(twist.value)
     twist_with_covariance = _make(
@@ -77,20 +77,20 @@ def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
 
 def imu(stamp: int, yaw_rate: Stamped) -> Message:
     """Build Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
-    none, rate_covariance = np.zeros(9), np.zeros(9)
+    not_measured, rate_covariance = np.zeros(9), np.zeros(9)
     # sensor_msgs/Imu: -1 in the first element marks a quantity that is not measured.
-    none[0] = -1.0
+    not_measured[0] = -1.0
     if yaw_rate.covariance is not None:
         rate_covariance[8] = np.ravel(yaw_rate.covariance)[0]
     return _make(
         "sensor_msgs/msg/Imu",
         header=_header(stamp, IMU_LINK),
         orientation=_rotation(0.0),
-        orientation_covariance=none,
+        orientation_covariance=not_measured,
         angular_velocity=_vector(0.0, 0.0, float(np.asarray(yaw_rate.value))),
         angular_velocity_covariance=rate_covariance,
         linear_acceleration=_vector(0.0, 0.0, 0.0),
-        linear_acceleration_covariance=none,
+        linear_acceleration_covariance=not_measured,
     )
 
 
@@ -181,7 +181,7 @@ def transform(now: int, place: Numbers, frame: str) -> Message:
 
 
 def diagnostics(now: int, level: int, content: str, values: Mapping[str, str]) -> Message:
-    """Build DiagnosticArray with one status, with the name that the node uses; levels: 0 good, 1 warning, 2 error."""
+    """Build DiagnosticArray with one status under the name that the node uses; levels: 0 good, 1 warning, 2 error."""
     pairs = [_make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
     status = _make(
         "diagnostic_msgs/msg/DiagnosticStatus",

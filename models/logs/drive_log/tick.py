@@ -1,4 +1,4 @@
-"""Row of a tick: numbers and texts by the names of a run's columns, and conversion from and to measurements."""
+"""Row of a tick: numbers and strings by column of a run, and conversion from and to measurements."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ INPUT_NAMES = tuple(
     )
 )
 INPUT_NAMES = (*(name for name in INPUT_NAMES if name != "pose_t_s"), *_SENT)
-"""Names of the controller's inputs besides the readings; with them a step can be reproduced."""
+"""Names of the controller's inputs in addition to the readings; together they suffice to reproduce a step."""
 
 
 @cache
@@ -80,7 +80,7 @@ def tick_schema() -> dict[str, Any]:
 
 
 def to_json(row: TickRow) -> bytes:
-    """Format a row as JSON without loss of precision; values that are not finite are left out."""
+    """Format a row as JSON without loss of precision; values that are not finite are omitted."""
     finite = {name: cell for name, cell in row.items() if not isinstance(cell, float) or math.isfinite(cell)}
     return json.dumps(finite, separators=(",", ":")).encode()
 
@@ -129,27 +129,27 @@ def step_cells(step: ControlStep) -> dict[str, Cell]:
 
 
 def error_cells(row: TickRow) -> dict[str, Cell]:
-    """Return the estimate relative to the tracked pose, in the frame of that pose; {} if either is unknown."""
-    estimated, tracked = (
+    """Return the error of the estimate relative to the reference, in the frame of the reference; {} if unknown."""
+    estimated, reference = (
         numbers(row, tuple(f"{prefix}_{part}" for part in _PARTS)) for prefix in ("estimate", "reference")
     )
-    if not estimated or not tracked:
+    if not estimated or not reference:
         return {}
-    error = np.subtract(estimated, tracked)
-    along, across = ahead_and_left(error, tracked[2])
+    error = np.subtract(estimated, reference)
+    along, across = ahead_and_left(error, reference[2])
     errors = {"along_m": along, "across_m": across, "heading_rad": wrap_angle(error[2])}
     return {f"error_{name}": float(value) for name, value in errors.items()}
 
 
 def measurement_of(row: TickRow) -> Measurement:
-    """Return the measurement of a row, bit-exact; without the covariance of wheel speeds, which is not used."""
+    """Return the bit-exact measurement of a row, without the covariance of wheel speeds, which is not used."""
     sent = numbers(row, _SENT)
     readings = {field: _reading(row, sensor) for field, sensor in _SENSORS.items()}
     return Measurement(**readings, sent=(sent[0], sent[1]) if sent else None)
 
 
 def covariance_of(row: TickRow, field: str) -> FloatArray | None:
-    """Return the covariance of a reading, by field of the measurement; None if it is unknown."""
+    """Return the covariance (n, n) of the reading `field` of a measurement; None if it is unknown."""
     names = _SENSORS[field].covariance
     covariance = numbers(row, names)
     if not covariance:

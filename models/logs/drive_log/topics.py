@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 
 STATE = "/diffdrive_mpc/state"
-"""Topic of the row of each tick, as JSON."""
+"""Topic of the rows of ticks in JSON."""
 COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
 TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
 BATTERY, MOTORS = "/battery_state", "/motor_currents"
@@ -45,7 +45,7 @@ WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_righ
 
 
 _RATE, _MAX_POSES = 20, 500
-"""Poses per second, and maximum number of poses; more would only cost time to send and draw."""
+"""Poses per second, and maximum number of poses of a path; more poses would only take time to send and draw."""
 
 
 def path_times(duration: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Writer of the ticks of a drive to an MCAP file, on the topics of node and robot."""
+"""Writer of the ticks of a drive to an MCAP file, with the topics of node and robot."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class DriveWriter:
     stream
         Target stream; it is not closed.
     metadata
-        Information about the drive: for each record name, texts by key.
+        Information about the drive: values by key, by name of the metadata record.
     frame
         Frame of poses, plan and reference.
     pose_topic
-        Whether the measured poses come from a separate sensor; otherwise they are those of the odometry.
+        True if the measured poses come from a separate sensor; False if they are odometry.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class DriveWriter:
         self._writer.add_metadata("layout", {"frame": frame, "poses": "sensor" if pose_topic else "odometry"})
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, int] = {}
-        # The first tick writes a status.
+        # Initial values with which the first tick writes mode and status.
         self._last_mode, self._diagnostic_time = "", -_NANO
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class DriveWriter:
         odometry_pose
             (3,) pose of the odometry, if it differs from the measured pose.
         diagnose
-            Whether to write a status once per second; False for a node, which publishes a status.
+            True to write a status once per second; False for a node, which publishes its own status.
         """
         measured = {} if measurement is None else measured_cells(measurement)
         row = {**row, **measured, **error_cells(row)}
@@ -124,7 +124,7 @@ class DriveWriter:
         measured = measurement_of(row)
 
         def stamp(reading: Stamped) -> int:
-            # The clock of the file may differ from that of the controller, so only differences of its times are used.
+            # The clock of the file may differ from the controller's clock, so only time differences are used.
             return now + round(_NANO * (reading.time - float(row["t_s"])))
 
         pose, wheels, gyro, speeds = measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds
@@ -161,7 +161,7 @@ class DriveWriter:
             self._message(topic.MODE, now, ros.text(f"{mode}: {message}" if message else mode))
 
     def _message(self, name: str, now: int, message: ros.Message) -> None:
-        self._write(name, now, ros.serialized(topic.KINDS[name], message))
+        self._write(name, now, ros.serialize(topic.KINDS[name], message))
 
     def _write(self, name: str, now: int, data: bytes) -> None:
         channel = self._channels.get(name)
@@ -183,7 +183,7 @@ class DriveWriter:
 
 @contextmanager
 def drive_writer(path: Path, metadata: Mapping[str, Mapping[str, str]], **options: Any) -> Iterator[DriveWriter]:  # noqa: ANN401
-    """Yield a writer of a new file with `options` of `DriveWriter`; the file is complete unless an error is raised."""
+    """Yield a writer of a new file with `options` of `DriveWriter`; complete the file unless an error is raised."""
     with path.open("wb") as stream:
         writer = DriveWriter(stream, metadata, **options)
         yield writer

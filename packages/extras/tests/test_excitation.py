@@ -17,9 +17,9 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc_extras.excitation import model_excitation as searched
 from diffdrive_mpc_extras.excitation.drive_information import DriveInformation
-from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
+from diffdrive_mpc_extras.excitation.excite import check_drive, excite_model, simulate_case
 from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
-from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_slip_drive
+from diffdrive_mpc_extras.excitation.slip_excitation import max_term_correlation, slip_excitation, write_slip_drive
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_slip_excitation_stays_in_the_square_and_separates_the_terms(tmp_path, s
         # Smoothing may cut a corner by its tolerance.
         assert np.abs(pose[:, :2]).max() <= 0.5 * side - 0.2
     segments = load_segments(tmp_path / "drive.yaml")
-    assert told_apart(segments) < 0.5
+    assert max_term_correlation(segments) < 0.5
     assert max(abs(segment.v) for segment in segments) <= speed + 1e-9
     assert max(abs(segment.omega) for segment in segments) <= yaw_rate + 1e-9
 
@@ -140,7 +140,7 @@ def write_robot(path, gain, dead_time):
 
 
 def drive_of(excitation, folder, plant):
-    return driven(excitation.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
+    return simulate_case(excitation.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
 
 
 @pytest.mark.usefixtures("quick")

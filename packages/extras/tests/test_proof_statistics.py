@@ -118,7 +118,7 @@ def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
     proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
     file = tmp_path / "proof.yaml"
     file.write_text(str(proof).replace("None", "null").replace("True", "true").replace("False", "false"))
-    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are requested, at most 1,000,000"):
+    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are requested, the limit is 1,000,000"):
         load_proof(file)
 
 

@@ -23,7 +23,7 @@ from two_processes import own_domain, running
 
 import diffdrive_mpc_monitor
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, open_bag, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings, planar, seconds
@@ -207,7 +207,7 @@ def test_base_stops_the_robot_if_the_monitor_is_killed(tmp_path, monkeypatch):
         while np.abs(read_twists()).max() > 0.01:
             assert controller.popen.poll() is None and base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
-    with opened(bag) as reader:
+    with open_bag(bag) as reader:
         topics = ("/cmd_vel", "/ground_truth/twist")
         requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in topics}
         commands, truth = read_topics(reader, bag, requests).values()

@@ -1,4 +1,4 @@
-"""Virtual environment of the peers that conflict with our environment, created once in the user's cache folder."""
+"""Virtual environment of peers whose packages conflict with ours, created once in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from studies.speed.process.subject import SubjectError
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
+"""Name of the file that marks a complete environment."""
 _FIRST_PACKAGE = "comma-deps-acados"
-"""Package to install first: it contains parts of an older CasADi, which a later package overwrites."""
+"""Package that is installed first; it contains parts of an older CasADi, which a later package must overwrite."""
 
 
 @dataclass(frozen=True)
 class PeerEnvironment:
-    """Python interpreter, and environment variables for its processes."""
+    """Path of the Python interpreter, and environment variables for its processes."""
 
     python: str
     variables: dict[str, str]
@@ -31,8 +32,8 @@ class PeerEnvironment:
 def peer_environment(folder: Path | None = None) -> PeerEnvironment:
     """Return the environment in `folder`, by default in the user's cache folder; create it if it is missing.
 
-    Raises SubjectError if the environment cannot be created, for instance without a package index or a wheel for this
-    system.
+    Raise SubjectError if the environment cannot be created, for example because the package index is not accessible or
+    has no wheel for this operating system.
     """
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = (folder or user_folder() / "peers" / digest).resolve()
@@ -72,9 +73,9 @@ def _create(folder: Path) -> None:
 
 
 def requirement_entry(name: str, requirements: str) -> str:
-    """Return the entry of one package in a list of requirements: its version and hashes.
+    """Return the entry of a package, its version and hashes, in a list of requirements.
 
-    Raises SubjectError if the list does not contain the package.
+    Raise SubjectError if the list does not contain the package.
     """
     match = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
     if match is None:
@@ -91,7 +92,7 @@ def _run(*command: str) -> None:
 
 
 def _link_templates(package: Path) -> None:
-    """Link the templates to the path where the generator expects them, as in a checkout of acados."""
+    """Link the templates to the path at which the code generator of acados expects them."""
     folder = package / "install" / "interfaces" / "acados_template"
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "acados_template").exists():

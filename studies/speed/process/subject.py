@@ -1,4 +1,4 @@
-"""Client of a subject's process."""
+"""Client of the process of a subject."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 _WORKER = Path(__file__).with_name("worker.py")
 _PACKAGES = Path(diffdrive_mpc.__file__).parents[1]
-"""Folder that contains our package, which is not installed in the peers' environment."""
+"""Folder of our package, which is not installed in the environment of the peers."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class SubjectError(DiffdriveMpcError, RuntimeError):
-    """Raised if a subject cannot be run; the message is the reason in one line."""
+    """Error for a subject that cannot run; the message is the reason in one line."""
 
 
 class TimedStep(NamedTuple):
-    """Result of a step: command [m/s, rad/s], times of whole step and solver [s], iterations, and success flag."""
+    """Result of a step: command [m/s, rad/s], times of step and solver [s], iterations, and success flag."""
 
     command: tuple[float, float]
     whole: float
@@ -87,7 +87,7 @@ class Subject:
     def build(self, problem: object, settings: dict[str, Any], core: int | None) -> dict[str, float]:
         """Build the subject for `problem` and bind it to `core`; return build time [s] and initial memory [bytes].
 
-        Raises SubjectError if the subject cannot be built.
+        Raise SubjectError if the subject cannot be built.
         """
         self._receive()
         return dict(self._request("build", problem, settings, str(self._folder), core))
@@ -97,12 +97,12 @@ class Subject:
         self._request("reset", *data)
 
     def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
-        """Run the steps of `ticks`; return their results and the effort of the process."""
+        """Run a step for each input in `ticks`; return the results and the effort of the process."""
         steps, effort = self._request("run", *ticks)
         return [TimedStep(*step) for step in steps], Effort(*effort)
 
     def memory(self) -> float:
-        """Return the maximum memory of the process so far [bytes]."""
+        """Return the maximum memory of the process until now [bytes]."""
         return float(self._request("memory"))
 
     def _request(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on the request

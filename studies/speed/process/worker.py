@@ -1,8 +1,8 @@
 """Process that runs one subject on request: `python worker.py FD KIND FOLDER`.
 
 The process serves a connection at the file descriptor FD; FOLDER contains our package. A request is a pair (method,
-arguments), and the reply is the result or the exception. The process imports only the modules that it needs, so that it
-also runs in the peers' environment.
+arguments), and the reply is the result or the exception. The process imports only the modules of its subject, because
+the environment of the peers does not contain all packages.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ KINDS = {
 """Module and class of each kind of subject."""
 
 StepTuple = tuple[list[float], float, float, int, bool]
-"""Result of a step: command, times of whole step and solver [s], iterations, and success flag."""
+"""Result of a step: command, times of step and solver [s], iterations, and success flag."""
 
 
 class Worker:
@@ -35,7 +35,7 @@ class Worker:
         module, name = KINDS[kind]
         self._subject_class = getattr(importlib.import_module(module), name)
         self._subject: Any = None
-        # The import path contains our package only when the process runs, not when this module is imported.
+        # The import path contains our package only after the start of this process, so this import is not at the top.
         self._measure_effort = importlib.import_module("diffdrive_mpc.bench.counters").measure_effort
 
     def build(self, problem: object, settings: dict[str, Any], folder: str, core: int | None) -> dict[str, float]:
@@ -55,7 +55,7 @@ class Worker:
         self._subject.reset(*data)
 
     def run(self, *ticks: tuple[object, ...]) -> tuple[list[StepTuple], tuple[float, float, int, float]]:
-        """Run the steps of `ticks`; return their results and the values of their `bench.counters.Effort`."""
+        """Run a step for each input in `ticks`; return the results and the values of `bench.counters.Effort`."""
         results, effort = self._measure_effort(lambda: [self._time_step(data) for data in ticks])
         return results, tuple(effort)
 
@@ -71,7 +71,7 @@ class Worker:
 
 
 def _memory_figure(field: str) -> float:
-    """Return a memory field of this process [bytes]; NaN if the system does not provide it."""
+    """Return a field of the memory status of this process [bytes]; NaN if the operating system does not provide it."""
     status = Path("/proc/self/status")
     lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
     return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith(field)), float("nan"))

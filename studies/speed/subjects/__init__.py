@@ -1,4 +1,4 @@
-"""Solvers of the tracking problem: our controller, and peers that solve its multistage form."""
+"""Solvers of the tracking problem: our controller, and peers that solve the problem in stages."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Peer acados: one real-time iteration (SQP_RTI) with HPIPM in generated and compiled C; see docs/results.md.
 
-The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
-`StageProblem` from this project.
+The module runs in the environment of the peers (`studies.speed.process.environment`), so that its only input from this
+project are the fields of a `StageProblem`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _UNBOUNDED = 1e8
 
 
 class AcadosPeer:
-    """acados on the whole problem, or on the problem without soft limits.
+    """Solver acados for the whole problem, or for the problem without soft limits.
 
     Parameters
     ----------
     problem
         Fields of a `studies.speed.stage.StageProblem`.
     settings
-        `qp_solver`, `stages_per_block` (of partial condensing), `mode` (of HPIPM), `tolerance`, `max_iterations`,
-        `warm_start`, `shift`, `soft_limits`, `flags` (of the compiler).
+        Values of `qp_solver`, `stages_per_block` for partial condensing, `mode` of HPIPM, `tolerance`,
+        `max_iterations`, `warm_start`, `shift`, `soft_limits`, and `flags` of the compiler.
     folder
         Folder for the generated and compiled code, which must be the current folder.
     """
@@ -76,7 +76,7 @@ class AcadosPeer:
         return np.asarray(self._solver.get(0, "u"))
 
     def report(self) -> SolveReport:
-        """Report the last solve."""
+        """Return the report of the last solve."""
         iterations = int(np.sum(self._solver.get_stats("qp_iter")))
         return SolveReport(float(np.ravel(self._solver.get_stats("time_tot"))[0]), iterations, self._status == 0)
 

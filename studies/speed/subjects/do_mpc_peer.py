@@ -1,7 +1,7 @@
 """Peer do-mpc with IPOPT; see docs/results.md.
 
-The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
-`StageProblem` from this project.
+The module runs in the environment of the peers (`studies.speed.process.environment`), so that its only input from this
+project are the fields of a `StageProblem`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from do_mpc.controller import MPC
 from do_mpc.model import Model
 
 from studies.speed.subjects import SolveReport
-from studies.speed.subjects.shooting import SOFT
+from studies.speed.subjects.shooting import SOFT_VALUES
 
 
 class DoMpcPeer:
-    """do-mpc on the whole problem; the slacks of soft limits are additional inputs of the model.
+    """Solver do-mpc for the whole problem; the slacks of soft limits are additional inputs of the model.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class DoMpcPeer:
     settings
         Options of IPOPT.
     folder
-        Not used: nothing is compiled.
+        Not used, because no code is generated.
     """
 
     def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:
@@ -49,12 +49,12 @@ class DoMpcPeer:
         stage_cost += problem["soft"] * ca.sum1(s) + problem["soft_quadratic"] * ca.sumsqr(s) / 2
         mpc.set_objective(mterm=problem["terminal"] * stage, lterm=stage_cost)
         mpc.bounds["lower", "_u", "command"], mpc.bounds["upper", "_u", "command"] = -problem["box"], problem["box"]
-        mpc.bounds["lower", "_u", "slack"] = np.zeros(SOFT)
+        mpc.bounds["lower", "_u", "slack"] = np.zeros(SOFT_VALUES)
         increment = u - z[-2:]
         mpc.set_nl_cons("up", increment, ub=problem["slew"])
         mpc.set_nl_cons("down", -increment, ub=problem["slew"])
-        next_parameters = ca.Function.deserialize(problem["step"])(z, u, p)
-        values, limits = ca.Function.deserialize(problem["soft_values"])(next_parameters, p_next), p_next[-SOFT:]
+        z_next = ca.Function.deserialize(problem["step"])(z, u, p)
+        values, limits = ca.Function.deserialize(problem["soft_values"])(z_next, p_next), p_next[-SOFT_VALUES:]
         mpc.set_nl_cons("above", values - limits - s, ub=0.0)
         mpc.set_nl_cons("below", -values - limits - s, ub=0.0)
         self._data = mpc.get_tvp_template()
@@ -67,7 +67,7 @@ class DoMpcPeer:
         mpc = self._mpc
         mpc.reset_history()
         mpc.x0["state"] = state
-        mpc.u0["command"], mpc.u0["slack"] = parameters[0, 4:6], np.zeros(SOFT)
+        mpc.u0["command"], mpc.u0["slack"] = parameters[0, 4:6], np.zeros(SOFT_VALUES)
         mpc.set_initial_guess()
 
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
@@ -77,7 +77,7 @@ class DoMpcPeer:
         return np.asarray(self._mpc.make_step(state)[:2, 0])
 
     def report(self) -> SolveReport:
-        """Report the last solve."""
+        """Return the report of the last solve."""
         stats = self._mpc.solver_stats
         return SolveReport(float(stats["t_wall_total"]), int(stats["iter_count"]), bool(stats["success"]))
 
@@ -86,7 +86,7 @@ def _model(problem: dict[str, Any]) -> Model:
     model = Model("discrete", "SX")
     z = model.set_variable("_x", "state", (problem["states"], 1))
     u = model.set_variable("_u", "command", (2, 1))
-    model.set_variable("_u", "slack", (SOFT, 1))
+    model.set_variable("_u", "slack", (SOFT_VALUES, 1))
     p = model.set_variable("_tvp", "stage", (problem["parameters"], 1))
     model.set_variable("_tvp", "next_stage", (problem["parameters"], 1))
     model.set_rhs("state", ca.Function.deserialize(problem["step"])(z, u, p))

@@ -13,16 +13,16 @@ from studies.speed.subjects.shooting import shooting_program
 
 
 class NlpPeer:
-    """Multiple shooting on the whole problem; the initial guess is the last solution, shifted by one stage.
+    """Solver by multiple shooting for the whole problem; the initial guess is the last solution, shifted by one stage.
 
     Parameters
     ----------
     problem
         Fields of a `studies.speed.stage.StageProblem`.
     settings
-        `plugin`, the name of the solver, and its `options`.
+        Name of the solver, `plugin`, and its `options`.
     folder
-        Not used: nothing is compiled.
+        Not used, because no code is generated.
     """
 
     def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:
@@ -52,6 +52,6 @@ class NlpPeer:
         return self._program.command(x)
 
     def report(self) -> SolveReport:
-        """Report the last solve."""
+        """Return the report of the last solve."""
         stats = self._solver.stats()
         return SolveReport(float(stats["t_wall_total"]), int(stats["iter_count"]), bool(stats["success"]))

@@ -1,4 +1,4 @@
-"""Our controller as a subject: whole step from measurement to command, and time of its solve."""
+"""Our controller as a subject of the study."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class OurSubject:
     config
         Configuration of the controller.
     settings
-        `trajectory`, the name of the trajectory.
+        Name of the `trajectory`.
     folder
-        Not used: the core has its own cache folder.
+        Not used, because the controller stores its generated code in a cache folder.
     """
 
     def __init__(self, config: ControllerConfig, settings: dict[str, Any], folder: Path) -> None:
@@ -43,7 +43,7 @@ class OurSubject:
         return self._step.command
 
     def report(self) -> SolveReport:
-        """Report the last step."""
+        """Return the report of the last step."""
         step = self._step
         assert step is not None
         return SolveReport(step.solve_time, step.solver.iterations, step.mode is Mode.TRACKING)

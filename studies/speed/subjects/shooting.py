@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-SOFT = 5
+SOFT_VALUES = 5
 """Number of values with soft limits at each stage."""
 
 
@@ -16,8 +16,8 @@ SOFT = 5
 class ShootingProgram:
     """Nonlinear program in x = (z_0, u_0, s_1, z_1, u_1, ..., s_N, z_N) with p = (z_0, p_0, ..., p_N).
 
-    s_k >= 0 are the violations of the soft limits of stage k. The program is expanded into scalars, because the
-    derivatives of a map of one stage over the horizon take several times as long to evaluate.
+    The slacks s_k >= 0 are the violations of the soft limits of stage k. The program is expanded into scalars: the
+    derivatives of one function that is mapped over the horizon take several times as long to evaluate.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class ShootingProgram:
     equality
         Flag of each row of g, True for equations.
     stride, states
-        Number of values of a stage in x, and of z; u_k follows z_k.
+        Number of values of a stage in x, and length of z; u_k follows z_k.
     """
 
     nlp: dict[str, ca.SX]
@@ -38,8 +38,8 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Stack states (N + 1, z), commands (N, 2) and zero slacks to x."""
-        slack = np.zeros((len(commands), SOFT))
+        """Stack states (N + 1, z), commands (N, 2) and slacks of zero to x."""
+        slack = np.zeros((len(commands), SOFT_VALUES))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
     def shift(self, x: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ class ShootingProgram:
 def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
     """Build the program for the fields of a `studies.speed.stage.StageProblem`."""
     N, size = problem["horizon"], problem["states"]
-    stride = size + 2 + SOFT
+    stride = size + 2 + SOFT_VALUES
     stage, terminal_tracking = _stage(problem), ca.Function.deserialize(problem["tracking"])
     x = ca.SX.sym("x", stride * N + size)
     first_state, parameters = ca.SX.sym("first", size), ca.SX.sym("p", problem["parameters"], N + 1)
@@ -66,17 +66,17 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
         if k == 0:
             g.append(x[:size] - first_state)
         cost += stage_cost
-    # The cost of the last stage contains its tracking error with weight 1; add the rest of the weight `terminal`.
+    # The cost of the last stage already contains its tracking error once; the factor must be `terminal`.
     weights = (problem["terminal"] - 1.0) * problem["tracking_weights"]
     cost += ca.dot(weights, terminal_tracking(next_z, parameters[:, N]) ** 2) / 2
 
     unbounded, zeros = np.full(size, np.inf), np.zeros(size)
-    low = np.concatenate([zeros, -problem["slew"], np.full(SOFT, -np.inf), np.zeros(SOFT)])
-    high = np.concatenate([zeros, problem["slew"], np.zeros(SOFT), np.full(SOFT, np.inf)])
+    low = np.concatenate([zeros, -problem["slew"], np.full(SOFT_VALUES, -np.inf), np.zeros(SOFT_VALUES)])
+    high = np.concatenate([zeros, problem["slew"], np.zeros(SOFT_VALUES), np.full(SOFT_VALUES, np.inf)])
     equations = [True] * size + [False] * (len(low) - size)
     box = problem["box"]
-    lower = np.concatenate([-unbounded, -box, np.zeros(SOFT)])
-    upper = np.concatenate([unbounded, box, np.full(SOFT, np.inf)])
+    lower = np.concatenate([-unbounded, -box, np.zeros(SOFT_VALUES)])
+    upper = np.concatenate([unbounded, box, np.full(SOFT_VALUES, np.inf)])
     return ShootingProgram(
         nlp={"x": x, "p": ca.vertcat(first_state, ca.vec(parameters)), "f": cost, "g": ca.vertcat(*g)},
         bounds={
@@ -93,11 +93,11 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
 
 def _stage(problem: dict[str, Any]) -> ca.Function:
     """Build the function that maps a stage (z, u, s), the next z and the parameters to rows of g and the cost."""
-    size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
+    size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT_VALUES, problem["parameters"])
     step, tracking, effort, soft = (
         ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
     )
-    stage, next_z = ca.SX.sym("stage", size + 2 + SOFT), ca.SX.sym("next_z", size)
+    stage, next_z = ca.SX.sym("stage", size + 2 + SOFT_VALUES), ca.SX.sym("next_z", size)
     p, next_p = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "next_p"))
     z, u, s = stage[:size], stage[size : size + 2], stage[size + 2 :]
     predicted_z = step(z, u, p)

@@ -116,7 +116,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         text = _HEAD + yaml.safe_dump(calibration.model_dump(), sort_keys=False, width=150, default_flow_style=None)
         total = sum(map(len, results.values()))
         return Report(
-            counted=f"{total} drives",
+            size=f"{total} drives",
             meta={"level": level},
             content={
                 table.title: [dict(zip(table.columns, row, strict=True)) for row in table.rows] for table in tables

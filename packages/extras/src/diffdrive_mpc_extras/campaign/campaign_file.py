@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.peers import LAWS, PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc_extras.campaign.definition import Definition, check_factor
 from diffdrive_mpc_extras.campaign.draws import Draw, Value, read_factor
 
@@ -67,7 +67,7 @@ class Conditions(StrictModel):
         """Select conditions by name, by default all; raises ConfigError for an unknown name."""
         unknown = [name for name in names or () if name not in self.conditions]
         if unknown:
-            raise ConfigError(f"{where}: unknown condition {not_among(unknown[0], self.conditions)}")
+            raise ConfigError(f"{where}: unknown condition {format_unknown_name(unknown[0], self.conditions)}")
         return {name: self.conditions[name] for name in names or self.conditions}
 
 

@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.compiled.cache import content_digest
-from diffdrive_mpc.models.suggestions import not_among
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.models.trust import is_trusted
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, digital_twin, load_simulated_robot
@@ -84,7 +84,7 @@ class Definition:
             fields_of_case["model"] = _model_of(fields_of_case["config"])
         case = Case(**fields_of_case, overrides=_sorted(groups["config"]))
         if case.controller not in CONTROLLERS:
-            raise ConfigError(f"{where}: unknown controller {not_among(case.controller, CONTROLLERS)}")
+            raise ConfigError(f"{where}: unknown controller {format_unknown_name(case.controller, CONTROLLERS)}")
         return cls(case, *(_sorted(groups[name]) for name in GROUPS[1:]))
 
     @property

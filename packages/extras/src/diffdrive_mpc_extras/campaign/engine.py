@@ -22,8 +22,8 @@ from diffdrive_mpc.bench.runner import (
     OnDone,
     StudyFailedError,
     WorkerDiedError,
+    are_processes_persistent,
     available_cores,
-    keeps_processes,
     run_tasks,
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
@@ -189,7 +189,7 @@ def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: 
     remaining, tries = list(tasks), 0
     while remaining:
         try:
-            processes = min(jobs, max(1, len(remaining) // (1 if keeps_processes() else _START_COST)))
+            processes = min(jobs, max(1, len(remaining) // (1 if are_processes_persistent() else _START_COST)))
             run_tasks([partial(_run_and_store, task, folder) for task in remaining], processes, on_done)
             return
         except WorkerDiedError:

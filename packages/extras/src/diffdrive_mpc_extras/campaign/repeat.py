@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 from pydantic import Field
 
-from diffdrive_mpc.app.run_log import holds_plans, run_log
+from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.app.simulate.single import draw, report
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import staged
@@ -115,7 +115,7 @@ def _repeat_run(file: Path, out: Path | None, log: Path | None, details: bool) -
         folder = None if out is None else stack.enter_context(staged(out, owner="repeat"))
         start = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run, row = drive_run(definition, bar.show, keep_plans=folder is not None or holds_plans(log))
+            run, row = drive_run(definition, bar.show, keep_plans=folder is not None or includes_plans(log))
         if run is not None:
             write_log(run, definition.case, ["repeat", str(file)])
         if run is not None and folder is not None:

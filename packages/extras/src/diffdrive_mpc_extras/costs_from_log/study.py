@@ -11,7 +11,7 @@ import yaml
 from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
+from diffdrive_mpc.bench.html_report.page import KeyFigure, PageContents
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
@@ -86,7 +86,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
         source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
         drive = results.drive.model_dump(mode="json")
         return Report(
-            counted=f"{len(results.samples)} samples of steady turns",
+            size=f"{len(results.samples)} samples of steady turns",
             meta={"log": results.log.name, "vehicle": results.vehicle.name},
             content={
                 "constants": {name: getattr(results.drive, name) for name, _, _ in _CONSTANTS},
@@ -99,7 +99,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             facts=[
                 f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {source} Initial curves: "
                 f"terrain '{PRIOR}'; {results.slip_source}.",
-                *(f"{finding.place}: {finding.words}." for finding in results.log.findings),
+                *(f"{finding.place}: {finding.message}." for finding in results.log.findings),
             ],
             notes=[
                 "Energy at rest and in turns of at least the minimum radius. The prediction uses turn costs learned "
@@ -107,7 +107,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             ],
             tables=_tables(results),
             figures={"learned.png": partial(draw_log, results)},
-            shown=Shown(
+            shown=PageContents(
                 key_figures=[KeyFigure("minimum radius", radius_text, f"at {results.costs.curve.speed:g} m/s", "good")]
             ),
             files={

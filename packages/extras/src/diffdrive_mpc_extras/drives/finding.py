@@ -29,7 +29,7 @@ from diffdrive_mpc.models.output_error.experiment import (
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc_extras.drives.drive_model import (
     DRIVE_FILES,
@@ -85,7 +85,7 @@ def _channel(fit: DriveFit, row: int) -> dict[str, float]:
     return {
         "dead_samples": fit.dead_samples[row],
         "still": fit_settings().still[row],
-        **{key: rounded(fit.values[row][key]) for key in fit.values[row] if key in keys},
+        **{key: round_values(fit.values[row][key]) for key in fit.values[row] if key in keys},
     }
 
 
@@ -101,12 +101,12 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
         wheel_radius=radius,
         track=track,
         centre_ahead=0.0,
-        yaw_inertia=rounded(differential / 2 * track**2 / radius**2),
+        yaw_inertia=round_values(differential / 2 * track**2 / radius**2),
         wheel_inertia=0.0,
     )
     drive = {
-        "proportional_gain": rounded(forward * (chassis.direct + chassis.cross)),
-        "integral_time": rounded(fit.values[0]["integral_time"]),
+        "proportional_gain": round_values(forward * (chassis.direct + chassis.cross)),
+        "integral_time": round_values(fit.values[0]["integral_time"]),
         "actuator_lag": fit_settings().actuator_lag,
         "friction": fit_settings().friction,
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.app.run_log import holds_plans, run_log
+from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, controller_config, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -142,26 +142,26 @@ def excite_model(
             f"fence.margin = {loaded.fence.margin:g} m: the drive keeps {margin:g} m from the edges of the room, so the"
             f" fence would stop it; give less than {margin:g} m"
         )
-    model = _believed(loaded)
+    model = _controller_model(loaded)
     estimator = loaded.estimator
     information = DriveInformation(model, (estimator.wheel_speed_noise, estimator.yaw_rate_noise))
     tick = model_excitation_settings().tick
     each = max(1, round(tick / loaded.sample_time))
 
-    tried, most = itertools.count(1), evaluated_drives()
+    evaluations, total = itertools.count(1), evaluated_drives()
 
     def objective(twists: FloatArray) -> float:
         if on_drive:
-            on_drive(min(next(tried), most), most)
+            on_drive(min(next(evaluations), total), total)
         return information.log_determinant(np.repeat(twists, each, axis=0), tick / each)
 
     drive = model_excitation(room, seconds, _limits(loaded, speed, yaw_rate), objective, seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drive.yaml"
         write_model_drive(path, drive, tick)
-        late = float(np.mean([loaded.extra_dead_time.v, loaded.extra_dead_time.omega]))
-        plant = f"model:{loaded.model}" + (f"+{late:g}" if late else "")
-        run = driven(replace(case, plant=plant, seed=seed), path)
+        dead_time = float(np.mean([loaded.extra_dead_time.v, loaded.extra_dead_time.omega]))
+        plant = f"model:{loaded.model}" + (f"+{dead_time:g}" if dead_time else "")
+        run = simulate_case(replace(case, plant=plant, seed=seed), path)
     rows = round(identification_settings().fit_share * len(run.command))
     return Excitation(case, room, drive, information.parameters(run.command[:rows], run.sample_time))
 
@@ -193,7 +193,7 @@ def excite_into(
             excitation.write(out)
             if log is not None:
                 bar.start_stage("driving", 1)
-                run = driven(drive, out, bar.show, keep_plans=holds_plans(log))
+                run = simulate_case(drive, out, bar.show, keep_plans=includes_plans(log))
                 check_drive(run, room)
                 write_log(run, drive)
     console.print(excitation.table().rich())
@@ -210,7 +210,7 @@ def in_room(config: str, room: Room) -> Case:
     return replace(case, overrides=changes)
 
 
-def driven(
+def simulate_case(
     case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
 ) -> Run:
     """Simulate a case along a trajectory file; raise ConfigError if the file or the plant is invalid."""
@@ -229,9 +229,9 @@ def check_drive(run: Run, room: Room) -> None:
         raise ConfigError(
             f"the robot left the room after {run.time[out[0]]:.1f} s; give a larger room, or a lower --speed"
         )
-    stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
-    if stood is not None:
-        raise ConfigError(f"the controller stopped during the drive ({stood}); give a larger room, or a lower --speed")
+    reason = next((message for mode, message in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
+    if reason is not None:
+        raise ConfigError(f"the controller stopped during the drive ({reason}); give a larger room, or a lower --speed")
 
 
 def case_of(config: str) -> Case:
@@ -242,22 +242,22 @@ def case_of(config: str) -> Case:
     return Case(model=load_config(config).model, config=config)
 
 
-def _believed(config: ControllerConfig) -> VelocityModel:
+def _controller_model(config: ControllerConfig) -> VelocityModel:
     extra = config.extra_dead_time
     return load_linear_model(config.model).with_extra_dead_time([extra.v, extra.omega])
 
 
 def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> TrajectoryLimits:
-    """Compute the limits of the reference; tracking needs the rest of the command limits, as for scaled paths."""
+    """Compute the limits of the reference; tracking needs the remaining command limits, as for scaled paths."""
     settings, limits = load_settings(), config.limits
-    for name, wanted, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
-        most = settings.reach_share * getattr(limits, name)
-        if not (np.isfinite(wanted) and 0 < wanted <= most):
+    for name, requested, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
+        maximum = settings.reach_share * getattr(limits, name)
+        if not (np.isfinite(requested) and 0 < requested <= maximum):
             option = "--speed" if name == "v" else "--yaw-rate"
             limit = getattr(limits, name)
             raise ConfigError(
-                f"{option} {wanted:g}: with limits.{name} = {limit:g} {unit}, give at most {most:g} {unit}; tracking "
-                "needs the rest"
+                f"{option} {requested:g}: with limits.{name} = {limit:g} {unit}, give at most {maximum:g} {unit}; "
+                "tracking needs the rest"
             )
     slew = model_excitation_settings().slew_share
     return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)

@@ -21,8 +21,8 @@ SPEEDS = (1 / 3, 2 / 3, 1.0)
 YAW_RATES = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Fractions of the maximum yaw rate; Ordonez et al. alternate left and right, from straight to a radius of 0.56 m."""
 
-# A reversal takes time and contains no information: its value must exceed the alternative by this factor.
-_REVERSAL = 1.1
+_REVERSAL_FACTOR = 1.1
+"""Factor by which the gain of a reversal must exceed that of other twists, because a reversal takes time."""
 
 
 def slip_excitation(
@@ -70,32 +70,35 @@ def slip_excitation(
             f"side {side} m: too small for {speed} m/s over {hold} s at {margin} m from the edges; give "
             f"{2 * (margin + 0.5 * speed * hold):.1f} m or more, or a lower speed"
         )
-    information, chosen = 1e-3 * np.eye(3), list[Segment]()
+    information, selected_segments = 1e-3 * np.eye(3), list[Segment]()
     scale = np.array([speed, yaw_rate, speed * yaw_rate])
     for _ in range(max(1, round(seconds / hold))):
-        best, most = None, -math.inf
+        best, max_gain = None, -math.inf
         for twist in twists:
             end = _end(pose, twist, hold, reach)
             if end is None or not any(_end(end, following, hold, reach) is not None for following in twists):
                 continue
             z = np.array([twist[0], twist[1], twist[0] * twist[1]]) / scale
             gain = 1 + hold * float(z @ np.linalg.solve(information, z))
-            if chosen and np.sign(twist[0]) != np.sign(chosen[-1].v):
-                gain /= _REVERSAL
-            if gain > most:
-                best, most = (twist, end, z), gain
+            if selected_segments and np.sign(twist[0]) != np.sign(selected_segments[-1].v):
+                gain /= _REVERSAL_FACTOR
+            if gain > max_gain:
+                best, max_gain = (twist, end, z), gain
         if best is None:
             raise ValueError(
                 f"side {side} m: no twist stays inside at {pose[0]:.1f}, {pose[1]:.1f} m; use a longer side"
             )
         twist, pose, z = best
         information = information + hold * np.outer(z, z)
-        chosen.append(Segment(v=float(twist[0]), omega=float(twist[1]), duration=hold))
-    return chosen
+        selected_segments.append(Segment(v=float(twist[0]), omega=float(twist[1]), duration=hold))
+    return selected_segments
 
 
-def told_apart(segments: Sequence[Segment]) -> float:
-    """Compute the maximum absolute correlation of the terms v, omega and v omega over a drive; 1: not separable."""
+def max_term_correlation(segments: Sequence[Segment]) -> float:
+    """Compute the maximum absolute correlation of the terms v, omega and v omega over a drive.
+
+    A correlation of 1 means that the terms cannot be separated.
+    """
     terms = np.array([[segment.v, segment.omega, segment.v * segment.omega] for segment in segments])
     weights = np.array([segment.duration for segment in segments])
     products = (terms * weights[:, None]).T @ terms
@@ -118,11 +121,12 @@ def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
         draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")
     return (
         f"{path}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without transitions. "
-        f"Maximum correlation of the terms v, omega and v omega: {told_apart(segments):.2f} (1: not separable)."
+        f"Maximum correlation of the terms v, omega and v omega: {max_term_correlation(segments):.2f} "
+        "(1: not separable)."
     )
 
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:
-    """Compute the end of `twist`; None if its path leaves the square."""
+    """Compute the pose at the end of `twist`; None if the path leaves the square."""
     path = integrate_pose(pose, twist[0], twist[1], np.linspace(0.0, hold, 11)[1:])
     return path[-1] if np.abs(path[:, :2]).max() <= reach else None

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from diffdrive_mpc.bench.case import label
-from diffdrive_mpc.bench.controllers import chosen_model, controller_config
+from diffdrive_mpc.bench.controllers import controller_config, select_model
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import staged
@@ -154,7 +154,7 @@ def export_library(
     start = time.perf_counter()
     if precision not in list(Precision):
         raise ConfigError(f"--precision '{precision}': give double or float")
-    name = chosen_model(model, config)
+    name = select_model(model, config)
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
     reference = load_trajectory(trajectory, values)
     with (

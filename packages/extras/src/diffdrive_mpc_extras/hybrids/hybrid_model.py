@@ -17,7 +17,7 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc.models.structures.model_file import Finite, FunctionFile, SmFile, build_model, write_parameters
 from diffdrive_mpc.models.velocity_model import ModelError
 
@@ -196,7 +196,7 @@ def model_from_file(content: HybridFile) -> HybridModel:
 
 def correction_content(correction: Correction) -> dict[str, Any]:
     """Convert a correction to the content of a file, with rounded values."""
-    return {name: rounded(getattr(correction, name)) for name in CorrectionContent.model_fields}
+    return {name: round_values(getattr(correction, name)) for name in CorrectionContent.model_fields}
 
 
 def write_hybrid(path: Path, content: HybridFile) -> None:

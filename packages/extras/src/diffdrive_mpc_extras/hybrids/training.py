@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import minimize
 
-from diffdrive_mpc.models.base_effects import limited
+from diffdrive_mpc.models.base_effects import apply_limits
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import MissingPackageError
@@ -102,7 +102,7 @@ def training_runs(
     for experiment in experiments:
         start, command = steady_start(system, experiment.first_readings)
         before = np.tile(command, (linear.memory, 1))
-        sent = limited(experiment.inputs, system.limit, experiment.dt, command)
+        sent = apply_limits(experiment.inputs, system.limit, experiment.dt, command)
         recent, older = linear.effective_inputs(sent, before)
         drive = recent @ linear.B0.T + older @ linear.B1.T
         states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T

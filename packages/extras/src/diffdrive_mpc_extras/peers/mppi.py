@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import TrackingLaw
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, LawInput, NotNegative
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Gains, LawInput, NotNegative, RobotParameters
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 
@@ -41,7 +41,7 @@ class MppiLaw:
 
     gains = MppiGains
 
-    def __init__(self, gains: MppiGains, robot: Delayed, samples: int = SAMPLES, steps: int = STEPS) -> None:
+    def __init__(self, gains: MppiGains, robot: RobotParameters, samples: int = SAMPLES, steps: int = STEPS) -> None:
         self._gains, self._dt, self._samples, self._steps = gains, robot.sample_time, samples, steps
         self._noise = np.array([gains.v_noise, gains.omega_noise], dtype=np.float32)
         self._limits = np.array([robot.limits.v, robot.limits.omega], dtype=np.float32)

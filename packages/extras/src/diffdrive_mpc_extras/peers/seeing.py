@@ -17,7 +17,15 @@ from pydantic import Field
 from scipy.ndimage import distance_transform_edt
 
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, Delayed, Law, LawInput, TrackingPeer, law_data
+from diffdrive_mpc.bench.peers.tracking_peer import (
+    MODEL,
+    AboveZero,
+    Law,
+    LawInput,
+    RobotParameters,
+    TrackingPeer,
+    robot_parameters,
+)
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, integrate_pose
@@ -134,7 +142,7 @@ class SeeingPeer(TrackingPeer):
         """Store the latest detected obstacles."""
         self._new_obstacles = obstacles
 
-    def _since_start(self, t: float, estimate: Estimate | None) -> float:
+    def _reference_time(self, t: float, estimate: Estimate | None) -> float:
         elapsed, self._last_time = t - self._last_time, t
         if estimate is None or self._reference is None:
             return self._progress
@@ -151,11 +159,11 @@ class PursuitThatStops(SeeingPeer):
 
     def __init__(self) -> None:
         settings = seeing_settings()
-        law = PursuitLaw(settings.rpp.gains, law_data(load_config(MODEL)))
+        law = PursuitLaw(settings.rpp.gains, robot_parameters(load_config(MODEL)))
         super().__init__(law, settings.rpp.gains.lead, settings.rpp.wait)
         self._stop, self._outline = settings.rpp, outline_points(settings.outline)
 
-    def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
+    def _limit_twist(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
         if self._distance_field is None:
             return twist, ""
         v, omega = twist
@@ -174,8 +182,8 @@ class PursuitThatStops(SeeingPeer):
 class GridMppiLaw(MppiLaw):
     """MPPI with an additional cost of the distance between the robot, as four discs, and detected obstacles."""
 
-    def __init__(self, settings: GridMppi, robot: Delayed, outline: tuple[float, float]) -> None:
-        coarse_robot = Delayed(robot.sample_time * settings.ticks, robot.time_constant, robot.limits)
+    def __init__(self, settings: GridMppi, robot: RobotParameters, outline: tuple[float, float]) -> None:
+        coarse_robot = RobotParameters(robot.sample_time * settings.ticks, robot.time_constant, robot.limits)
         super().__init__(settings.gains, coarse_robot, settings.samples, settings.steps)
         self._settings = settings
         self.distance_field: SeenDistanceField | None = None
@@ -223,11 +231,11 @@ class MppiWithGrid(SeeingPeer):
 
     def __init__(self) -> None:
         settings = seeing_settings()
-        law = GridMppiLaw(settings.mppi, law_data(load_config(MODEL)), settings.outline)
+        law = GridMppiLaw(settings.mppi, robot_parameters(load_config(MODEL)), settings.outline)
         super().__init__(law, settings.mppi.gains.lead, settings.mppi.wait)
         self._grid_law = law
 
-    def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        progress = super()._since_start(t, estimate)
+    def _reference_time(self, t: float, estimate: Estimate | None) -> float:
+        progress = super()._reference_time(t, estimate)
         self._grid_law.distance_field = self._distance_field
         return progress

@@ -15,7 +15,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown, Warned
+from diffdrive_mpc.bench.html_report.page import KeyFigure, PageContents, PageWarning
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
@@ -123,7 +123,7 @@ class PlanStudy(Study[PlanRequest, Plans]):
         """Return the report with tables, figures and the trajectory."""
         request, selected = self._request, results[self._request.minimise]
         return Report(
-            counted=f"{len(results)} plans",
+            size=f"{len(results)} plans",
             meta={
                 "costs": request.costs.name,
                 "provenance": request.costs.provenance,
@@ -157,7 +157,9 @@ class PlanStudy(Study[PlanRequest, Plans]):
                 "paths.png": partial(draw_paths, request, results),
                 "power.png": partial(draw_power, request, results),
             },
-            shown=Shown(key_figures=_key_figures(results, request.minimise), warnings=_warnings(request, results)),
+            shown=PageContents(
+                key_figures=_key_figures(results, request.minimise), warnings=_warnings(request, results)
+            ),
             files={"trajectory.csv": trajectory_text(selected)},
         )
 
@@ -173,13 +175,13 @@ def saving(results: Plans) -> float:
     return 1 - results["energy"].energy / results["distance"].energy
 
 
-def _warnings(request: PlanRequest, results: Plans) -> list[Warned]:
+def _warnings(request: PlanRequest, results: Plans) -> list[PageWarning]:
     """Warn about long paths, whose duration has no cost if the idle power is zero."""
     cheapest, shortest = results["energy"].length, results["distance"].length
     if request.minimise != "energy" or request.costs.drive.idle_power > 0 or cheapest < _LONG * shortest:
         return []
     return [
-        Warned(
+        PageWarning(
             f"The minimum-energy path is {cheapest / shortest:.1f} times as long as the shortest path, because the "
             "drive constants contain no idle power.",
             "Set the power of computer and sensors: --idle-power, or idle_power in the costs.",

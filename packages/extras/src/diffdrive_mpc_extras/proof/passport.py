@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, Series, Shown, Warned
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, PageContents, PageWarning, Series
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import persistent_processes
@@ -230,10 +230,10 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         )
         remedy = "increase the tolerance, or avoid such turns: a path that needs them is rejected"
         warnings = [
-            Warned(f"{_name(search)}: no speed is proven.", remedy) for search in searches if search.speed is None
+            PageWarning(f"{_name(search)}: no speed is proven.", remedy) for search in searches if search.speed is None
         ]
         return Report(
-            counted=f"{len(results.driven)} runs",
+            size=f"{len(results.driven)} runs",
             meta={"controller": Path(self._config).name, "campaign": self._proof.description},
             content={"speeds": [_row(search) for search in searches]},
             facts=[
@@ -243,7 +243,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
             ],
             notes=["Error: maximum lateral distance of the true position from the timed path over the whole drive."],
             tables=[self._speeds(searches), self._evidence(searches)],
-            shown=Shown(
+            shown=PageContents(
                 summary=[claim],
                 views=[_chart(surface, searches) for surface in spec.surfaces],
                 warnings=warnings,

@@ -16,11 +16,11 @@ from diffdrive_mpc.bench.html_report.page import (
     GridMap,
     KeyFigure,
     Mark,
+    PageContents,
+    PageWarning,
     Series,
-    Shown,
-    Warned,
-    rounded,
-    tail,
+    round_digits,
+    tail_shares,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
 from diffdrive_mpc.bench.table import Table, millis, number
@@ -286,10 +286,10 @@ def _or_nan(figure: object, values: FloatArray) -> float:
 _REPEAT_REMEDY = "repeat the worst run with `repeat worst/01.yaml --out worst/01`, and read its report"
 
 
-def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], band: float) -> Shown:
+def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], band: float) -> PageContents:
     """Return summary, key figures and warnings of the page; `band` [m] as in `boundaries.holds`."""
     rates = Outcomes.of_runs(driven, band)
-    return Shown(
+    return PageContents(
         summary=[
             f"{rates.completed.count} of {rates.completed.of} runs were completed, {rates.in_band.count} of them "
             f"within the band; {rates.unsafe.count or 'none'} had an unsafe command."
@@ -322,7 +322,7 @@ def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
     if not rmse.size:
         return []
     worst = 1e3 * error_estimates(driven)[f"{CVAR}, completed runs"].value
-    series = Series("completed runs", *tail(rmse), 0, "line")
+    series = Series("completed runs", *tail_shares(rmse), 0, "line")
     axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with a larger error", "log")
     marks = [Mark(TAIL, f"{100 * TAIL:g} %"), Mark(round(worst, 2), f"{CVAR}: {worst:.1f} mm", upright=True)]
     return [Chart("Distribution of the error", *axes, [series], marks=marks)]
@@ -331,7 +331,7 @@ def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
 def map_chart(drawn: DrivenMap) -> GridMap:
     """Chart the position error over two factors."""
     x, y = drawn.axes.x, drawn.axes.y
-    values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
+    values = [[round_digits(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(
         drawn.name.replace("-", " ").capitalize(),
         GridAxis(x.factor, x.values),
@@ -345,25 +345,25 @@ def map_chart(drawn: DrivenMap) -> GridMap:
 
 def _warnings(
     driven: Sequence[CampaignRun], rates: Outcomes, boundaries: Sequence[Boundary], band: float
-) -> list[Warned]:
+) -> list[PageWarning]:
     warnings = []
     failed = sum(run.row["error"] != "" for run in driven)
     if rates.unsafe.count:
         text = (
             f"{rates.unsafe.count} runs had an unsafe command: not finite, or outside the limits of the configuration."
         )
-        warnings.append(Warned(text, f"do not use this configuration; {_REPEAT_REMEDY}, and report it"))
+        warnings.append(PageWarning(text, f"do not use this configuration; {_REPEAT_REMEDY}, and report it"))
     if failed:
-        warnings.append(Warned(f"{failed} runs ended in an error and count as not completed.", _REPEAT_REMEDY))
+        warnings.append(PageWarning(f"{failed} runs ended in an error and count as not completed.", _REPEAT_REMEDY))
     if rates.stopped.count:
         text = f"In {rates.stopped.count} runs the controller stopped the robot safely before the end."
-        warnings.append(Warned(text, f"find the scenarios in the tables; {remedies().waited}"))
+        warnings.append(PageWarning(text, f"find the scenarios in the tables; {remedies().waited}"))
     beyond = rates.completed.count - rates.in_band.count
     if beyond:
         text = f"{beyond} completed runs had a distance above {1e3 * band:g} mm from the path."
-        warnings.append(Warned(text, f"keep more distance from obstacles, or drive slower; {_REPEAT_REMEDY}"))
+        warnings.append(PageWarning(text, f"keep more distance from obstacles, or drive slower; {_REPEAT_REMEDY}"))
     for boundary in boundaries:
         if boundary.held is None:
             text = f"{boundary.factor}: the value {boundary.search.holds:g} fails and should pass."
-            warnings.append(Warned(text, "check the maps for other factors at their limits"))
+            warnings.append(PageWarning(text, "check the maps for other factors at their limits"))
     return warnings

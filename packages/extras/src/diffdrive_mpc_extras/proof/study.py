@@ -135,7 +135,7 @@ class ProofStudy(Study[ProofPlan, ProofResults]):
         }
         seeds, band = len(self._proof.probe.seeds), self._proof.band
         return Report(
-            counted=f"{len(results.driven) + results.others} runs",
+            size=f"{len(results.driven) + results.others} runs",
             meta={"statistics": STATISTICS, "controller": Path(self._config).name, "campaign": self._proof.description},
             content={
                 "rates": plain(Outcomes.of_runs(results.driven, band)),

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.app.run_log import holds_plans, repeat_arguments, run_log
+from diffdrive_mpc.app.run_log import includes_plans, repeat_arguments, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, Shown, Warned
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, PageContents, PageWarning, Series
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
@@ -152,7 +152,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
                     plan.with_override(_ENABLED, value=is_learning),
                     self._laps,
                     on_tick=_offset_tick(part, 2, bar.show),
-                    keep_plans=is_learning and holds_plans(self._log),
+                    keep_plans=is_learning and includes_plans(self._log),
                 )
                 for part, is_learning in enumerate((True, False))
             )
@@ -165,15 +165,15 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
         learned, plain = results
         table = lap_table(learned, plain)
         return Report(
-            counted=f"{2 * self._laps} laps",
+            size=f"{2 * self._laps} laps",
             meta={"case": self._case.labels, "laps": self._laps},
             content={"laps": [dict(zip(table.columns, row, strict=True)) for row in table.rows]},
             facts=[f"{self._case.labels['trajectory']}, {self._laps} laps with rehearsal and the same number without."],
             tables=[table],
             figures={"laps.png": lap_charts(learned, plain)},
-            shown=Shown(
+            shown=PageContents(
                 warnings=[
-                    Warned(f"Lap {lap}: {message}.", "")
+                    PageWarning(f"Lap {lap}: {message}.", "")
                     for lap, run in enumerate(learned.runs, start=1)
                     for message in dict.fromkeys(filter(None, (*run.messages, run.ended)))
                 ]

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, messages, read_drive_log
-from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
+from diffdrive_mpc.models.logs.drive_log.ros_messages import decode
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc_extras.replay.logged_config import values_from_log
@@ -74,7 +74,7 @@ def _record_lines(path: Path) -> tuple[list[str], list[str]]:
     lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
     for channel, _, data in messages(path):
         if channel.topic in lines:
-            lines[channel.topic].append(str(decoded(channel.kind, bytes(data)).data))
+            lines[channel.topic].append(str(decode(channel.kind, bytes(data)).data))
     return lines[TICK], lines[DRIVE]
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.bench.controllers import chosen_model, controller_config
+from diffdrive_mpc.bench.controllers import controller_config, select_model
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -141,7 +141,7 @@ def _requested_config(request: ReplayRequest) -> ControllerConfig | None:
     if request.config is None and request.model is None:
         return None
     file = None if request.config is None else str(request.config)
-    return controller_config(chosen_model(request.model, request.config), file, single_settings(request.settings))
+    return controller_config(select_model(request.model, request.config), file, single_settings(request.settings))
 
 
 def _check_sample_time(recording: Recording, config: ControllerConfig) -> None:

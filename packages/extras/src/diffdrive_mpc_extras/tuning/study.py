@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, KeyFigure, Series, Shown, Warned
+from diffdrive_mpc.bench.html_report.page import (
+    Axis,
+    Chart,
+    ConfigurationView,
+    KeyFigure,
+    PageContents,
+    PageWarning,
+    Series,
+)
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
@@ -158,7 +166,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         change = results.comparison.change()
         advice = f"{CONFIG} contains the start configuration; use more points (--points) or other ranges (--plan)"
         return Report(
-            counted=f"{len(results.points)} points",
+            size=f"{len(results.points)} points",
             meta={"statistics": STATISTICS, "tuning": plan.description, "sentence": sentence, "is_better": better},
             content={
                 "change": plain(change),
@@ -178,14 +186,14 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
             ],
             tables=[_comparison_table(results.comparison), _parameter_table(results)],
             figures={"search.png": [_search_chart(results.points)]},
-            shown=Shown(
+            shown=PageContents(
                 key_figures=[
                     KeyFigure("better", "yes" if better else "no", "on the report seeds", "good" if better else ""),
                     KeyFigure(
                         "position RMSE", _percent(change.value), f"{_percent(change.low)} to {_percent(change.high)}"
                     ),
                 ],
-                warnings=[] if better else [Warned(f"The best point is {sentence}.", advice)],
+                warnings=[] if better else [PageWarning(f"The best point is {sentence}.", advice)],
                 configurations=[
                     ConfigurationView("Written configuration (YAML)", self._yaml(results, Path())),
                 ],

@@ -23,8 +23,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Finding
-from diffdrive_mpc.models.logs.record import counted
-from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.models.logs.record import format_findings
+from diffdrive_mpc.models.structures.identified import round_values
 from diffdrive_mpc_extras.twin.free_run import FreeMotion
 from diffdrive_mpc_extras.twin.from_log import FittedTwin, fit_twin_to_logs
 from diffdrive_mpc_extras.twin.held_out import HeldOutScore
@@ -50,7 +50,7 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
         "seconds_fitted": round(twin.fit.seconds, 1),
         "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_score.fit_percent.items()},
         "parameters": {
-            parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
+            parameter.name: round_values({"value": parameter.value, "low": parameter.low, "high": parameter.high})
             | {"told": parameter.told}
             for parameter in twin.fit.parameters
         },
@@ -66,7 +66,7 @@ def _round_numbers(value: Any) -> Any:  # noqa: ANN401 - nested data
     if isinstance(value, (list, tuple)):
         return [_round_numbers(entry) for entry in value]
     if isinstance(value, float):
-        return rounded(value)
+        return round_values(value)
     return value
 
 
@@ -202,7 +202,7 @@ class TwinStudy(Study[None, FittedTwin]):
         undetermined = [parameter.name for parameter in results.fit.parameters if not parameter.told]
         note = f"The log does not determine {', '.join(undetermined)}: prior kept." if undetermined else ""
         return Report(
-            counted=f"{results.fit.drives} drives of the plant",
+            size=f"{results.fit.drives} drives of the plant",
             meta={"logs": list(results.data.logs), "robot": results.name, "model": results.model_name},
             content=scores_and_parameters(results),
             facts=[
@@ -222,5 +222,5 @@ def _call(task: Task) -> list[FreeMotion] | None:
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for line in counted(findings):
+    for line in format_findings(findings):
         output_console().print(f"note: {line}", markup=False, highlight=False, soft_wrap=True)
