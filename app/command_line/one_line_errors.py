@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, ClassVar, NoReturn, TextIO
+from typing import Any, ClassVar, NoReturn
 
 import typer
 
@@ -113,14 +113,7 @@ def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes tha
 _SHOWN_NOTES: set[str] = set()
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401 - see warnings.showwarning
     """Print a note about the content of a file, or any other warning in Python's format."""
     if "NoteWarning" in (base.__name__ for base in category.__mro__):
         # A file may be read twice but is reported once.
@@ -129,7 +122,8 @@ def _show_warning(
             _SHOWN_NOTES.add(note)
             echo(note, err=True)
     else:
-        (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
+        filename, line_number, *_ = place
+        sys.stderr.write(warnings.formatwarning(message, category, filename, line_number))
 
 
 def _singular(name: str) -> str:
