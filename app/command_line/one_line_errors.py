@@ -102,12 +102,17 @@ def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes tha
 
         key = unknown[1].replace("-", "_")
         return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
+    if re.match(r"No such option: -\w$", parser_error):
+        return "a name of several letters follows two dashes, as in --model; "
     if "extra argument" not in parser_error:
         return ""
     from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it
 
-    paths = [word for word in re.findall(r"\w+", parser_error.rpartition("(")[2]) if word in BUILT_IN]
-    return f"a value follows its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
+    words = re.findall(r"[\w.]+", parser_error.rpartition("(")[2])
+    paths = [word for word in words if word in BUILT_IN]
+    known = f"--trajectory {paths[0]}" if paths else "--set horizon=20" if words[0].isdigit() else "--model ssm"
+    several = ", and commas separate several values" if "--horizons" in options else ""
+    return f"a value follows its option, as in {known}{several}; "
 
 
 _SHOWN_NOTES: set[str] = set()

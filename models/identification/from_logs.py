@@ -157,7 +157,7 @@ class Identification:
         (folder / "report.md").write_text(text, encoding="utf-8")
 
 
-@checked_call()
+@checked_call(out="write the result: identify(...).write(FOLDER)")
 def identify(
     logs: str | Path | DataFrame | Sequence[str | Path | DataFrame],
     mapping: str | Path | None = None,
