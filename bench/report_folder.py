@@ -107,12 +107,7 @@ def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iter
 
 @contextmanager
 def staged(
-    target: Path,
-    files: Sequence[str] = (),
-    folders: Sequence[str] = (),
-    *,
-    owner: str = "",
-    shared: bool = False,
+    target: Path, files: Sequence[str] = (), folders: Sequence[str] = (), *, owner: str = "", shared: bool = False
 ) -> Iterator[Path]:
     """Yield a temporary folder for the results; on success its files are moved to `target`, on failure none of them.
 

@@ -54,10 +54,7 @@ class MotorsParametrisation:
     @property
     def names(self) -> tuple[str, ...]:
         """Three names for each motor, then that of the firmware's track."""
-        return (
-            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
-            "log_track",
-        )
+        return (*(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names), "log_track")
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

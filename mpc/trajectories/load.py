@@ -28,9 +28,7 @@ _RANDOM = "spline-SEED"
 
 @checked_call()
 def load_trajectory(
-    name_or_path: str | Path,
-    limits: TrajectoryLimits | ControllerConfig | None = None,
-    timing: str | None = None,
+    name_or_path: str | Path, limits: TrajectoryLimits | ControllerConfig | None = None, timing: str | None = None
 ) -> Trajectory:
     """Load a reference trajectory.
 
