@@ -71,7 +71,7 @@ def robot(
         raise ValueError(f"--duration {duration}: use a time above zero in seconds")
     arguments = ros_arguments(context)
 
-    from diffdrive_mpc.bench.case import Case, label  # noqa: PLC0415 - --help needs neither this nor ROS
+    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help needs neither this nor ROS
     from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
@@ -94,13 +94,10 @@ def robot(
         if config is None
         else build_plant(case)
     )
-    start = load_reference(case).sample([0.0]).pose[0]
     driver = f"diffdrive-mpc node --trajectory {shlex.quote(case.trajectory)} --drive"
-    clock = " --ros-args -p use_sim_time:=true" * lock_step
-    echo(f"the robot stands at the start of '{label(case.trajectory)}'; a node drives it, such as: {driver}{clock}")
     run_robot(
         plant,
-        start,
+        load_reference(case).sample([0.0]).pose[0],
         settings,
         load_sensor_set(values["sensors"]),
         lock_step=lock_step,
@@ -108,6 +105,7 @@ def robot(
         record=record,
         storage=storage,
         ros_arguments=arguments,
+        driver=driver + " --ros-args -p use_sim_time:=true" * lock_step,
     )
 
 
