@@ -16,7 +16,7 @@ _VALUES = {"str": "NAME", "int": "N", "int range": "N", "float": "NUMBER", "floa
 """Placeholder of a value in a help text, by typer's name of its type."""
 
 
-class _HelpFormatter(typer.Context.formatter_class):  # type: ignore[misc, name-defined]
+class _HelpFormatter(typer.Context.formatter_class):  # type: ignore[misc, valid-type]
     """Formatter with placeholders such as PATH and N, ranges in words, and examples that can be copied."""
 
     def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:

@@ -62,7 +62,7 @@ class OneLineErrors(FullHelp):
         try:
             with typed(sys.argv[1:] if arguments is None else arguments, self.program), warnings.catch_warnings():
                 _SHOWN_NOTES.clear()
-                warnings.showwarning = _show_warning
+                warnings.showwarning = _show_warning  # type: ignore[assignment]
                 code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # older versions of typer raise Abort on Ctrl-C; newer ones return the exit code
