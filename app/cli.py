@@ -19,7 +19,6 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_named_options, leave_on_sigterm
-from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
@@ -73,9 +72,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         # Rich would parse units such as [m] as markup.
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
-        help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
-    app.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
+    app.callback(epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
     plugged = {name: name.partition(".") for name in plug_in_names("commands")}
     names = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in plugged.values()}
     selected = {*words[:1]} & names or names
@@ -132,15 +130,12 @@ def _print_version(is_requested: bool) -> None:
         raise typer.Exit
 
 
-_HELP = "Model-predictive trajectory tracking for skid-steer and differential-drive robots."
-
-
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Accept the options of the program itself."""
+    """Track trajectories with skid-steer and differential-drive robots by model-predictive control."""
 
 
 @cache

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -31,6 +31,10 @@ class _PlainConsole(Console):
         """Yield the rendered segments; segments for colours and cursor movements are unchanged."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
+
+    def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - the signature of the base class
+        """Print objects; `soft_wrap` applies to files and pipes only, and a terminal gets lines of its width."""
+        super().print(*objects, **options | ({"soft_wrap": False} if self.is_terminal else {}))
 
 
 class ProgressBar:

@@ -109,12 +109,7 @@ def exclusive_access(folder: Path, name: object, *, wait: bool = False) -> Itera
 
 @contextmanager
 def staged(
-    target: Path,
-    files: Sequence[str] = (),
-    folders: Sequence[str] = (),
-    *,
-    owner: str = "",
-    shared: bool = False,
+    target: Path, files: Sequence[str] = (), folders: Sequence[str] = (), *, owner: str = "", shared: bool = False
 ) -> Iterator[Path]:
     """Yield a temporary folder for the results, whose files are moved to `target` if the context succeeds.
 

@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import load_pandas, wrong_type
+from diffdrive_mpc.models.errors import checked_call, load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, Trajectory
@@ -48,6 +48,7 @@ Model = VelocityModel | NonlinearModel
 _DEFAULTS = {dimension.name: dimension.default for dimension in DIMENSIONS}
 
 
+@checked_call()
 def sweep(
     *,
     model: str | Path | Model | Iterable[str | Path | Model] = "ssm",

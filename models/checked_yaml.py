@@ -202,7 +202,8 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a 
     try:
         text = read_input(path, file_limits().yaml_bytes).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        problem = getattr(error, "strerror", None) or "not UTF-8 text; give a YAML file"
+        raise ConfigError(f"{path}: cannot be read ({problem})") from error
     try:
         return parse_yaml(text)
     except yaml.MarkedYAMLError as error:
@@ -290,6 +291,8 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     stated_value, hint = error.get("input"), ""
     if kind.startswith(("less_than", "greater_than", "float", "int")) and (unit := unit_of(schema, location)):
         message += f" {unit}" if "_than" in kind else f" in {unit}"
+    if kind == "invalid_key":
+        message = "a key is text; write a decimal with a point, as in 1.5"
     if kind == "model_type":
         message = "expected keys and values"
     if stated_value is None and kind.endswith("_type") and place:

@@ -20,6 +20,14 @@ AnyArray = NDArray[Any]
 """Array of real numbers, or of complex numbers for complex-step differentiation."""
 
 
+def checked_array(argument: str, value: ArrayLike, expected: str, remedy: str) -> FloatArray:
+    """Return `value` as an array of floats; raise ArgumentError if it does not consist of numbers."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise wrong_type(argument, expected, value, remedy) from error
+
+
 def _checked_init(kind: type[T]) -> type[T]:
     """Raise ArgumentError if an object of the class is created with a missing or an unknown argument."""
     kind.__init__ = checked_call()(kind.__init__)  # type: ignore[method-assign]

@@ -56,7 +56,8 @@ def named_file(
     hint = similar_name(text, known)
     missing = "there is no such file; " if Path(text).suffix or os.sep in text else ""
     if Path(text).is_dir():
-        missing = f"a folder with {', '.join(sorted(path.name for path in Path(text).glob('*.yaml')))}; "
+        files = ", ".join(sorted(path.name for path in Path(text).glob("*.yaml")))
+        missing = f"a folder {f'with {files}' if files else 'without YAML files'}; " if text.strip() else "empty; "
     raise ConfigError(
         f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
     )

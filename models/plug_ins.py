@@ -20,16 +20,7 @@ from typing import Any
 
 from diffdrive_mpc.models.errors import MissingPackageError
 
-GROUPS = (
-    "commands",
-    "structures",
-    "features",
-    "node_parts",
-    "plants",
-    "peers",
-    "columns",
-    "parameter_writers",
-)
+GROUPS = ("commands", "structures", "features", "node_parts", "plants", "peers", "columns", "parameter_writers")
 
 
 @cache

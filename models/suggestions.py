@@ -53,7 +53,7 @@ _MAX_SUGGESTIONS = 4
 
 def similar_name(name: str, known: Iterable[str]) -> str:
     """Format the most similar known name, if there is one, as the end of a message about an unknown name."""
-    near = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.5)
+    near = difflib.get_close_matches(str(name).lower(), list(known), n=1, cutoff=0.5)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 

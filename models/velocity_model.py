@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
 from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_number
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, checked_array
 
 CHANNELS = ("v", "omega")
 
@@ -148,7 +148,8 @@ class VelocityModel:
 
     def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
         """Return the model with its dead time increased by `extra` (2,) [s]."""
-        return replace(self, dead_time=self.dead_time + np.asarray(extra, dtype=float))
+        added = checked_array("extra dead time", extra, "numbers", "give v, omega in seconds, such as (0.02, 0.02)")
+        return replace(self, dead_time=self.dead_time + added)
 
     def discretise(self, dt: float) -> DiscreteModel:
         """Discretise exactly with a zero-order hold, dead time included.

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import checked_call, checked_number, wrong_type
-from diffdrive_mpc.models.interface import CompiledTick, FloatArray, Measurement, Reference
+from diffdrive_mpc.models.interface import CompiledTick, FloatArray, Measurement, Reference, checked_array
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.plug_ins import missing_part, plug_in_names
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -863,11 +863,8 @@ def _with_speed_limit(config: ControllerConfig, speed: float | None) -> Controll
 
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Return commands as an array (K, 2); raise ValueError for a wrong shape or invalid values."""
-    try:
-        pairs = np.asarray(commands, dtype=float)
-    except (TypeError, ValueError) as error:
-        remedy = "give an array (K, 2) of v_ref [m/s], omega_ref [rad/s]"
-        raise wrong_type("commands", "pairs of numbers", commands, remedy) from error
+    remedy = "give an array (K, 2) of v_ref [m/s], omega_ref [rad/s]"
+    pairs = checked_array("commands", commands, "pairs of numbers", remedy)
     # The comparison is negated so that NaN fails.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _MAX_COMMAND).all():
         raise ValueError(

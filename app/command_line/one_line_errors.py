@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, ClassVar, NoReturn, TextIO
+from typing import Any, ClassVar, NoReturn
 
 import typer
 
@@ -65,7 +65,7 @@ class OneLineErrors(FullHelp):
                 warnings.catch_warnings(),
             ):
                 _SHOWN_NOTES.clear()
-                warnings.showwarning = _show_warning
+                warnings.showwarning = _show_warning  # type: ignore[assignment]
                 code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # older versions of typer raise Abort on Ctrl-C; newer ones return the exit code
@@ -105,25 +105,23 @@ def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes tha
 
         key = unknown[1].replace("-", "_")
         return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
-    if "extra argument" not in parser_error:
+    if re.match(r"No such option: -\w$", parser_error):
+        return "a name of several letters follows two dashes, as in --model; "
+    if "extra argument" not in parser_error or not options & {"--model", "--models"}:
         return ""
     from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it
 
-    paths = [word for word in re.findall(r"\w+", parser_error.rpartition("(")[2]) if word in BUILT_IN]
-    return f"a value follows its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
+    words = re.findall(r"[\w.]+", parser_error.rpartition("(")[2])
+    paths = [word for word in words if word in BUILT_IN]
+    known = f"--trajectory {paths[0]}" if paths else "--set horizon=20" if words[0].isdigit() else "--model ssm"
+    several = ", and commas separate several values" if "--horizons" in options else ""
+    return f"a value follows its option, as in {known}{several}; "
 
 
 _SHOWN_NOTES: set[str] = set()
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401 - see warnings.showwarning
     """Print a note about the content of a file, or any other warning in Python's format."""
     if "NoteWarning" in (base.__name__ for base in category.__mro__):
         # A file may be read twice, but a note about it is printed once.
@@ -132,7 +130,8 @@ def _show_warning(
             _SHOWN_NOTES.add(note)
             echo(note, err=True)
     else:
-        (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
+        filename, line_number, *_ = place
+        sys.stderr.write(warnings.formatwarning(message, category, filename, line_number))
 
 
 def _singular(name: str) -> str:

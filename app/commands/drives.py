@@ -10,13 +10,7 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.command_line.options import Jobs, out_option
-from diffdrive_mpc.app.commands.options import (
-    ConfigFile,
-    Scaled,
-    Settings,
-    Sweep,
-    with_dimensions,
-)
+from diffdrive_mpc.app.commands.options import ConfigFile, Scaled, Settings, Sweep, with_dimensions
 from diffdrive_mpc.bench.case import HORIZONS
 
 _BENCH_OUT = "out/bench"
@@ -41,13 +35,7 @@ def simulate(
     from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does not need it
 
     simulate_one(
-        values,
-        config=config,
-        settings=settings or [],
-        out=out,
-        log=log,
-        scaled=scale_to_robot,
-        details=details,
+        values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot, details=details
     )
 
 

@@ -22,8 +22,7 @@ def node(
         ),
     ] = "ssm",
     trajectory: Annotated[
-        str,
-        typer.Option(help="a built-in name such as circle, or a file; if empty, references are received by topic."),
+        str, typer.Option(help="a built-in name such as circle, or a file; if empty, references are received by topic.")
     ] = "circle",
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,

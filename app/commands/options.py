@@ -22,12 +22,10 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 ConfigFile = Annotated[Path | None, file_option("Controller configuration with the name of its model", "--config")]
 Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable.")
 ]
 Sweep = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable."),
+    list[str] | None, typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable.")
 ]
 Model = Annotated[
     str | None,
@@ -90,14 +88,10 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
 
     def add_options(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
-        parameters = [
-            parameter
-            for parameter in signature.parameters.values()
-            if parameter.kind is not inspect.Parameter.VAR_KEYWORD
-        ]
-        positional = [entry for entry in parameters if entry.kind is not inspect.Parameter.KEYWORD_ONLY]
-        rest = parameters[len(positional) :]
-        command.__signature__ = signature.replace(parameters=[*positional, *options, *rest])  # type: ignore[attr-defined]
+        parameters = [entry for entry in signature.parameters.values() if entry.kind is not entry.VAR_KEYWORD]
+        # Keyword-only options follow the arguments.
+        ordered = sorted([*options, *parameters], key=lambda entry: entry.kind)
+        command.__signature__ = signature.replace(parameters=ordered)  # type: ignore[attr-defined]
         return command
 
     return add_options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,10 +16,13 @@ from diffdrive_mpc.app.commands.options import ros_arguments, with_dimensions
 ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
 
 
-@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "seed")
+@with_dimensions("plant", "surface", "sensors", "scenario", "seed")
 def robot(
     context: typer.Context,
     *,
+    trajectory: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Trajectory at whose start the robot stands; it is not driven.")
+    ] = "circle",
     lock_step: Annotated[
         bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command of every tick.")
     ] = False,
@@ -60,8 +64,8 @@ def robot(
 ) -> None:
     """Run the simulated robot as a ROS 2 node with a twist as input and odometry, IMU, pose, joint states as output.
 
-    The robot stands at the start of the trajectory until a node drives it, and runs until Ctrl-C. Arguments after
-    `--ros-args` are passed to ROS, for example remappings and parameters.
+    The robot stands at the start of the trajectory until a node drives it: `diffdrive-mpc node --trajectory NAME
+    --drive`. It runs until Ctrl-C. Arguments after `--ros-args` are passed to ROS, for example remappings.
     """
     if duration is not None and not duration > 0:
         raise ValueError(f"--duration {duration}: use a time above zero in seconds")
@@ -83,12 +87,14 @@ def robot(
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)
-    case = Case(model=select_model(None, config), config=None if config is None else str(config), **values)
+    values |= {"model": select_model(None, config), "config": None if config is None else str(config)}
+    case = Case(trajectory=trajectory, **values)
     plant = (
         make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
         if config is None
         else build_plant(case)
     )
+    driver = f"diffdrive-mpc node --trajectory {shlex.quote(case.trajectory)} --drive"
     run_robot(
         plant,
         load_reference(case).sample([0.0]).pose[0],
@@ -99,6 +105,7 @@ def robot(
         record=record,
         storage=storage,
         ros_arguments=arguments,
+        driver=driver + " --ros-args -p use_sim_time:=true" * lock_step,
     )
 
 
@@ -117,9 +124,7 @@ def doctor() -> None:
     from diffdrive_mpc.bench.machine import project_version  # noqa: PLC0415
 
     echo(f"diffdrive-mpc {project_version()}")
-    can_run = True
-    for check in examine():
-        echo(check.line)
-        can_run &= check.is_ok or not check.is_required
-    if not can_run:
+    checks = list(examine())
+    echo("\n".join(check.line for check in checks))
+    if not all(check.is_ok or not check.is_required for check in checks):
         raise typer.Exit(FAILED)

@@ -39,7 +39,7 @@ def page_contents(results: ComparisonResults) -> PageContents:
     """Collect the contents of the page without tables and charts."""
     drivers = by(results.main, COMPARED)
     names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
-    cases = dict.fromkeys(rows["case"].iloc[0] for rows in drivers.values())
+    cases = {rows["case"].iloc[0]: name for name, rows in drivers.items()}
     return PageContents(
         summary=_sentences(results.main, drivers),
         key_figures=_key_figures(results, drivers),
@@ -50,7 +50,7 @@ def page_contents(results: ComparisonResults) -> PageContents:
         ],
         views=[_runs(results.main, drivers), error_chart(results.main)],
         warnings=_warnings(drivers),
-        configurations=[view for case in cases for view in configuration(case)],
+        configurations=[view for case, name in cases.items() for view in configuration(case, name)],
         pictures=False,
     )
 

@@ -48,15 +48,14 @@ def case_config(case: Case) -> ControllerConfig | None:
     return None if case.controller in PEERS else controller_config(case.model, case.config, case.overrides)
 
 
-def configuration(case: Case) -> list[ConfigurationView]:
-    """Return a view of all values of the configuration of a case; the model is stated without folders."""
+def configuration(case: Case, name: str = "") -> list[ConfigurationView]:
+    """Return a view of all values of the configuration of a case, with the model stated without folders.
+
+    `name` is the controller's name in the report, by default that of its model.
+    """
     config = case_config(case)
     if config is None:
         return []
     without_folders = config.model_copy(update={"model": label(config.model)})
-    return [
-        ConfigurationView(
-            f"Configuration of {driver_name(case)} with explanations (YAML)",
-            commented_yaml(without_folders),
-        )
-    ]
+    title = f"Configuration of {name or driver_name(case)} with explanations (YAML)"
+    return [ConfigurationView(title, commented_yaml(without_folders))]

@@ -157,7 +157,7 @@ class Identification:
         (folder / "report.md").write_text(text, encoding="utf-8")
 
 
-@checked_call()
+@checked_call(out="write the result: identify(...).write(FOLDER)")
 def identify(
     logs: str | Path | DataFrame | Sequence[str | Path | DataFrame],
     mapping: str | Path | None = None,
@@ -318,7 +318,7 @@ def identify_data(
         If the records are unsuitable.
     """
     progress = on_progress or (lambda _: None)
-    progress("identification (seconds, for an SSM up to minutes)")
+    progress("identification (seconds, up to minutes)")
     fitted = fit(
         data, structure, order, effects=effects, on_trial=lambda effect: progress(f"trial of the effect: {effect}")
     )

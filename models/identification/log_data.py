@@ -11,6 +11,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.errors import checked_number
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
@@ -175,7 +176,7 @@ def read_data(
 
 def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: float) -> None:
     low, high = identification_settings().shares
-    if not low <= fit_share <= high:
+    if not low <= checked_number("fit_share", fit_share, "give a share such as 0.6") <= high:
         raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     duplicates = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if duplicates:

@@ -41,14 +41,10 @@ COMMANDS: dict[str, Callable[[Any], Reading]] = {
 }
 """v [m/s], omega [rad/s] by message type."""
 
-ODOMETRY: dict[str, Callable[[Any], Reading]] = {
-    "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
-}
+ODOMETRY: dict[str, Callable[[Any], Reading]] = {"nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist)}
 """v [m/s], omega [rad/s]. The pose of the odometry is the integral of its twist and adds no information."""
 
-IMU: dict[str, Callable[[Any], Reading]] = {
-    "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),
-}
+IMU: dict[str, Callable[[Any], Reading]] = {"sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),)}
 """Yaw rate [rad/s]."""
 
 POSES: dict[str, Callable[[Any], Reading]] = {
@@ -62,7 +58,7 @@ POSES: dict[str, Callable[[Any], Reading]] = {
 
 BATTERIES: dict[str, Callable[[Any], Reading]] = {
     # REP 147: a discharging current is negative; in a record the output of the battery is positive.
-    "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current)),
+    "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current))
 }
 """Voltage [V], output current of the battery [A]."""
 

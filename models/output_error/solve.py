@@ -154,12 +154,7 @@ def fit_output_error(
         residuals = data.residuals(layout, parameters)
         covariance = _covariance(layout, parameters, data)
     return OutputErrorFit(
-        layout,
-        parameters,
-        covariance,
-        scale,
-        split_rows(residuals, unjoined),
-        split_rows(weights, unjoined),
+        layout, parameters, covariance, scale, split_rows(residuals, unjoined), split_rows(weights, unjoined)
     )
 
 

@@ -262,11 +262,7 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
 
 def parallel(first: Realisation, second: Realisation) -> Realisation:
     """Return the parallel connection of two models, with the sum of their outputs."""
-    return (
-        linalg.block_diag(first[0], second[0]),
-        np.vstack([first[1], second[1]]),
-        np.hstack([first[2], second[2]]),
-    )
+    return (linalg.block_diag(first[0], second[0]), np.vstack([first[1], second[1]]), np.hstack([first[2], second[2]]))
 
 
 def spare_state(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:

@@ -54,10 +54,7 @@ class MotorsParametrisation:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of three parameters for each motor, and of the firmware track."""
-        return (
-            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
-            "log_track",
-        )
+        return (*(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names), "log_track")
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

@@ -56,12 +56,7 @@ _MAX_EVALUATIONS = 8
 """Maximum number of evaluations in a round of the search; candidates start near a minimum."""
 
 
-def identify_ssm(
-    records: Sequence[Record],
-    order: int = 2,
-    *,
-    limits: bool = True,
-) -> IdentifiedModel:
+def identify_ssm(records: Sequence[Record], order: int = 2, *, limits: bool = True) -> IdentifiedModel:
     """Identify SSM of one order by output error; details as for `identify_ssm_orders`."""
     return identify_ssm_orders(records, order, limits=limits)[-1]
 
@@ -123,11 +118,7 @@ def choose_order(
 
 
 def identify_ssm_orders(
-    records: Sequence[Record],
-    max_order: int = MAX_ORDER,
-    *,
-    yaw: YawSource = "gyro",
-    limits: bool = True,
+    records: Sequence[Record], max_order: int = MAX_ORDER, *, yaw: YawSource = "gyro", limits: bool = True
 ) -> list[IdentifiedModel]:
     """Identify SSM of every order from 1 to `max_order`; the next lower order provides an initial guess.
 

@@ -18,6 +18,8 @@ from pydantic import (
     model_validator,
 )
 
+from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.errors import ArgumentError
 from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit
 from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
@@ -521,6 +523,16 @@ class ControllerConfig(Group):
     features: Mapping[str, SerializeAsAny[FeatureGroup]] = Field(
         {}, description="configuration groups of features by name, with keys expert.<name> [-]"
     )
+
+    def __new__(cls, *arguments: object, **values: object) -> Self:
+        """Raise ArgumentError, or ConfigError with all mistakes in one line, before pydantic checks the values."""
+        if arguments:
+            raise ArgumentError(
+                f"{cls.__name__}: give keywords, as in horizon=20; load_config('ssm') reads a file or name"
+            )
+        if values:
+            check(cls, values, cls.__name__)
+        return super().__new__(cls)
 
     @model_validator(mode="before")
     @classmethod

@@ -28,9 +28,7 @@ _RANDOM = "spline-SEED"
 
 @checked_call()
 def load_trajectory(
-    name_or_path: str | Path,
-    limits: TrajectoryLimits | ControllerConfig | None = None,
-    timing: str | None = None,
+    name_or_path: str | Path, limits: TrajectoryLimits | ControllerConfig | None = None, timing: str | None = None
 ) -> Trajectory:
     """Load a reference trajectory.
 
@@ -61,7 +59,7 @@ def load_trajectory(
             name_or_path,
             "create one from arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
         )
-    if isinstance(limits, str):
+    if not isinstance(limits, TrajectoryLimits | ControllerConfig | None):
         raise wrong_type("limits", "the limits of a robot", limits, "the timing is a keyword: timing='smooth'")
     chosen = next((known for known in TIMINGS if known == timing), None)
     if timing is not None and chosen is None:

@@ -244,13 +244,7 @@ def trajectory_from_waypoints(
     elif not isinstance(limits, TrajectoryLimits):
         raise wrong_type("limits", "a configuration or TrajectoryLimits", limits, "give load_config('config.yaml')")
     return lay_waypoints(
-        list(map(tuple, array)),
-        limits,
-        name=name,
-        speed=speed,
-        where=where,
-        timing=timing,
-        max_deviation=max_deviation,
+        list(map(tuple, array)), limits, name=name, speed=speed, where=where, timing=timing, max_deviation=max_deviation
     )
 
 

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.sim.core.library import address, load_twin, physics_step
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.plants.drivetrain import checked_pose
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
@@ -106,7 +107,7 @@ class Chassis:
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the body to rest at `pose` (3,), at its settled height."""
-        x, y, theta = np.asarray(pose, dtype=float)
+        x, y, theta = checked_pose(pose)
         self._restart(self._model, self._data)
         # Position, and unit quaternion of the yaw, of the free joint.
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, checked_array
 from diffdrive_mpc.models.robot import Robot, TwistBounds
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.core.library import address, load_twin, view
@@ -168,6 +168,14 @@ _INITIAL_ROOM = 16
 """Initial capacity for pending commands."""
 
 
+def checked_pose(pose: ArrayLike) -> FloatArray:
+    """Return a pose (3,) as an array; raise ArgumentError or ValueError if it is not three finite numbers."""
+    value = checked_array("pose", pose, "three numbers", "give x [m], y [m] and theta [rad]")
+    if value.shape == (3,) and np.isfinite(value).all():
+        return value
+    raise ValueError(f"pose {pose!r}: give three finite numbers, x [m], y [m] and theta [rad]")
+
+
 def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
     """Clip a command to the range of the link.
 
@@ -188,7 +196,7 @@ def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
     ValueError
         If the command does not consist of two finite numbers.
     """
-    value = np.asarray(command, dtype=float)
+    value = checked_array("command", command, "two numbers", "give v [m/s] and omega [rad/s]")
     if value.shape == (2,):
         v, omega = value.tolist()
         if math.isfinite(v) and math.isfinite(omega):

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.core.library import address, load_twin, view
-from diffdrive_mpc.sim.plants.drivetrain import clip_command
+from diffdrive_mpc.sim.plants.drivetrain import checked_pose, clip_command
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
 from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
@@ -102,7 +102,7 @@ class ModelPlant:
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the robot to rest at `pose` (3,) at time 0 and restart the noise."""
-        self._pose[:] = pose
+        self._pose[:] = checked_pose(pose)
         if self._function is not None:
             self.c.next = self._function.rest()
         load_twin()[1].velocity_plant_reset(self.c)

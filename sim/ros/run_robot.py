@@ -36,6 +36,7 @@ def run_robot(
     record: Path | None = None,
     storage: Storage = "mcap",
     ros_arguments: Sequence[str] = (),
+    driver: str = "",
 ) -> None:
     """Reset `plant` to `start`, and run it on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
 
@@ -59,6 +60,8 @@ def run_robot(
         Folder of a bag for the recording, and its storage format.
     ros_arguments
         ROS arguments, which start with `--ros-args`.
+    driver
+        Command of a node that drives the robot, for the message at the start.
 
     Raises
     ------
@@ -76,7 +79,10 @@ def run_robot(
         )
         memory = math.ceil(sensors.pose.latency / plant.sample_time)
         base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
-        node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}; it waits for commands")
+        commands = f"commands, such as those of: {driver}" if driver else "commands"
+        node.get_logger().info(
+            f"ready, in {'lock step' if lock_step else 'real time'}; it stands and waits for {commands}"
+        )
         if isinstance(clock, SteppedClock):
             drive_in_lock_step(base, clock, settings.lock_step, spin, is_running)
         else:

@@ -20,7 +20,7 @@ TUTORIALS = Path("docs/tutorials")
 
 # A notebook omits the pictures of its tutorial, because its cells draw them, and the sentence about the notebook.
 _PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
-_REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps\.")
+_REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps; [^.]*\.")
 _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 

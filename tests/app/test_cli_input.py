@@ -22,16 +22,20 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.reading import read_log
 from processes import run_command
 
-COMMANDS = ["", "simulate", "bench", "identify", "config show", "config check", "config schema"]
+COMMANDS = ["", "simulate", "bench", "sim-robot", "identify", "config show", "config check", "config schema"]
 COMMANDS += ["models list", "models show", "models check"]
 
 runner = CliRunner()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help_with_an_example(command: str) -> None:
-    result = invoke(app, *command.split(), "--help")
-    assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(result.stdout.split())
+def test_help_of_every_command_has_an_example_and_fits_80_columns(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = invoke(app, *command.split(), "--help").stdout
+    assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(text.split())
+    assert not [line for line in text.splitlines() if len(line) > 80 or re.search(r"[<{]|default: \(|x>=", line)]
 
 
 ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"

@@ -1,9 +1,12 @@
-"""`doctor` prints one line per check, with a remedy on failure, and fails only without a controller."""
+"""`doctor` prints one line per check, with a remedy on failure; messages fit the terminal."""
+
+import sys
 
 import pytest
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app, command_line
+from diffdrive_mpc.app.command_line.echo import echo
 
 
 def test_installation_passes_and_every_check_prints_one_line() -> None:
@@ -31,3 +34,12 @@ def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
 @pytest.mark.parametrize("group", [(), ("config",), ("models",), ("log",)])
 def test_list_of_commands_is_not_truncated(group):
     assert "..." not in invoke(command_line(group), *group, "--help").stdout.replace("[ARGS]...", "")
+
+
+def test_warning_is_wrapped_on_a_terminal_only(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "40")
+    for is_terminal in (False, True):
+        monkeypatch.setattr(sys.stdout, "isatty", lambda is_terminal=is_terminal: is_terminal)
+        echo("  table row" + 40 * " -" + "\nwarning: " + 20 * "words ")
+        rows, *lines = capsys.readouterr().out.splitlines()
+        assert len(rows) > 80 and (max(map(len, lines)) <= 40) == is_terminal == (len(lines) > 1)

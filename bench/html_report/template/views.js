@@ -9,7 +9,10 @@ const plots = [];
 
 function draw(figure, place) {
   plots.push(place);
-  return Plotly.newPlot(place, figure.data.map((trace) => ({ ...trace, visible: isVisible(trace) })), figure.layout, CONFIG);
+  const data = figure.data.map((trace) => ({ ...trace, visible: isVisible(trace) }));
+  // A narrow plot has a legend entry per line, and a legend takes at most half of the height.
+  const rows = figure.layout.showlegend && place.clientWidth < 420 ? new Set(data.map((trace) => trace.name)).size : 0;
+  return Plotly.newPlot(place, data, { ...figure.layout, height: Math.max(figure.layout.height, 42 * rows + 30) }, CONFIG);
 }
 
 const updateVisibility = () => plots.forEach((place) => Plotly.restyle(place, { visible: place.data.map(isVisible) }));

@@ -10,6 +10,7 @@ import numpy as np
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.runner import available_cores
 from diffdrive_mpc.bench.table import Table, millis
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
@@ -42,6 +43,8 @@ def predict_robot_into(
     """
     checked_reference(config, trajectory)
     plant, jobs = plant or own_plant(config), jobs or available_cores()
+    if missing := [log for log in logs if not log.exists()]:
+        raise ConfigError(f"--learn-from {missing[0]}: there is no such file; give a log of simulate or of the node")
     with ProgressBar("driving", draws, lines=True) as bar:
         predicted = predict_by_drives(config, trajectory, plant, draws, jobs, bar.advance)
     if logs:

@@ -36,4 +36,4 @@ def replay(
     replay_log(ReplayRequest(log, config, model, settings or (), trajectory, trust_terms or ()))
 
 
-REPLAY = PluggedCommand("Files", replay, "Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
+REPLAY = PluggedCommand("Commands", replay, "Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
