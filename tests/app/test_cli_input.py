@@ -29,9 +29,7 @@ runner = CliRunner()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_of_every_command_has_an_example_and_fits_80_columns(
-    command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_has_an_example_and_fits_80_columns(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     text = invoke(app, *command.split(), "--help").stdout
     assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(text.split())

@@ -125,8 +125,7 @@ LAW, TRUTH = ConstantTrack(RADIUS, TRACK), [0.068, 0.71, 0.08]
 
 
 def test_constant_track_is_recovered():
-    lever_arm = (0.146, -0.03)
-    expected = [*TRUTH, *lever_arm]
+    expected = [*TRUTH, *(lever_arm := (0.146, -0.03))]
     exact = calibrate_wheels([drive(LAW, TRUTH, lever_arm)], LAW).parameters
     assert exact.values == pytest.approx(expected, abs=1e-6)
     noisy = calibrate_wheels([drive(LAW, TRUTH, lever_arm, noise=(0.005, 0.005))], LAW).parameters
