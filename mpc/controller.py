@@ -450,7 +450,7 @@ class Controller:
         """Start to track a checked reference."""
         tracked = reference
         for feature in self._features.values():
-            tracked = feature.begin(tracked, t0)
+            tracked = feature.start(tracked, t0)
         native, tracked = self._prepare_reference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # The native reference must stay alive, since the core reads its memory.
@@ -461,7 +461,7 @@ class Controller:
         """Apply the features to a reference; return the reference in the form of the core and as a Python object."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
-            tracked = feature.lay(tracked)
+            tracked = feature.modify_reference(tracked)
         return NativeReference(tracked), tracked
 
     def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
@@ -512,7 +512,7 @@ class Controller:
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
-            feature.forget()
+            feature.reset()
 
     @property
     def is_latched(self) -> bool:

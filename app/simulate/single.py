@@ -24,7 +24,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
-from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
+from diffdrive_mpc.mpc.trajectories.speed_check import describe_tight_turns
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -100,7 +100,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
         reference = outcome.run.reference
         shortfall = find_shortfall(reference, config, predicting_model(config, None))
-        for words in (shortfall, sharper_than_commands(reference, config.limits, config.sample_time)):
+        for words in (shortfall, describe_tight_turns(reference, config.limits, config.sample_time)):
             if words:
                 console.print(str(words), markup=False, highlight=False)
     for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):

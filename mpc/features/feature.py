@@ -98,16 +98,16 @@ class Feature:
     def configure(self) -> None:
         """Apply the configuration of `host` after a change."""
 
-    def begin(self, reference: Reference, t0: float) -> Reference:
+    def start(self, reference: Reference, t0: float) -> Reference:
         """Prepare for the start of `reference` at `t0` [s]; return the reference to track instead."""
         del t0
         return reference
 
-    def lay(self, reference: Reference) -> Reference:
+    def modify_reference(self, reference: Reference) -> Reference:
         """Return the reference that the robot will track instead of a checked reference."""
         return reference
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset the feature while the robot is at standstill."""
 
     def set_applied(self, command: FloatArray) -> None:

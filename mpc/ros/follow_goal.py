@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath, lay_poses, remaining_poses
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath, remaining_poses, time_poses
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
@@ -156,14 +156,14 @@ def lay_for_robot(
     config: ControllerConfig,
     checks: Sequence[PathCheck] = (),
 ) -> PlannedPath | None:
-    """Plan a path in the side process, see `lay_poses`.
+    """Plan a path in the side process, see `time_poses`.
 
     The path satisfies the conditions in `checks`. Returns None if the robot is at the goal and the remaining path is
     too short. Raises ConfigError for any other path that cannot be planned.
     """
 
     def lay_path(limits: TrajectoryLimits) -> PlannedPath:
-        return lay_poses(
+        return time_poses(
             poses,
             limits,
             robot=robot,
@@ -352,8 +352,8 @@ class Following:
         if path is None:
             self._finish_at_goal(goal, moving)
             return
-        if path.begins > max_distance:
-            reason = f"the path begins {path.begins:.2f} m from the robot; the limit is {max_distance:g} m"
+        if path.start_distance > max_distance:
+            reason = f"the path starts {path.start_distance:.2f} m from the robot; the limit is {max_distance:g} m"
             self._refuse(goal, Code.INVALID_PATH, f"{reason} (failure.max_position_error)")
             return
         try:

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import preload
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import moved_poses
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer

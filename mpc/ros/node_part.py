@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 
 _Settings = TypeVar("_Settings", bound=PartSettings)
 

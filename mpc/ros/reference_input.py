@@ -29,7 +29,7 @@ from diffdrive_mpc.mpc.ros.conversions import (
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
+from diffdrive_mpc.mpc.trajectories.timed_poses import fit_timed_poses
 
 # The conversion of this many poses takes 15 ms in the separate process.
 _MAX_POSES = 1000
@@ -160,7 +160,7 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
         )
     if not all(map(math.isfinite, rows.ravel())):
         raise MessageError("it contains a number that is not finite")
-    return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
+    return fit_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
 
 
 # External speed limits (nav2_msgs/SpeedLimit), as published by the speed filter of Nav2.

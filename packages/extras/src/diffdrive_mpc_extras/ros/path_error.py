@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost, PathCheck
 from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc_extras.predicted_error.drives import predict_reference
