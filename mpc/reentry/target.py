@@ -56,10 +56,7 @@ class TooFar:
     distance: float
 
 
-# Detection of a robot that does not move while the reference waits for it.
-
-
-# Maximum displacement that pose noise explains: position [m], heading [rad].
+# Maximum displacement of a robot at standstill, due to pose noise: position [m], heading [rad].
 _POSE_NOISE = (0.04, 0.1)
 
 

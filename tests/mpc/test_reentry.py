@@ -139,11 +139,11 @@ def test_return_path_connects_any_pose_to_the_reference(where):
     pose, path, nearest = connect(*where)
     reference = path.reference
     # The path starts at the robot, ...
-    first = path.sample([path.begins])
+    first = path.sample([path.starts])
     assert first.pose[0, :2] == pytest.approx(pose[:2], abs=1e-9)
     assert wrap_angle(first.pose[0, 2] - pose[2]) == pytest.approx(0.0, abs=1e-6)
     # ... has no jump, ...
-    times = np.arange(path.begins, path.joins + 0.3, 0.002)
+    times = np.arange(path.starts, path.joins + 0.3, 0.002)
     sample = path.sample(times)
     assert np.isfinite(sample.pose).all()
     assert np.hypot(*np.diff(sample.pose[:, :2], axis=0).T).max() < 0.0101 + 0.002
