@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
-from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepare_config
+from diffdrive_mpc.mpc.features.registry import enabled_features, feature_terms, prepare_config
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, is_from_file, sampled_model
@@ -125,7 +125,7 @@ class Controller:
         # Unset weights on increments are derived from the sampled model, before the problem is built with them.
         self._config = config = with_increments(config, self._prediction.sampled)
         self._features: dict[str, Feature] = {
-            name: feature_class(config, active_model) for name, feature_class in features_of(config).items()
+            name: feature_class(config, active_model) for name, feature_class in enabled_features(config).items()
         }
         problem = self._problem(config)
         sizes = problem.sizes

@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.run_row import RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings
 from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
 from diffdrive_mpc.mpc.trajectories.speed_check import describe_tight_turns
@@ -86,7 +86,7 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
         raise ConfigError(f"the controller '{name}' does not accept --model, --config or --set")
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
-    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
+    return Case(**{**values, "model": model}, config=file, overrides=parse_single_settings(settings), scaled=scaled)
 
 
 def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:

@@ -100,7 +100,7 @@ enum { PADDING = 8 };
 #define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c) + SPARE(c))
 /* Number of stored commands. */
 #define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
-enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
+enum { HARD = 4, BUILT_IN_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 #define KINDS(c) (HARD + SOFT(c))
 
 enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };

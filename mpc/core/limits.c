@@ -169,11 +169,11 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
 static void bound_softly(ddmpc_controller *c)
 {
     real moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
-    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, R(0.0), 0, 0};
+    soft_group group = {WITH_SLIP(c, soft), BUILT_IN_SOFT, 0, R(0.0), 0, 0};
     ddmpc_linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
     if (TURNS(c)) {
-        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->min_turn_radius, 0, 0};
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, BUILT_IN_SOFT, c->constants->min_turn_radius, 0, 0};
         limit_softly(c, &group, moves, headings);
     }
     if (COMMAND_TURNS(c)) {

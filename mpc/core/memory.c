@@ -139,7 +139,7 @@ static int fits(const ddmpc_sizes *s)
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
            (s->turns == 0 || s->turns == TURN_ROWS) && (s->command_turns == 0 || s->command_turns == TURN_ROWS) &&
            (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
-           s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MAX_KINDS &&
+           s->soft >= BUILT_IN_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MAX_KINDS &&
            s->residuals >= 0 && s->max_active >= 2 * s->steps && s->terms >= 0 && s->parameters >= 0 &&
            s->model_parameters >= 0 && s->work >= 0;
 }

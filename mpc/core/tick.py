@@ -104,7 +104,7 @@ class Tick:
         self.lib.ddmpc_configure(self.c, prepared[0])
         self._constants = prepared
 
-    def begin_with(self, slip: Sequence[float]) -> None:
+    def set_initial_slip(self, slip: Sequence[float]) -> None:
         """Set the initial `slip` of the estimate from the next start on, until other constants are used.
 
         `slip` has 10 entries, or 15 with curved slip.

@@ -8,7 +8,7 @@
 /* Compute the rim speeds of the right and left wheels for a twist of the body. */
 static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 {
-    real parameters[DDMPC_MAX_SLIPS + 1], value[SHIPPED_SOFT];
+    real parameters[DDMPC_MAX_SLIPS + 1], value[BUILT_IN_SOFT];
     const real origin[4] = {R(0.0), R(0.0), R(0.0), R(0.0)};
     const real *arguments[5] = {origin, twist, 0, origin, parameters};
     real *results[2] = {value, 0};

@@ -33,7 +33,7 @@ from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.two_sided import SIDES, TwoSided, side_fields
 from diffdrive_mpc.mpc.config.feature_groups import is_disabled, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
-from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
+from diffdrive_mpc.mpc.config.former_keys import current_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -171,7 +171,7 @@ def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
     key = plain_key(name)
     if removed_message(key):
         return f"parameter {removed_message(key)}"
-    place = present_place(name.removeprefix(f"{EXPERT}."))
+    place = current_place(name.removeprefix(f"{EXPERT}."))
     if key in fixed_values():
         return f"{name!r} is {place} now, with the value {fixed_values()[key]}; remove it"
     if key in dict(_list_fields(config)) or place:

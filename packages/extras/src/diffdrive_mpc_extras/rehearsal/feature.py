@@ -60,4 +60,4 @@ class Rehearse(Feature):
     def _set_start_slip(self) -> None:
         """Start the next estimate with the learned slip of the surface."""
         if isinstance(self.learned, FloorRehearsal):
-            self.host.tick.begin_with(astuple(self.learned.slip))
+            self.host.tick.set_initial_slip(astuple(self.learned.slip))
