@@ -111,7 +111,7 @@ class ModelFile(ParameterFile):
 
     def matrices(self) -> Matrices:
         """Return continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
-        return merge_sections(self.transfer_functions().values())
+        return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
         """Return the transfer functions by the prefix of their parameters; empty by default."""
@@ -216,7 +216,7 @@ _FAST_POLE = 900.0
 """Pole of `Gain` [rad/s]; faster poles are indistinguishable at 50 Hz."""
 
 
-def merge_sections(parts: Iterable[TransferFunction]) -> Matrices:
+def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
     """Combine transfer functions to a block-diagonal system with one input and one output for each."""
     from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does not need it
 

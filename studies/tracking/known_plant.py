@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.structures.channel import identify_channel
-from diffdrive_mpc.models.structures.model_file import merge_sections
+from diffdrive_mpc.models.structures.model_file import side_by_side
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -70,7 +70,7 @@ def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> K
         identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False)
         for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
     ]
-    A, B, C = merge_sections([fit.form.file(**fit.content) for fit in fits])
+    A, B, C = side_by_side([fit.form.file(**fit.content) for fit in fits])
     dead_time = np.array([fit.parameters.value("dead_time") for fit in fits])
     model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
     side_slip, load_shift = _fit_slip(logs)

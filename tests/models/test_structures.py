@@ -22,7 +22,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures import registry
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import ModelFile, TwoPoles, merge_sections, structure_name
+from diffdrive_mpc.models.structures.model_file import ModelFile, TwoPoles, side_by_side, structure_name
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 
@@ -247,7 +247,7 @@ def test_discretisation_is_the_zero_order_hold_of_control(name, dead_time):
 def test_side_by_side_channels_equal_those_appended_by_control():
     parts = [TwoPoles(gain=0.9, natural_frequency=7.0, damping=1.2), TwoPoles(gain=1.1, natural_frequency=9, damping=2)]
     expected = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
-    for matrix, expected_matrix in zip(merge_sections(parts), (expected.A, expected.B, expected.C), strict=True):
+    for matrix, expected_matrix in zip(side_by_side(parts), (expected.A, expected.B, expected.C), strict=True):
         assert np.array_equal(matrix, expected_matrix)
 
 

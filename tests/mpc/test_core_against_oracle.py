@@ -14,7 +14,7 @@ from failing_solver import CorruptedReference
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
-from merge_sections import ACTIVE_SET, Pair, replace_parts
+from side_by_side import ACTIVE_SET, Pair, replace_parts
 
 from diffdrive_mpc import Measurement, Stamped, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from merge_sections import InnerController
+from side_by_side import InnerController
 
 from diffdrive_mpc import Measurement, Stamped, load_trajectory
 

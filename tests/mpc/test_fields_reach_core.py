@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from failing_solver import CorruptedReference
 from ideal_robot import IdealRobot
-from merge_sections import ACTIVE_SET, Pair, replace_parts
+from side_by_side import ACTIVE_SET, Pair, replace_parts
 
 from diffdrive_mpc import ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.hold import Hold
