@@ -46,10 +46,10 @@ class MessageFormatter:
             lib.DDMPC_OF_POSE: "pose",
         }
         # In the order of ddmpc_subject.
-        self._accused = {
-            lib.DDMPC_WHEELS_ACCUSED: "wheel speed",
-            lib.DDMPC_YAW_RATE_ACCUSED: "yaw rate",
-            lib.DDMPC_POSE_ACCUSED: "pose",
+        self._excluded = {
+            lib.DDMPC_WHEELS_EXCLUDED: "wheel speed",
+            lib.DDMPC_YAW_RATE_EXCLUDED: "yaw rate",
+            lib.DDMPC_POSE_EXCLUDED: "pose",
         }
         self.not_a_new_tick: int = (
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
@@ -142,16 +142,16 @@ class MessageFormatter:
 
     def unused(self, reasons: int) -> tuple[str, ...]:
         """Return the names of the sensors that are not used because the other sensors contradict them."""
-        return tuple(name for bit, name in self._accused.items() if reasons & bit)
+        return tuple(name for bit, name in self._excluded.items() if reasons & bit)
 
     def _sensor_messages(self, c: Any) -> list[str]:  # noqa: ANN401
         """Return messages about the sensor comparison: unused sensors, and faults with remedies."""
         lib, messages = self._lib, []
-        for subject, (bit, name) in enumerate(self._accused.items()):
+        for subject, (bit, name) in enumerate(self._excluded.items()):
             if c.reasons & bit:
                 is_repeating = c.repeating >> subject & 1
                 cause = "its readings repeat, and " if is_repeating else ""
-                is_impossible = bool(c.unreal >> subject & 1)
+                is_impossible = bool(c.implausible >> subject & 1)
                 error = "" if is_repeating else _describe_mounting_error(name, c, is_impossible=is_impossible)
                 messages.append(f"{name} not used: {cause}the other sensors contradict it{error}")
         if c.reasons & lib.DDMPC_POSES_SCATTER:

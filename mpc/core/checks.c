@@ -179,13 +179,13 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
         ddmpc_accept_pose(c, pose);
         return 1;
     }
-    if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jumped[estimator->jumps - 1].value))
+    if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jump_poses[estimator->jumps - 1].value))
         estimator->jumps = 0;
     if (estimator->jumps == AGREEING) {
-        memmove(estimator->jumped, estimator->jumped + 1, (AGREEING - 1) * sizeof estimator->jumped[0]);
+        memmove(estimator->jump_poses, estimator->jump_poses + 1, (AGREEING - 1) * sizeof estimator->jump_poses[0]);
         estimator->jumps--;
     }
-    estimator->jumped[estimator->jumps++] = *pose;
+    estimator->jump_poses[estimator->jumps++] = *pose;
     ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_JUMPS,
                  ddmpc_hypot(pose->value[0] - expected[0], pose->value[1] - expected[1]),
                  ddmpc_fabs(ddmpc_wrap(pose->value[2] - expected[2])));

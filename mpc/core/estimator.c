@@ -73,7 +73,7 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
     memcpy(sent(c, 0), command, 2 * sizeof(real));
 }
 
-void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
+void ddmpc_estimator_replace_commands(ddmpc_controller *c, const real *commands, int count)
 {
     const int stored = ddmpc_min_int(count, COMMANDS(c));
     memcpy(sent(c, stored - 1), commands + 2 * (count - stored), (size_t)(2 * stored) * sizeof(real));
@@ -196,7 +196,7 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
 }
 
 /* Remove poses with a delay that was wrong by `change` [s], and reset the slip and delays learned from them. */
-static void relearn(ddmpc_controller *c, real change)
+static void reset_slip(ddmpc_controller *c, real change)
 {
     const int n = STATES(c), Z = BELIEF(c);
     ddmpc_belief *oldest = &node_at(c, 0)->prior, *initial = &newest(c)->posterior;
@@ -245,11 +245,11 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
      * before the sensor test may change it. */
     const ddmpc_time delay = ddmpc_monitor_delay(c);
     ddmpc_monitor_move(c, t, twist, wheels, twists);
-    const int newly_accused = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
+    const int newly_accused = has_pose ? ddmpc_monitor_check_pose(c, &pose) : 0;
     const real change = (real)(ddmpc_monitor_delay(c) - delay);
-    const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
+    const int unused = c->monitor.excluded | ddmpc_monitor_doubtful_sensors(c, t);
     if (has_pose) {
-        ddmpc_monitor_widen(c, &pose);
+        ddmpc_monitor_enlarge_covariance(c, &pose);
         /* The pose is older than its stamp by the delay that the monitor has estimated from the motion. */
         pose.stamp -= ddmpc_monitor_delay(c);
     }
@@ -259,7 +259,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         first = 0;
     }
     if (ddmpc_fabs(change) > c->constants->delay_fit[4]) {
-        relearn(c, change);
+        reset_slip(c, change);
         first = 0;
     }
     for (int i = 0; i < twists; i++) {
@@ -300,7 +300,7 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
 {
     if (!(ddmpc_estimator_state(c) & MOVED))
         return 0;
-    const ddmpc_checked_pose pose = c->estimator.jumped[c->estimator.jumps - 1];
+    const ddmpc_checked_pose pose = c->estimator.jump_poses[c->estimator.jumps - 1];
     const ddmpc_node *last = newest(c);
     start(c, last->time, &pose, &last->posterior);
     return 1;

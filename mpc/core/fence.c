@@ -95,7 +95,7 @@ static real stopping_distance_outside(const ddmpc_controller *c)
     return farthest;
 }
 
-int ddmpc_fence_holds(ddmpc_controller *c)
+int ddmpc_fence_is_respected(ddmpc_controller *c)
 {
     if (!c->constants->fence)
         return 1;

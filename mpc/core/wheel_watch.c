@@ -66,7 +66,7 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
 /* Return the wheel with the largest deficit from the speed that reference and commands demand, or -1; `demanded` is the
    commanded speed in the wheel's direction. A wheel that hardly turns is blocked or faulty, and a wheel that is being
    stopped passes through all speeds: neither counts. With similar deficits the previous wheel is returned. */
-static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *demanded)
+static int saturated_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *demanded)
 {
     const ddmpc_constants *k = c->constants;
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
@@ -78,7 +78,7 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
     const real slower = c->on_spot ? (real)HUGE_VAL : forward - R(0.5) * ddmpc_fabs(c->rim[0] + c->rim[1]);
     for (int i = 0; i < 2; i++) {
         const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], lowest[i]);
-        const real deficit = wanted - along, rank = deficit + (i == c->short_wheel ? k->short_by[0] : R(0.0));
+        const real deficit = wanted - along, rank = deficit + (i == c->saturated_wheel ? k->short_by[0] : R(0.0));
         /* Wheels that turn faster than demanded follow the commands of another node. */
         if (along > highest[i] + k->short_by[0])
             return -1;
@@ -96,11 +96,12 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
 static int gains_nothing(ddmpc_controller *c, int wheel, real demanded)
 {
     const ddmpc_constants *k = c->constants;
-    const real speed = ddmpc_fabs(c->rim[wheel]), more = demanded - c->tried, gained = speed - c->tried_speed;
-    if (wheel != c->short_wheel || more < R(0.0) || (more > k->trial[0] * demanded && gained > k->trial[1] * more)) {
-        c->short_wheel = wheel;
-        c->tried = demanded;
-        c->tried_speed = speed;
+    const real speed = ddmpc_fabs(c->rim[wheel]), more = demanded - c->trial_demand, gained = speed - c->trial_speed;
+    if (wheel != c->saturated_wheel || more < R(0.0) ||
+        (more > k->trial[0] * demanded && gained > k->trial[1] * more)) {
+        c->saturated_wheel = wheel;
+        c->trial_demand = demanded;
+        c->trial_speed = speed;
         return 0;
     }
     return more > k->trial[0] * demanded;
@@ -138,7 +139,7 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     /* A limit learned in a turn on the spot does not apply elsewhere, and vice versa. */
     if (c->on_spot != on_spot) {
         drop_limit(c);
-        c->tried = (real)HUGE_VAL;
+        c->trial_demand = (real)HUGE_VAL;
     }
     c->on_spot = on_spot;
     /* Wheels with a different gain also fall short of the model, but the robot then keeps up with its reference. */
@@ -147,7 +148,7 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     if (k->wheel_limits && (behind || isfinite(c->rim_reach)) && c->plan_age == 0 &&
         c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
         rims(c, wanted, by_reference);
-        wheel = short_wheel(c, by_reference, read, &demanded);
+        wheel = saturated_wheel(c, by_reference, read, &demanded);
     }
     if (wheel >= 0 && gains_nothing(c, wheel, demanded)) {
         c->rim_reach = ddmpc_fabs(c->rim[wheel]);
@@ -159,9 +160,10 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     c->reach = c->rim_reach + (c->slowed > k->retry ? growth * (c->slowed - k->retry) : R(0.0));
     /* Drop the limit if the wheel turns faster than the limit, if the path demands much less, or while the encoders
      * count as faulty. */
-    const int faster = ddmpc_fabs(c->rim[c->short_wheel]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
+    const int faster =
+        ddmpc_fabs(c->rim[c->saturated_wheel]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
     if (!k->wheel_limits || faster || needed < k->far_below * c->rim_reach || !(c->rim_reach < k->soft_upper[2]) ||
-        c->result.reasons & DDMPC_WHEELS_ACCUSED)
+        c->result.reasons & DDMPC_WHEELS_EXCLUDED)
         drop_limit(c);
     c->result.reach = c->reach;
 }
