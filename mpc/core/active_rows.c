@@ -7,10 +7,10 @@
 enum { LANES = DDMPC_LANES };
 
 /* Minimum number of columns for which a batch is faster than single columns. */
-enum { SIDE_BY_SIDE = 3 };
+enum { MIN_BATCH = 3 };
 
-/* A row counts as linearly dependent if less than this share of its squared norm remains after elimination: about 30
- * rounding errors in single precision, and 5000 in double precision, which leaves enough digits for a large margin. */
+/* Share of the squared norm of a row that remains after elimination, below which the row counts as linearly dependent:
+ * about 30 rounding errors in single precision, and 5000 in double precision, which has enough digits for a margin. */
 #ifdef DDMPC_FLOAT
 static const real DEPENDENT = R(4e-6);
 #else
@@ -134,8 +134,8 @@ static void cross(const real *restrict left, int left_stride, const real *restri
     memcpy(sum, block, sizeof block);
 }
 
-/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero,
- * and before `known`, whole lanes, it is solved already. */
+/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before the index `zero`, x is
+ * zero; before the index `known`, a multiple of LANES, x is already solved. */
 static void substitute(const real *restrict U, int stride, const real *restrict inverse, int count, int zero, int known,
                        real *restrict x)
 {
@@ -187,7 +187,7 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
     /* x is zero beyond the last row, so the entries of U there are read without effect. */
     for (int k = count; k < whole; k++)
         x[k] = R(0.0);
-    /* In blocks: the products with solved blocks vectorise, and only the small triangles are sequential. */
+    /* Blocks allow vectorised products with solved blocks; only the small triangles are sequential. */
     for (int start = whole - LANES; start >= 0; start -= LANES) {
         const int end = start + LANES, last = end < count ? end : count;
         if (end < whole)
@@ -204,7 +204,7 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
 void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan)
 {
     const int n = rows->n;
-    /* Slots of inactive rows get a multiplier of zero, so the products run over whole lanes without an index. */
+    /* The multipliers of inactive rows are zero, so that products can run over all slots in whole lanes. */
     memset(rows->spread, 0, (size_t)rows->used * sizeof(real));
     for (int i = 0; i < rows->active; i++)
         rows->spread[rows->order[i]] = multipliers[i];
@@ -218,20 +218,20 @@ void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *star
     rows->work += ddmpc_plan_operations(n, rows->m, rows->used);
 }
 
-/* Return a slot for `row`: an unused one, or else that of an inactive row. */
+/* Return a slot for `row`: an unused slot or, if there is none, the slot of an inactive row. */
 static int take_slot(ddmpc_rows *rows, int row)
 {
     int slot = rows->taken;
     if (slot < rows->slots) {
         rows->taken++;
     } else {
-        /* The caller has checked that there is room, so at least one slot holds an inactive row. */
+        /* The caller ensures that there are enough slots, so at least one slot belongs to an inactive row. */
         for (slot = 0; slot < rows->slots - 1 && rows->state[rows->row_in[slot]] != DDMPC_FREE; slot++)
             ;
         rows->work += rows->slots;
         rows->slot_of[rows->row_in[slot]] = 0;
     }
-    /* Products run over whole lanes, also over slots that no row has taken yet: these must be zero. */
+    /* Products run over whole lanes, including slots that are not used yet, which must be zero. */
     if (slot == rows->used) {
         for (int k = 0; k < rows->n; k++)
             memset(rows->columns + k * rows->slots + slot, 0, LANES * sizeof(real));
@@ -267,14 +267,14 @@ static void compute_column(ddmpc_rows *rows, int slot)
 }
 
 /* Compute columns and products of the rows in several slots at once. */
-static void compute_batch(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_batch(ddmpc_rows *rows, const int *batch_slots, int count)
 {
     const int n = rows->n, slots = rows->slots;
     int earliest = n;
     memset(rows->batch, 0, (size_t)(n * LANES) * sizeof(real));
     for (int lane = 0; lane < count; lane++) {
         int first = 0, last = n;
-        rows->problem->row(rows->problem->context, rows->row_in[chosen[lane]], rows->line, &first, &last);
+        rows->problem->row(rows->problem->context, rows->row_in[batch_slots[lane]], rows->line, &first, &last);
         for (int k = first; k < last; k++)
             rows->batch[k * LANES + lane] = rows->line[k];
         earliest = first < earliest ? first : earliest;
@@ -282,46 +282,46 @@ static void compute_batch(ddmpc_rows *rows, const int *chosen, int count)
     substitute_batch(rows, earliest, rows->batch);
     for (int k = 0; k < n; k++)
         for (int lane = 0; lane < count; lane++)
-            rows->columns[k * slots + chosen[lane]] = rows->batch[k * LANES + lane];
+            rows->columns[k * slots + batch_slots[lane]] = rows->batch[k * LANES + lane];
     for (int block = 0; block < rows->used; block += LANES) {
         real sum[LANES][LANES];
         cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest,
               sum);
         for (int a = 0; a < LANES; a++)
             for (int lane = 0; lane < count; lane++) {
-                const int slot = chosen[lane];
+                const int slot = batch_slots[lane];
                 rows->gram[slot * slots + block + a] = rows->gram[(block + a) * slots + slot] = sum[a][lane];
             }
     }
 }
 
-static void compute_columns(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_columns(ddmpc_rows *rows, const int *batch_slots, int count)
 {
     /* A batch computes whole lanes, even if some are unused. */
-    rows->work += (count >= SIDE_BY_SIDE ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
-    if (count >= SIDE_BY_SIDE)
-        compute_batch(rows, chosen, count);
+    rows->work += (count >= MIN_BATCH ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
+    if (count >= MIN_BATCH)
+        compute_batch(rows, batch_slots, count);
     else
         for (int i = 0; i < count; i++)
-            compute_column(rows, chosen[i]);
+            compute_column(rows, batch_slots[i]);
 }
 
 void ddmpc_enter_rows(ddmpc_rows *rows, int count)
 {
-    int chosen[LANES], waiting = 0;
+    int batch_slots[LANES], waiting = 0;
     for (int i = 0; i < count; i++) {
         const int row = rows->entering[i];
         if (rows->slot_of[row] == 0) {
-            chosen[waiting++] = take_slot(rows, row);
+            batch_slots[waiting++] = take_slot(rows, row);
             if (waiting == LANES) {
-                compute_columns(rows, chosen, waiting);
+                compute_columns(rows, batch_slots, waiting);
                 waiting = 0;
             }
         }
         rows->multiplier[rows->active] = R(0.0);
         rows->order[rows->active++] = rows->slot_of[row] - 1;
     }
-    compute_columns(rows, chosen, waiting);
+    compute_columns(rows, batch_slots, waiting);
 }
 
 static void invalidate_factor(ddmpc_rows *rows, int position)

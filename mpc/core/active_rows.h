@@ -16,7 +16,7 @@
 /* State of a row: inactive, at its bound, or beyond a soft bound. The sign is the side: positive at the upper bound. */
 enum { DDMPC_FREE = 0, DDMPC_AT_BOUND = 1, DDMPC_EXCEEDED = 2 };
 
-/* Larger numbers are not physical: they count as overflow. */
+/* Numbers above this value are not physical and count as overflow. */
 #define DDMPC_LARGEST R(1e15)
 
 typedef struct {
@@ -27,8 +27,8 @@ typedef struct {
     int late;                   /* 1 after the deadline has passed */
     ddmpc_count work, max_work; /* operations so far, and their limit, see ddmpc_limited_bound */
     int factored;               /* leading active rows for which the factor is valid */
-    real largest_input;         /* largest absolute entry of U0 */
-    real primal;                /* largest excess of a hard row at the plan */
+    real largest_input;         /* maximum absolute entry of U0 */
+    real primal;                /* maximum excess of a hard row at the plan */
     real *columns;    /* (n, slots) v of the row in each slot; kept after a row has left, since it often returns */
     real *gram;       /* (slots, slots) v'v */
     real *factor;     /* (slots, slots) upper triangular: U'U = G + E of the active rows, in their order */
@@ -47,22 +47,22 @@ typedef struct {
     int *state;       /* (m) state of each row, DDMPC_FREE and so on */
     int *row_in;      /* (slots) row of each slot */
     int *order;       /* (slots) slots of the active rows */
-    int *entering;    /* (slots) rows about to become active */
+    int *entering;    /* (slots) rows that become active next */
 } ddmpc_rows;
 
 /* Start with all rows inactive. Returns 0 if the data are not finite. */
 int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory);
-/* Activate the first `count` rows of `entering` with multipliers of zero. The caller has set their states and checked
- * that there is room. */
+/* Activate the first `count` rows of `entering` with multipliers of zero. The caller must set their states and ensure
+ * that there are enough slots. */
 void ddmpc_enter_rows(ddmpc_rows *rows, int count);
 void ddmpc_leave_row(ddmpc_rows *rows, int position);
 /* Move a soft row to the other piece of its penalty. */
 void ddmpc_switch_piece(ddmpc_rows *rows, int position);
-/* Factorise the system from the first row for which the factor is invalid. If `skip`, dependent rows get a pivot of
- * zero; otherwise the first of them ends the factorisation, and the factor is valid up to it. Returns the number of
- * factorised rows, or -1 for numbers that are not finite. */
+/* Factorise the system from the first row for which the factor is invalid. If `skip`, the pivot of a dependent row is
+ * zero; otherwise the first dependent row ends the factorisation, and the factor is valid up to this row. Returns the
+ * number of factorised rows, or -1 for numbers that are not finite. */
 int ddmpc_factorise_rows(ddmpc_rows *rows, int skip);
-/* Solve for `wanted`, after factorising. */
+/* Solve the factorised system for `wanted`. */
 void ddmpc_solve_rows(ddmpc_rows *rows);
 /* Compute into `step` the combination that expresses the dependent row `position` by the previous rows, so that the
  * plan does not move along it. */

@@ -1,18 +1,18 @@
-/* The active set: the two methods named in active_set.h, and the proof of optimality of their result.
+/* The active set: the two methods of active_set.h, and the proof of optimality of their result.
  *
- * Both methods guess which limits are active, which means that they hold with equality, and solve the linear system of
- * their multipliers. The multiplier of a limit is the derivative of the cost by a relaxation of the limit. Its sign and
- * size show whether the guess is right:
+ * Both methods guess which limits are active, that is, hold with equality, and solve the linear system of their
+ * multipliers. The multiplier of a limit is the derivative of the cost by a relaxation of the limit. Its sign and size
+ * show whether the guess is right:
  *
  *     hard limit           0 <= multiplier             else the limit must leave the active set
  *     soft limit, kept     0 <= multiplier <= price    else exceeding the limit is cheaper
  *     soft limit, exceeded price <= multiplier         and grows by `slope` per unit of excess
  *
- * These ranges are the pieces of a row. At a lower limit all signs are reversed. The active set of the last tick, one
- * step ahead, is usually right or nearly so, which makes a solve cheap.
+ * These ranges are the pieces of a row. At a lower limit all signs are reversed. The active set of the last tick,
+ * shifted by one step, is usually almost right, so a solve is cheap.
  *
- * A tick has a bounded duration, so every loop runs over rows or inputs, or has its own bound; each solved system
- * counts as one of `max_iterations`. */
+ * The duration of a tick must be bounded, so every loop runs over rows or inputs, or has a separate bound; each solved
+ * system counts as one of `max_iterations`. */
 /* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include "active_set.h"
@@ -24,16 +24,16 @@
 #include "clock.h"
 
 enum {
-    MAX_ROUNDS = 12,     /* rounds of the primal-dual method, which ends after one to three, or cycles */
-    PATIENCE = 2,        /* rounds within which the number of wrong rows must fall */
-    MAX_STALLS = 20,     /* rounds without a rise of the dual objective, which only rounding can cause */
-    MAX_REFINEMENTS = 3, /* iterative refinements of one solution */
+    MAX_ROUNDS = 12,     /* iterations of the primal-dual method, which ends after one to three, or cycles */
+    PATIENCE = 2,        /* iterations within which the number of wrong rows must decrease */
+    MAX_STALLS = 20,     /* iterations without an increase of the dual objective, which only rounding can cause */
+    MAX_REFINEMENTS = 3, /* iterative refinements of a solution */
     MAX_WORK = 6, /* operations that a tick may take, in full starts with factorisation; ddmpc_limited_allowance */
     BATCH = DDMPC_LANES /* rows that the dual method activates at once: a block of columns costs as much as one */
 };
 
-/* For each number type: its rounding error; the size of a negligible step relative to the largest; the relative error
- * of a multiplier that counts as reached; and the permitted gradient of the Lagrangian relative to its largest term. */
+/* For each number type: rounding error; relative size of a negligible step; relative error of a multiplier that counts as
+ * reached; and permitted gradient of the Lagrangian relative to its maximum term. */
 #ifdef DDMPC_FLOAT
 static const real EPSILON = FLT_EPSILON, NEGLIGIBLE = R(1e-3), REACHED = R(1e-5), STATIONARY = R(3e-4);
 #else
@@ -47,7 +47,7 @@ typedef struct {
     real low, high;
 } range;
 
-static range piece_of(const ddmpc_rows *rows, int position)
+static range piece_at(const ddmpc_rows *rows, int position)
 {
     const real price = rows->problem->price;
     const int exceeded = ddmpc_is_exceeded(rows, position);
@@ -106,15 +106,15 @@ static int select_worst(ddmpc_rows *rows, int count, int limit)
     return count < limit ? count : limit;
 }
 
-/* Activate violated rows: all of them, or a batch of the worst, one for each run of adjacent rows that are violated on
- * the same side. Adjacent samples of one limit move together, so one active row usually corrects its run, and a smaller
- * set is cheaper and rarely dependent. Returns the number of violated rows; `entered` is 0 if there is no room for any
- * of them. */
+/* Activate violated rows: all of them, or a batch of the worst rows, one for each run of adjacent rows that are violated
+ * on the same side. Adjacent samples of a limit change together, so one active row usually corrects its run, and a
+ * smaller set is cheaper and rarely dependent. Returns the number of violated rows; `entered` is 0 if no row can be
+ * activated because `max_active` is reached. */
 static int enter_violated(ddmpc_rows *rows, int all, int *entered)
 {
     const real *now = rows->now;
     int violated = 0, count = 0, worst = -1;
-    /* One step beyond the last row, to close its run. */
+    /* The loop includes one step after the last row, which ends its run. */
     for (int row = 0; row <= rows->m; row++) {
         const real beyond = row < rows->m && rows->state[row] == DDMPC_FREE ? now[row] : R(0.0);
         if (worst >= 0 && (all || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
@@ -138,9 +138,9 @@ static int enter_violated(ddmpc_rows *rows, int all, int *entered)
     return violated;
 }
 
-/* Return 1 if active rows have the values that belong to their multipliers: to within the tolerance of the rows, or if
- * `exactly` to within the rounding error of the plan. Writes the differences to `step`. */
-static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
+/* Return 1 if the active rows have the values required by their multipliers: within the tolerance of the rows or, if
+ * `exactly`, within the rounding error of the plan. Writes the differences to `step`. */
+static int has_required_values(ddmpc_rows *rows, const real *plan, int exactly)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     real largest = R(0.0);
@@ -149,10 +149,10 @@ static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
         largest = ddmpc_max(largest, ddmpc_fabs(plan[k]));
     for (int i = 0; i < rows->active; i++) {
         const int row = ddmpc_row_at(rows, i);
-        const range piece = piece_of(rows, i);
+        const range piece = piece_at(rows, i);
         real wanted = rows->state[row] > 0 ? problem->upper[row] : problem->lower[row];
         if (ddmpc_is_exceeded(rows, i))
-            /* The row lies beyond its bound by the excess at which the derivative of the penalty equals the
+            /* The required excess over the bound is that at which the derivative of the penalty is equal to the
              * multiplier. */
             wanted += (rows->multiplier[i] - (rows->state[row] > 0 ? piece.low : piece.high)) / problem->slope;
         rows->step[i] = rows->now[row] - wanted;
@@ -162,30 +162,30 @@ static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
     return met;
 }
 
-/* Refine the solution until the active rows have the values of their multipliers, in at most MAX_REFINEMENTS rounds.
- * The plan is moved by the changes of the multipliers only: a new sum over large multipliers would repeat their
- * rounding errors. Returns 1 if the rows are within tolerance. */
+/* Refine the solution until the active rows have the values required by their multipliers, in at most MAX_REFINEMENTS
+ * iterations. Only the changes of the multipliers move the plan, since a new sum over large multipliers would repeat
+ * their rounding errors. Returns 1 if the rows are within tolerance. */
 static int refine(ddmpc_rows *rows, real *plan, int exactly)
 {
-    int met = is_met(rows, plan, exactly);
+    int met = has_required_values(rows, plan, exactly);
     for (int round = 0; !met && round < (exactly ? 1 : MAX_REFINEMENTS) && rows->factored == rows->active; round++) {
         ddmpc_solve_step(rows);
         for (int i = 0; i < rows->active; i++) {
             const real before = rows->multiplier[i], multiplier = before + rows->step[i];
-            rows->multiplier[i] = clamp_to(piece_of(rows, i), multiplier);
-            /* The plan still moves by a step that vanishes in the rounding of a large multiplier, but not beyond its
+            rows->multiplier[i] = clamp_to(piece_at(rows, i), multiplier);
+            /* A step that is lost in the rounding of a large multiplier still moves the plan, but not beyond the
              * piece. */
             if (rows->multiplier[i] != multiplier)
                 rows->step[i] = rows->multiplier[i] - before;
         }
         ddmpc_move_plan(rows, rows->step, plan, plan);
-        met = is_met(rows, plan, exactly);
+        met = has_required_values(rows, plan, exactly);
     }
-    /* The exact test only requests one more refinement; the tolerance of the rows decides. */
-    return met || (exactly && is_met(rows, plan, 0));
+    /* The exact test only causes an additional refinement; the result depends on the tolerance of the rows. */
+    return met || (exactly && has_required_values(rows, plan, 0));
 }
 
-/* Return 1 if no further iteration is allowed: time, iterations or operations are used up. */
+/* Return 1 if a bound is reached: time, iterations or operations. */
 static int is_budget_spent(ddmpc_rows *rows, int iterations)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -213,14 +213,14 @@ static int run_primal_dual(ddmpc_rows *rows, int *iterations, real *plan)
                 ddmpc_leave_row(rows, i);
         ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
         for (int i = 0; i < rows->active; i++)
-            wrong += rows->multiplier[i] != clamp_to(piece_of(rows, i), rows->multiplier[i]);
+            wrong += rows->multiplier[i] != clamp_to(piece_at(rows, i), rows->multiplier[i]);
         /* Refine before find_violations, which replaces the values at the plan by their excess. */
         const int met = wrong == 0 && refine(rows, plan, 1);
         /* A violated soft row is left to the dual method. */
         if (!find_violations(rows, violated) || violated[1])
             return 0;
         for (int i = rows->active - 1; i >= 0; i--)
-            if (rows->multiplier[i] != clamp_to(piece_of(rows, i), rows->multiplier[i]))
+            if (rows->multiplier[i] != clamp_to(piece_at(rows, i), rows->multiplier[i]))
                 ddmpc_leave_row(rows, i);
         if (violated[0])
             wrong += enter_violated(rows, 1, &entered);
@@ -304,8 +304,8 @@ static step_kind find_step(ddmpc_rows *rows, real *length, real *rise)
         if (along == rows->active) {
             for (int i = 0; i < rows->active; i++) {
                 const real step = rows->wanted[i] - rows->multiplier[i];
-                /* A step of the size of rounding errors must not block the step of all other rows: its row would
-                 * switch pieces back and forth. */
+                /* A step as small as rounding errors must not block the steps of all other rows, since its row would
+                 * switch pieces repeatedly. */
                 rows->step[i] = ddmpc_fabs(step) > REACHED * ddmpc_fabs(rows->wanted[i]) ? step : R(0.0);
             }
             *length = R(1.0);
@@ -334,7 +334,7 @@ static int find_block(const ddmpc_rows *rows, real *length)
     int block = -1;
     for (int i = 0; i < rows->active; i++) {
         const real step = rows->step[i];
-        const range piece = piece_of(rows, i);
+        const range piece = piece_at(rows, i);
         const real bound = step < R(0.0) ? piece.low : piece.high;
         if (step == R(0.0) || ddmpc_fabs(bound) == DDMPC_LARGEST)
             continue;
@@ -347,8 +347,8 @@ static int find_block(const ddmpc_rows *rows, real *length)
     return block;
 }
 
-/* Return 1 if the rows of an unbounded step contradict each other, even if each is relaxed by its tolerance. Soft
- * rows never do, since they can be exceeded. */
+/* Return 1 if the rows of an unbounded step contradict each other, even if each is relaxed by its tolerance. Soft rows
+ * cannot be contradictory, since they may be exceeded. */
 static int contradicts(const ddmpc_rows *rows, real rise)
 {
     real total = R(0.0);
@@ -362,12 +362,12 @@ static int contradicts(const ddmpc_rows *rows, real rise)
 
 typedef enum { SETTLED, OUT_OF_BUDGET, FAILED, UNBOUNDED } outcome;
 
-/* Move multipliers, which lie on their pieces, to the maximum of the dual on the active rows or a subset of them.
- * Every step keeps all multipliers on their pieces: a row that would leave its piece ends the step, and leaves the
- * active set or changes its piece. */
+/* Move the multipliers, which are on their pieces, to the maximum of the dual on the active rows or a subset of them.
+ * Every step keeps all multipliers on their pieces: a row that would leave its piece ends the step, and either leaves
+ * the active set or changes its piece. */
 static outcome maximise_dual(ddmpc_rows *rows, int *iterations)
 {
-    /* Each round solves a system, so the loop ends after at most `max_iterations` rounds. */
+    /* Each iteration solves a system, so the loop ends after at most `max_iterations`. */
     for (;;) {
         real length = R(0.0), rise = R(0.0); /* set by find_step */
         if (is_budget_spent(rows, *iterations))
@@ -377,23 +377,23 @@ static outcome maximise_dual(ddmpc_rows *rows, int *iterations)
         int block = next == NO_STEP ? -1 : find_block(rows, &length);
         if (block < 0 && next == FULL_STEP) {
             for (int i = 0; i < rows->active; i++)
-                rows->multiplier[i] = clamp_to(piece_of(rows, i), rows->wanted[i]);
+                rows->multiplier[i] = clamp_to(piece_at(rows, i), rows->wanted[i]);
             return SETTLED;
         }
         if (block < 0 && next == UNBOUNDED_STEP) {
             if (contradicts(rows, rise))
                 return UNBOUNDED;
-            /* The dual is level along this step, so the opposite direction is as good, and a row blocks it. */
+            /* The dual is constant along this step, so use the opposite direction, in which a row blocks the step. */
             for (int i = 0; i < rows->active; i++)
                 rows->step[i] = -rows->step[i];
             block = find_block(rows, &length);
         }
         if (block < 0)
             return FAILED;
-        const range piece = piece_of(rows, block);
+        const range piece = piece_at(rows, block);
         const int falls = rows->step[block] < R(0.0), above = ddmpc_is_above(rows, block);
         for (int i = 0; i < rows->active; i++)
-            rows->multiplier[i] = clamp_to(piece_of(rows, i), rows->multiplier[i] + length * rows->step[i]);
+            rows->multiplier[i] = clamp_to(piece_at(rows, i), rows->multiplier[i] + length * rows->step[i]);
         rows->multiplier[block] = falls ? piece.low : piece.high;
         /* At zero a limit becomes inactive; at the price a soft limit starts or stops being exceeded. */
         if (falls == above && !ddmpc_is_exceeded(rows, block))
@@ -417,11 +417,11 @@ static real dual_objective(const ddmpc_rows *rows)
 }
 
 /* Run the dual method: maximise the dual on the active rows, activate violated rows, and repeat. The dual objective
- * rises in every round, so no active set can recur, and the method ends at the solution. */
+ * increases in every iteration, so no active set can recur, and the method ends at the solution. */
 static ddmpc_limited_status run_dual(ddmpc_rows *rows, int *iterations, real *plan)
 {
     real highest = -DDMPC_LARGEST;
-    /* Each round takes at least one of `max_iterations`, so the loop is bounded. */
+    /* Each iteration uses at least one of `max_iterations`, so the loop is bounded. */
     for (int stalls = 0; stalls < MAX_STALLS;) {
         const outcome end = maximise_dual(rows, iterations);
         int entered, violated[2];
@@ -454,7 +454,7 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     int count = 0;
-    /* Each round removes one of at most `max_active` rows. */
+    /* Each iteration removes one of at most `max_active` rows. */
     while (rows->active > 0)
         ddmpc_leave_row(rows, rows->active - 1);
     for (int row = 0; row < rows->m && count < rows->max_active; row++) {
@@ -471,8 +471,8 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
         rows->multiplier[i] = multipliers[ddmpc_row_at(rows, i)];
 }
 
-/* Return the largest sum of absolute terms in R'R (U - U0), which bounds its rounding error. */
-static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
+/* Return the maximum sum of absolute terms in R'R (U - U0), which bounds its rounding error. */
+static real max_gradient_terms(const ddmpc_rows *rows, const real *plan)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     real *restrict size = rows->z, largest = R(0.0);
@@ -490,8 +490,8 @@ static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
     return largest;
 }
 
-/* Fill residuals and multipliers from the plan; return 1 if the Lagrangian is stationary to within rounding errors.
- * This proves optimality independently of the method: limits hold, multipliers have the right sign, and the gradient
+/* Compute residuals and multipliers from the plan; return 1 if the Lagrangian is stationary within rounding errors. This
+ * proves optimality independently of the method: limits are satisfied, multipliers have the right sign, and the gradient
  * is zero. */
 static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, ddmpc_limited_result *result)
 {
@@ -518,7 +518,7 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
         problem->row(problem->context, row, line, &first, &last);
         multipliers[row] = multiplier;
         if (ddmpc_is_exceeded(rows, i)) {
-            /* Compute the penalty at the plan itself, not at the value that the multiplier implies. */
+            /* Compute the penalty at the plan, not at the value that the multiplier implies. */
             const real value = ddmpc_long_dot(line + first, plan + first, last - first);
             multiplier = above ? problem->price + problem->slope * (value - problem->upper[row])
                                : -problem->price + problem->slope * (value - problem->lower[row]);
@@ -537,8 +537,8 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     }
     result->dual = dual;
     allowed += STATIONARY * largest;
-    /* The bound of the rounding errors takes as long as the gradient, so it is computed only if it decides. */
-    return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
+    /* The bound of the rounding errors is as expensive as the gradient, so it is computed only if it is needed. */
+    return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * max_gradient_terms(rows, plan));
 }
 
 /* Copy the current multipliers; return 1 if the multipliers and the plan are finite. */
@@ -585,8 +585,8 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         warm_start(&rows, multipliers);
         for (int i = 0; i < rows.active; i++)
             soft |= ddmpc_is_soft(&rows, i);
-        /* Try the quick method first. Both start from the same multipliers, since a failed attempt leaves arbitrary
-         * rows active. */
+        /* Try the faster method first. Both methods start from the given multipliers, since a failed attempt leaves
+         * arbitrary rows active. */
         if (soft || !run_primal_dual(&rows, &result.iterations, plan)) {
             warm_start(&rows, multipliers);
             result.status = run_dual(&rows, &result.iterations, plan);
@@ -613,7 +613,7 @@ typedef struct {
     ddmpc_count factor, start, refined, many, settled;
 } parts;
 
-static parts parts_of(int n, int m, int slots)
+static parts count_operations(int n, int m, int slots)
 {
     enum { LANES = DDMPC_LANES };
     const ddmpc_count blocks = slots / LANES, square = (ddmpc_count)slots * slots;
@@ -630,14 +630,14 @@ static parts parts_of(int n, int m, int slots)
 
 ddmpc_count ddmpc_limited_allowance(int inputs, int rows, int max_active)
 {
-    const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(max_active));
+    const parts p = count_operations(inputs, rows, DDMPC_LIMITED_SLOTS(max_active));
     return MAX_WORK * (p.start + p.factor);
 }
 
 ddmpc_count ddmpc_limited_bound(int inputs, int rows, int max_active)
 {
     const int slots = DDMPC_LIMITED_SLOTS(max_active);
-    const parts p = parts_of(inputs, rows, slots);
+    const parts p = count_operations(inputs, rows, slots);
     const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
     /* After the last round the plan is computed again or refined, and its optimality is checked. */
     const ddmpc_count end = p.refined + 2 * ddmpc_plan_operations(inputs, rows, slots);

@@ -1,17 +1,16 @@
-/* The steps of the extended Kalman filter over one sample. The state is z = (x, slip, gyro bias, delays, pose): the n
- * states of the velocity model, the parameters of the difference between the model's twist and the true one, the
- * gyro's bias, the unknown delays of both commands, and x, y, theta. This file holds algebra only: motion, sensors
+/* Steps of the extended Kalman filter over one sample. The state is z = (x, slip, gyro bias, delays, pose): the n states
+ * of the velocity model, the parameters of the difference between the model's twist and the actual twist, the gyro's
+ * bias, the unknown delays of both commands, and x, y, theta. This file contains only algebra: the motion, the sensors
  * and their gradients are generated from mpc/problem/formulas.py.
  *
  *     predict   z = f(z, u),  P = F P F' + Q          F the gradient of f, Q the noise of a sample
  *     correct   S = H P H' + R,  K = P H' / S,  z += K (measured - h(z)),  P -= K S K'
  *
- * Slip and bias are constant in f: they change through corrections only. They are observable because they couple to
- * the pose through F and to the sensors through H, so a pose also corrects slip. Readings with independent noise are
- * entered one after the other, which needs no matrix inverse; a pose is entered as a whole, since its covariance is
- * full.
+ * Slip and bias are constant in f, so only corrections change them. They are observable because they couple to the pose
+ * through F and to the sensors through H, so a pose also corrects slip. Readings with independent noise are processed
+ * sequentially, which needs no matrix inverse; a pose is processed as a whole, since its covariance is full.
  *
- * estimator.c calls these steps, and repeats them from the stamp of a late measurement on. */
+ * estimator.c calls these steps, and repeats them from the stamp of a delayed measurement on. */
 #include <string.h>
 
 #include "internal.h"
@@ -55,7 +54,7 @@ static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2]
 
 void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]) { twist_now(c, mean, twist, 0); }
 
-/* Compute P h. P is symmetric, so its rows serve as columns, and most entries of h are zero. */
+/* Compute P h. P is symmetric, so its rows are used as columns; most entries of h are zero. */
 static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const real *h, real *out)
 {
     const int Z = BELIEF(c);
@@ -101,7 +100,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
         for (int j = 0; by_delay && j < 2; j++)
             moved->by[i][n + DELAYS(c) + j] = J[i] * by_delay[j] + J[i + 3] * by_delay[2 + j];
-        /* The displacement depends on the heading at the start, the new pose also on the pose itself. */
+        /* The displacement depends on the heading at the start; the new pose also depends on the start pose. */
         moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
         moved->by[i][pose + i] += R(1.0);
         moved->pose[i] = start[i] + displacement[i];
@@ -122,9 +121,9 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
     memcpy(pose, moved.pose, sizeof moved.pose);
 }
 
-/* Compute F P F' for F = (A D 0; 0 1 0; G), with the rows of states, of slip, bias and delays, and of the pose. Only
- * the blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by the
- * delays. */
+/* Compute F P F' for F = (A D 0; 0 1 0; G), whose block rows are those of the states, of slip, bias and delays, and of
+ * the pose. Only blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by
+ * the delays. */
 static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D,
                       const real *before, real *out)
 {
@@ -163,10 +162,10 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* Compute the mean output of the model over the sample from z to the states x+, with its gradient by the states (2,
- * n), its rate, and the body's mean twist. The pose follows the arc of the mean, which is more accurate than that of
- * the output at the start. Returns the body's forward acceleration. Derivatives by acceleration and rate are
- * neglected, since their effect is small. */
+/* Compute the mean output of the model over the sample from z to the states x+, with its gradient by the states (2, n),
+ * its rate, and the body's mean twist. The arc of the mean twist is more accurate than the arc of the twist at the start.
+ * Returns the body's forward acceleration. Derivatives by acceleration and rate are neglected, since their effect is
+ * small. */
 static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
                         real *rows, real rate[2], real twist[2])
 {
@@ -222,7 +221,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const real acceleration = mean_output(c, z, state, A, y, rows, after->rate, twist);
     if (SPARE(c) > 0) {
         ddmpc_velocity_by_delay(c, newest, late, D);
-        /* Half, because y is the mean of the outputs at both ends, and delays affect the end only. */
+        /* The factor 1/2, since y is the mean of the outputs at both ends, and delays affect only the end. */
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < n; j++)
                 by_delay[i] += R(0.5) * k->C[i / 2 * n + j] * D[2 * j + i % 2];
@@ -230,15 +229,15 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     move(c, z, y, rows, by_delay, acceleration, (real)k->sample_time, &moved);
     propagate(c, &moved, A, D, before->covariance, after->covariance);
 
-    /* Add Q. Noise enters at the input of the model, and reaches the states through B0 + B1
+    /* Add Q. Noise acts on the input of the model, and thereby on the states through B0 + B1
      * (mpc/problem/constants.py). */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             after->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
         after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
-    /* A parameter is observable in some motions only: a gain while its channel moves, side-slip in curves. In other
-     * motions its uncertainty must not grow, or measurement noise would make its estimate drift. */
+    /* A parameter is observable only in some motions: a gain while its channel moves, side-slip in curves. In other
+     * motions its uncertainty must not increase, since measurement noise would then make its estimate drift. */
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
@@ -257,13 +256,13 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     memcpy(after->mean, state, (size_t)n * sizeof(real));
     memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
-        /* Counted in samples, not in readings: `patience` is a duration, whatever the rate of the sensor. */
+        /* The count is in samples, not in readings, since `patience` is a duration that is valid at any sensor rate. */
         after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
 }
 
-/* Count consecutive large innovations of a sensor; return 1 while they count as a push of the robot. A push ends soon,
- * whereas a wrong parameter causes large innovations until it is corrected: after `patience` samples large innovations
- * therefore correct the parameters. */
+/* Count consecutive large innovations of a sensor; return 1 while they are treated as an external disturbance. A
+ * disturbance ends soon, whereas a wrong parameter causes large innovations until it is corrected. After `patience`
+ * samples, large innovations therefore correct the parameters. */
 static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
 {
     if (!(normalised > c->constants->surprise)) {
@@ -276,12 +275,12 @@ static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int s
 }
 
 /* Set the filter gain to zero for states that the measurement must not change. */
-static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *gain, int columns)
+static void freeze(const ddmpc_controller *c, const real *z, int is_disturbed, real *gain, int columns)
 {
     const int n = STATES(c);
     real twist[2];
-    if (pushed) {
-        /* The robot is pushed: the innovation corrects velocity and pose, but not slip and delays. */
+    if (is_disturbed) {
+        /* During a disturbance, the innovation corrects velocity and pose, but not slip and delays. */
         memset(gain + n * columns, 0, (size_t)(POSE(c) * columns) * sizeof(real));
         return;
     }
@@ -302,7 +301,7 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
     const real *min_slip = c->constants->min_slip, *max_slip = c->constants->max_slip;
     real *slip = z + STATES(c);
     for (int i = 0; i < SLIPS(c); i++) {
-        /* Without min and max, since NaN must stay NaN: an invalid estimate has to be detected and reset. */
+        /* Comparisons preserve NaN, in contrast to min and max, so that an invalid estimate is detected and reset. */
         if (slip[i] < min_slip[i])
             slip[i] = min_slip[i];
         if (slip[i] > max_slip[i])
@@ -317,16 +316,16 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
     }
 }
 
-/* Correct a belief by one reading with gradient `h`, `innovation` and `variance`; PHt is P h. */
+/* Correct a belief by a reading with the gradient `h`, the `innovation` and the `variance`; PHt is P h. */
 static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, const real *h, real innovation,
-                           real variance, int pushed, const real *PHt)
+                           real variance, int is_disturbed, const real *PHt)
 {
     const int Z = BELIEF(c);
     const real S = dot(h, PHt, Z) + variance;
     real gain[MAX_BELIEF], half[MAX_BELIEF], *row = belief->covariance;
     for (int i = 0; i < Z; i++)
         gain[i] = PHt[i] / S;
-    freeze(c, belief->mean, pushed, gain, 1);
+    freeze(c, belief->mean, is_disturbed, gain, 1);
     for (int i = 0; i < Z; i++) {
         belief->mean[i] += gain[i] * innovation;
         half[i] = PHt[i] - R(0.5) * S * gain[i];
@@ -347,7 +346,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     real y[2], rows[2 * DDMPC_MAX_STATES], reading[3], J[3 * (3 + DDMPC_MAX_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
     for (int i = 0; i < 2; i++)
-        /* Extrapolate to the time of the reading. The rate counts as known, so the gradient does not include it. */
+        /* Extrapolate to the time of the reading. The gradient treats the rate as constant. */
         y[i] += ahead * belief->rate[i];
     const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS(c), &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};
@@ -355,7 +354,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     memset(h, 0, (size_t)BELIEF(c) * sizeof(real));
     for (int j = 0; j < n; j++)
         h[j] = J[sensor] * rows[j] + J[sensor + 3] * rows[n + j];
-    /* Up to S: the gyro bias follows the slips. */
+    /* The loop includes S, the index of the gyro bias after the slips. */
     for (int j = 0; j <= S; j++)
         h[n + j] = J[sensor + 3 * (2 + j)];
     return reading[sensor];
@@ -370,10 +369,10 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
     const real innovation = measured->value - expected_reading(c, belief, measured->sensor, ahead, h);
     times(c, belief, h, PHt);
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
-    const int pushed = count_surprise(c, belief, measured->sensor, normalised);
-    if (pushed) {
-        /* The velocity is uncertain by the innovation: add the covariance of a constant disturbance of the command with
-         * the size of the innovation, so that the states follow the reading. */
+    const int is_disturbed = count_surprise(c, belief, measured->sensor, normalised);
+    if (is_disturbed) {
+        /* Add the covariance of a constant disturbance of the command that is as large as the innovation, so that the
+         * states follow the reading. */
         const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
@@ -381,7 +380,7 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
                     innovation * innovation * (settled[2 * i + channel] * settled[2 * j + channel]);
         times(c, belief, h, PHt);
     }
-    correct_scalar(c, belief, h, innovation, measured->variance, pushed, PHt);
+    correct_scalar(c, belief, h, innovation, measured->variance, is_disturbed, PHt);
     return normalised;
 }
 
@@ -451,23 +450,23 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     move_from(c, belief->mean, ahead, &moved);
     for (int i = 0; i < 3; i++)
         innovation[i] = pose->value[i] - moved.pose[i];
-    /* Headings are unwrapped; only the angle between them counts. */
+    /* Headings are unwrapped, so their difference is wrapped. */
     innovation[2] = ddmpc_wrap(innovation[2]);
     expect(c, belief, &moved, pose, &f);
     divide(&f, innovation, solved);
     /* Mean over the three values, so that the limit for single readings applies. */
     const real normalised = dot(innovation, solved, 3) / R(3.0);
-    /* A pose that is inconsistent with the belief means that the robot was moved by an external force: the estimate then
-     * follows the pose and slip stays constant, unless the inconsistency persists. */
-    const int pushed = count_surprise(c, belief, POSE_SENSOR, normalised);
-    if (pushed) {
+    /* A pose that is inconsistent with the belief indicates that an external force has moved the robot. The estimate then
+     * follows the pose, and slip stays constant unless the inconsistency persists. */
+    const int is_disturbed = count_surprise(c, belief, POSE_SENSOR, normalised);
+    if (is_disturbed) {
         for (int i = 0; i < 3; i++)
             belief->covariance[(n + POSE(c) + i) * (Z + 1)] += innovation[i] * innovation[i];
         expect(c, belief, &moved, pose, &f);
     }
     for (int i = 0; i < Z; i++)
         divide(&f, f.PHt[i], gain[i]);
-    freeze(c, belief->mean, pushed, gain[0], 3);
+    freeze(c, belief->mean, is_disturbed, gain[0], 3);
     for (int i = 0; i < Z; i++)
         for (int k = 0; k < 3; k++) {
             belief->mean[i] += gain[i][k] * innovation[k];
@@ -483,7 +482,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
 
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
 {
-    /* The new pose is independent of the estimate, so its correlations vanish; velocity and slip keep their estimates. */
+    /* The new pose is independent of the estimate, so its correlations are zero; velocity and slip are kept. */
     const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < first; j++)

@@ -1,19 +1,19 @@
-/* The tracking problem linearised along a guess: how twists, headings and poses of the robot respond to the commands
- * U = (v_ref[0], omega_ref[0], v_ref[1], ...).
+/* Linearisation of the tracking problem along a guess: response of twists, headings and poses of the robot to the
+ * commands U = (v_ref[0], omega_ref[0], v_ref[1], ...).
  *
  * Twists and headings of a linear model respond as a linear time-invariant system. Their matrices are Toeplitz, so one
  * row represents all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], where x includes the commands in the dead
  * time. A nonlinear model is linearised along the guess and has a row for each sample. Curved slip is treated in the
- * same way: outputs and rows are then those of the body's twist, and the gains are 1. Poses follow from exact arcs.
- * Motion, slip and aim, with their gradients, are generated from mpc/problem/formulas.py. */
+ * same way: outputs and rows are then those of the body's twist, and the gains are 1. Poses are computed by exact arcs.
+ * Motion, slip and target headings, with their gradients, are generated from mpc/problem/formulas.py. */
 #include <string.h>
 
 #include "problem.h"
 
-/* Replace `command`, which was computed with the gain at rest, by the command for which a nonlinear model has the
-   body's twist `wanted` in steady state, if it exists. The search starts from `last`, the solution at the previous
+/* Replace `command`, which was computed with the gain at rest, by the command for which the steady state of a nonlinear
+   model has the body's twist `wanted`, if it exists. The search starts from `last`, the solution at the previous
    sample, which is usually close. */
-static void settle_command(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
+static void find_settled_command(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
@@ -25,8 +25,8 @@ static void settle_command(const ddmpc_controller *c, const real wanted[2], ddmp
         memcpy(command, last->command, sizeof last->command);
 }
 
-/* Compute the target poses, and the feed-forward from the last tick on: the commands that would keep the reference's
- * twist, one lag ahead. */
+/* Compute the target poses, and the feed-forward from the last tick on: the commands for the reference's twist one lag
+ * later. */
 static void compute_targets(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -36,17 +36,17 @@ static void compute_targets(ddmpc_controller *c)
     const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i, *twist = c->reference_twist + 2 * i;
-        const real turned[3] = {pose[0], pose[1], pose[2] + turns};
+        const real unwrapped[3] = {pose[0], pose[1], pose[2] + turns};
         /* The last sample has the acceleration of the previous sample. */
         const real *from = i < SAMPLES(c) - 1 ? twist : twist - 2;
         const real acceleration = (from[2] - from[0]) / (real)k->sample_time;
-        const real *arguments[4] = {turned, twist, p->slip, &acceleration};
+        const real *arguments[4] = {unwrapped, twist, p->slip, &acceleration};
         real *results[1] = {p->aim + 4 * i};
         WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
     }
     ddmpc_settled last;
     last.exists = 0;
-    /* Step -1 gives the feed-forward of the last command, relative to which the first increment is penalised. */
+    /* Step -1 is the feed-forward of the last command, which is the base of the first increment in the cost. */
     for (int i = -1; i < STEPS(c); i++) {
         real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
@@ -60,12 +60,12 @@ static void compute_targets(ddmpc_controller *c)
         real *results[1] = {command};
         WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            settle_command(c, wanted, &last, command);
+            find_settled_command(c, wanted, &last, command);
     }
 }
 
-/* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's, which are
-   constant for flat slip. With curved slip the outputs are already those of the body. */
+/* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's twist, which
+   are constant for flat slip. With curved slip, the outputs are already those of the body. */
 static void free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -87,9 +87,9 @@ static void free_twists(ddmpc_controller *c)
     p->turn_gain = J[2];
 }
 
-/* Compute the turning points of the robot along the guess. The solver treats them as constant, since their dependence
-   on the acceleration is small. */
-static void find_turning_points(ddmpc_controller *c)
+/* Compute the turning points of the robot along the guess. The solver treats them as constant, since they depend only
+   slightly on the acceleration. */
+static void compute_turning_points(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int k = 0; k < STEPS(c); k++) {
@@ -101,7 +101,7 @@ static void find_turning_points(ddmpc_controller *c)
     }
 }
 
-/* Convolve the first `count` commands of a plan with the response of a linear model: their effect on the twists. */
+/* Compute the effect of the first `count` commands of a plan on the twists of a linear model, by a convolution. */
 static void convolve(const real *response, const real *plan, int count, int N, real *by_plan)
 {
     memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
@@ -116,8 +116,8 @@ static void convolve(const real *response, const real *plan, int count, int N, r
     }
 }
 
-/* Delay a row by `late` samples with linear interpolation: `count` entries of a row with `known` entries and zeros
-   beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
+/* Delay a row by `late` samples with linear interpolation. The result has `count` entries; the row has `known` entries
+   and is zero beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
 static void delay(const real *row, int known, int stride, int step, real late, int count, real *out)
 {
     const int whole = (int)late;
@@ -130,8 +130,8 @@ static void delay(const real *row, int known, int stride, int step, real late, i
     }
 }
 
-/* Compute the model's response to plans whose commands are delayed by the estimated delays. Delays are rounded to whole
-   milliseconds, so that the response seldom changes. */
+/* Compute the model's response to plans whose commands have the estimated delays. Delays are rounded to milliseconds, so
+   that the response rarely changes. */
 static void update_delayed_response(ddmpc_controller *c, const real *delays)
 {
     ddmpc_problem *p = &c->problem;
@@ -155,8 +155,8 @@ static void update_delayed_response(ddmpc_controller *c, const real *delays)
     }
 }
 
-/* Delay the past commands (W + N, 2) by the estimated delays, from the first of the window to the last that acts during
-   the plan. Returns the number of past commands that act during the plan. */
+/* Delay the past commands (W + N, 2) by the estimated delays, from the first command of the window to the last command
+   that acts during the plan. Returns the number of past commands that act during the plan. */
 static int delay_commands(const ddmpc_controller *c, real *line)
 {
     const real *late = c->problem.late;
@@ -231,8 +231,8 @@ void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
         convolve(ddmpc_rows(c).response, plan, STEPS(c), STEPS(c), by_plan);
 }
 
-/* Run a nonlinear model under `plan`: its outputs (2) at the samples, and its rows if `rows`. */
-static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+/* Simulate a nonlinear model under `plan`: compute its outputs (2) at the samples and, if `rows`, its Jacobian rows. */
+static void simulate_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
     const int n = STATES(c), N = STEPS(c), W = WINDOW(c), width = WIDTH(c);
@@ -263,7 +263,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
             for (int m = 0; m < n; m++)
                 for (int j = 0; j < 2 * k; j++)
                     after[i * width + j] += by_state[i * n + m] * now[m * width + j];
-            /* Commands of the window that belong to the plan. */
+            /* Add the effect of the commands of the window that belong to the plan. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
                     after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
@@ -274,8 +274,8 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
     }
 }
 
-/* Run a linear model under `plan`: its outputs, and on request its rows. */
-static void run_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+/* Simulate a linear model under `plan`: compute its outputs and, if `rows`, its Jacobian rows. */
+static void simulate_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
@@ -291,7 +291,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
         }
 }
 
-/* Convert the model's outputs and rows to those of the body's twist. */
+/* Convert the outputs and rows of the model to outputs and rows of the body's twist. */
 static void apply_curved_slip(ddmpc_controller *c, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
@@ -311,24 +311,24 @@ static void apply_curved_slip(ddmpc_controller *c, real *outputs, int rows)
     }
 }
 
-static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+static void simulate(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     if (NONLINEAR(c))
-        run_model(c, plan, outputs, rows);
+        simulate_model(c, plan, outputs, rows);
     else
-        run_linear_model(c, plan, outputs, rows);
+        simulate_linear_model(c, plan, outputs, rows);
     if (CURVED(c))
         apply_curved_slip(c, outputs, rows);
 }
 
-/* Compute the rows along the guess, and the output for a plan of zeros. */
+/* Compute the rows along the guess, and the linearised output for a zero plan. */
 static void linearise_rows(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     const real dt = (real)c->constants->sample_time;
-    run(c, p->guess, p->free_output, 1);
-    /* Without the linear effect of the guess, the free output plus the rows gives the exact output at the guess. */
+    simulate(c, p->guess, p->free_output, 1);
+    /* Subtract the linear effect of the guess, so that the linearised output is exact at the guess. */
     add_rows(c, p->guess, p->by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
         p->free_output[i] -= p->by_plan[(i % 2) * (N + 1) + i / 2];
@@ -344,7 +344,7 @@ static void linearise_rows(ddmpc_controller *c)
     free_twists(c);
 }
 
-/* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also their gradients. */
+/* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also compute gradients. */
 static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs, real *poses)
 {
     const ddmpc_problem *p = &c->problem;
@@ -369,7 +369,7 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
             arcs[i * N + k] = move[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
             arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
-            /* ddmpc_linear_moves integrates headings without this gain, so the derivative contains it. */
+            /* ddmpc_linear_moves integrates headings without this gain, so the derivative must include it. */
             arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
         }
     }
@@ -382,8 +382,8 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
     ddmpc_add_plan(c, plan, p->by_plan);
     if (ROWS(c)) {
         real outputs[2 * (DDMPC_MAX_STEPS + 1)];
-        run(c, plan, outputs, 0);
-        /* Use the exact effect of the plan instead of the linearised one. */
+        simulate(c, plan, outputs, 0);
+        /* Use the exact effect of the plan instead of the linearised effect. */
         for (int i = 0; i < 2 * (N + 1); i++)
             p->by_plan[(i % 2) * (N + 1) + i / 2] = outputs[i] - p->free_output[i];
     }
@@ -415,6 +415,6 @@ void ddmpc_problem_linearise(ddmpc_controller *c)
         linearise_rows(c);
     else
         ddmpc_add_plan(c, p->guess, p->by_plan);
-    find_turning_points(c);
+    compute_turning_points(c);
     roll_out(c, p->by_plan, p->arc, p->poses);
 }

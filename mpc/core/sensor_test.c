@@ -719,7 +719,7 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const int accused = m->excluded, both = BY_WHEELS | BY_GYRO;
+    const int excluded = m->excluded, both = BY_WHEELS | BY_GYRO;
     motions half, whole;
     if (available_since(k, m, now->time) & BY_GYRO)
         follow_course(k, m, now, pose->value, noise[0]);
@@ -729,7 +729,7 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
         motions *motion = window == LONG ? &whole : &half;
         if (!from || !compare_delayed(k, m, from, now, m->delay, pose->value, motion))
             break;
-        const int available = available_since(k, m, from->motion.time - m->delay), used = available & ~accused;
+        const int available = available_since(k, m, from->motion.time - m->delay), used = available & ~excluded;
         if (window == MIDDLE) {
             const ddmpc_stored_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && used & BY_WHEELS)
@@ -766,7 +766,8 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
                     ddmpc_max(evidence[DDMPC_OF_POSE], drift_evidence(k, &half, &whole, noise[0]));
             continue;
         }
-        const evaluation with_accused = accused ? evaluate(k, m, motion, available, noise, k->windows[window]) : result;
+        const evaluation with_accused =
+            excluded ? evaluate(k, m, motion, available, noise, k->windows[window]) : result;
         const int moves = ddmpc_fabs(motion->pose) > k->frozen[0] || ddmpc_fabs(motion->pose_turn) > k->frozen[1];
         const int wheels_agree =
             square(motion->wheels - motion->pose) < square(noise[0]) + variance(k->slip_driving, motion->pose);
@@ -788,10 +789,10 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
             continue;
         const int turns_agree =
             square(motion->pose_turn - motion->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
-        if (!accused && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
+        if (!excluded && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
             !m->is_diverging)
             learn_gains(k, m, motion);
-        if (!((accused & BY_POSE) | (m->implausible & BY_GYRO)) && available & BY_GYRO &&
+        if (!((excluded & BY_POSE) | (m->implausible & BY_GYRO)) && available & BY_GYRO &&
             m->now.time - m->gyro.last_change <= (ddmpc_time)k->silence &&
             ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_gyro_scale(k, m, motion, noise[1]);
@@ -799,10 +800,10 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
     /* Readings that repeat despite the commands, or at the end of their range, are not evidence against poses. */
     const int gyro_repeats = m->now.time - m->gyro.last_change > (ddmpc_time)k->silence &&
                              ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
-    if ((ddmpc_monitor_doubtful_sensors(c, m->now.time) | (gyro_repeats ? BY_GYRO : 0)) & ~accused)
+    if ((ddmpc_monitor_doubtful_sensors(c, m->now.time) | (gyro_repeats ? BY_GYRO : 0)) & ~excluded)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* Poses that are not used are not evidence against other sensors. */
-    if (accused & BY_POSE)
+    if (excluded & BY_POSE)
         evidence[DDMPC_OF_WHEELS] = evidence[DDMPC_OF_YAW_RATE] = R(0.0);
 }
 

@@ -1,23 +1,24 @@
-/* The velocity model over one sample. Either a linear model with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and
- * y = C x, where d is the dead time of v and of omega in whole samples, and B0 and B1 represent its fractional part; or a
- * nonlinear function with its Jacobian. Both come from models/structures by way of mpc/problem. */
+/* The velocity model over one sample: either a linear model with dead time, or a nonlinear function with its Jacobian.
+ * The linear model is x+ = A x + B0 u[k - d] + B1 u[k - d - 1], y = C x, where d is the dead time of v and of omega in
+ * whole samples, and B0 and B1 represent its fractional part. models/structures defines the models, and mpc/problem
+ * provides their constants. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Newton's method converges quadratically: after a step smaller than this the remaining error is negligible. In
- * units of states and commands [m/s, rad/s]. */
+/* Size of a Newton step after which the error is negligible, since the method converges quadratically, in units of
+ * states and commands [m/s, rad/s]. */
 static const real SMALL_STEP = R(1e-4);
 enum { NEWTON_STEPS = 8 };
 
-/* A delay that is not a number counts as none: it must not become an index. */
+/* Whole samples of a delay; 0 for NaN, which must not become an index. */
 static int whole_samples(real samples) { return samples > R(0.0) ? (int)samples : 0; }
 
 real ddmpc_delayed(const real *sent, real samples)
 {
     const int whole = whole_samples(samples);
     const real rest = samples - (real)whole, now = sent[-2 * whole];
-    /* The older command is read only if needed, since it may lie outside the stored commands. */
+    /* The older command is read only if it is needed, since it may be outside the stored commands. */
     return rest > R(0.0) ? now + rest * (sent[-2 * whole - 2] - now) : now;
 }
 
@@ -30,7 +31,7 @@ static void linear_step(const ddmpc_controller *c, const real *x, const real *ne
         const real *acting = newest - 2 * DELAY(c, channel) + channel;
         const real samples = late ? late[channel] / (real)k->sample_time : R(0.0);
         recent[channel] = ddmpc_delayed(acting, samples);
-        /* The command before it still acts during the fractional part of the dead time (B1). */
+        /* The previous command still acts during the fractional part of the dead time (B1). */
         older[channel] = ddmpc_delayed(acting - 2, samples);
     }
     for (int i = 0; i < n; i++) {
@@ -49,7 +50,7 @@ void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, cons
     const real dt = (real)k->sample_time;
     for (int channel = 0; channel < 2; channel++) {
         const real *acting = newest - 2 * (DELAY(c, channel) + whole_samples(late[channel] / dt)) + channel;
-        /* Slope of the interpolation in ddmpc_delayed: a longer delay moves each command towards its predecessor. */
+        /* Slope of the interpolation in ddmpc_delayed, from each command to its predecessor. */
         const real recent = (acting[-2] - acting[0]) / dt, older = (acting[-4] - acting[-2]) / dt;
         for (int i = 0; i < STATES(c); i++)
             by_delay[2 * i + channel] = k->B0[2 * i + channel] * recent + k->B1[2 * i + channel] * older;
@@ -143,7 +144,7 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
     real *unknowns[2] = {settled->state, settled->command};
     if (!settled->exists)
         memset(settled, 0, sizeof *settled);
-    /* Start from the last solution, moved along its derivative by the output. */
+    /* Start from the last solution, extrapolated by its derivative by the output. */
     for (int i = 0; i < n + 2; i++)
         for (int j = 0; j < 2; j++)
             unknowns[i >= n][i >= n ? i - n : i] += settled->by_output[2 * i + j] * (wanted[j] - settled->output[j]);
