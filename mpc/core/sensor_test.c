@@ -766,7 +766,7 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
                     ddmpc_max(evidence[DDMPC_OF_POSE], drift_evidence(k, &half, &whole, noise[0]));
             continue;
         }
-        const evaluation with_accused =
+        const evaluation with_excluded =
             excluded ? evaluate(k, m, motion, available, noise, k->windows[window]) : result;
         const int moves = ddmpc_fabs(motion->pose) > k->frozen[0] || ddmpc_fabs(motion->pose_turn) > k->frozen[1];
         const int wheels_agree =
@@ -778,7 +778,7 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
                                 ddmpc_fabs(motion->model_turn) - turn > R(2.0) * k->frozen[1];
         if (has_command && !(distance > min_distance || turn > min_turn))
             m->blocked_at = pose->stamp;
-        if (with_accused.no_fault < k->plausible)
+        if (with_excluded.no_fault < k->plausible)
             *agreeing = (moves ? available & ~(turns ? 0 : BY_GYRO) & ~(wheels_agree ? 0 : BY_WHEELS) : 0) | BY_POSE;
         if (result.slips)
             m->slipped_at = pose->stamp;
