@@ -241,14 +241,14 @@ def _roll_out(
     problem: Problem, p: Mapping[str, ca.SX], stage: ca.Function, cost: ca.Function, limited: ca.Function
 ) -> dict[str, ca.SX]:
     plan, feed_forward, slip, window = p["plan"], p["feed_forward"], p["slip"], p["sent"].size2()
-    commands, before = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
+    commands, previous = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
     state, total, poses, soft = p["state"], ca.SX(0), [p["pose"]], []
     twists = [body_twist(_model_twist(problem, state), slip)]
     for k in range(problem.config.horizon):
         state, pose, twist = stage(state, poses[-1], slip, commands[:, k : k + window + 1], p["late"], p["ahead"][k])
         at_end = pose, twist, plan[:, k], p["reference"][:, k + 1], p["parameters"][:, k + 1]
         terminal = problem.config.weights.terminal if k == problem.config.horizon - 1 else 1.0
-        total += cost(*at_end, before[:, k], feed_forward[:, k + 1], feed_forward[:, k], terminal)
+        total += cost(*at_end, previous[:, k], feed_forward[:, k + 1], feed_forward[:, k], terminal)
         soft.append(limited(*at_end, slip, p["direction"][:, k]))
         poses.append(pose)
         twists.append(twist)

@@ -119,14 +119,14 @@ def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object] | 
 
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, dotted_key: str) -> dict[str, Any]:
     """Return `data` with the value at the nested `keys` replaced; `dotted_key` is the name of the key in messages."""
-    first, *rest = keys
-    if not rest:
+    first, *inner_keys = keys
+    if not inner_keys:
         # NumPy numbers, such as those of `np.arange`, are converted to Python numbers for the schema.
         return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
     # The key is a side of a limit that is given as one number for both sides.
-    if rest[0] in SIDES and isinstance(inner, (int, float)):
-        inner = dict.fromkeys(SIDES[rest[0]], inner)
+    if inner_keys[0] in SIDES and isinstance(inner, (int, float)):
+        inner = dict.fromkeys(SIDES[inner_keys[0]], inner)
     if not isinstance(inner, Mapping):
         raise ConfigError(f"configuration: unknown key '{dotted_key}': '{first}' holds one value, not a group")
-    return {**data, first: _with_value(inner, rest, value, dotted_key)}
+    return {**data, first: _with_value(inner, inner_keys, value, dotted_key)}

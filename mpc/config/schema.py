@@ -531,8 +531,8 @@ class ControllerConfig(Group):
         features = data.get("features", {})
         if not isinstance(features, Mapping) or not (groups or features):
             return data
-        rest = {name: value for name, value in data.items() if name not in groups}
-        return rest | {"features": validate_groups({**features, **groups})}
+        other_values = {name: value for name, value in data.items() if name not in groups}
+        return other_values | {"features": validate_groups({**features, **groups})}
 
     @model_serializer(mode="wrap")
     def _dump(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

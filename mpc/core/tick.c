@@ -514,7 +514,7 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
     memcpy(c->problem.multipliers, multipliers, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
     const long long operations = c->result.solver.operations;
     c->result.solver = *report;
-    c->result.solver.operations = operations; /* of the active set, which ran before the backend */
+    c->result.solver.operations = operations; /* operations of the active set before the backend */
     return finish_tick(c, ddmpc_use_plan(c), 1);
 }
 

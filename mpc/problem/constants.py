@@ -306,7 +306,7 @@ class Problem:
             "increment_weight": [w.v_increment, w.omega_increment],
             # The matrix is stored in column-major order.
             "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
-            "lag_rest": self.feed_forward.rest,
+            "lag_rest": self.feed_forward.fraction,
             "price": w.soft,
             "price_slope": w.soft_quadratic,
         }

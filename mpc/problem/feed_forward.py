@@ -23,13 +23,13 @@ class FeedForward:
     ----------
     inverse_gain
         (2, 2) inverse of the model's steady-state gain.
-    whole, rest
+    whole, fraction
         (2,) integer part and fractional part of the lag of each channel [samples].
     """
 
     inverse_gain: FloatArray
     whole: NDArray[np.int64]
-    rest: FloatArray
+    fraction: FloatArray
 
     @classmethod
     def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:

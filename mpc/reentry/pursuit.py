@@ -181,17 +181,17 @@ class Pursuit:
         has_ended = self._reference is not None and self._time >= self._reference.duration
         if has_ended and not self._driving:
             self._clock.keep_delay()
-        before, driving = self._clock.delay, self._driving or has_ended
+        previous_delay, driving = self._clock.delay, self._driving or has_ended
         self._time = self._clock.advance(since_start, driving=driving)
-        self._count_delay(before, driving=driving)
+        self._count_delay(previous_delay, driving=driving)
         self._resumes, self._driving = not self._driving, False
         return self._time
 
-    def _count_delay(self, before: float, *, driving: bool) -> None:
-        """Add the increase of the delay since `before` [s] to the planned delay, unless a lagging robot caused it."""
+    def _count_delay(self, previous_delay: float, *, driving: bool) -> None:
+        """Add the increase from `previous_delay` [s] to the planned delay, unless a lagging robot caused it."""
         delay = self._clock.delay
         if not driving or self._slows_down:
-            self.planned_delay += max(0.0, delay - before)
+            self.planned_delay += max(0.0, delay - previous_delay)
         # The planned part cannot exceed the delay, which decreases while the reference catches up.
         self.planned_delay = min(self.planned_delay, max(0.0, delay))
 

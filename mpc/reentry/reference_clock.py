@@ -78,8 +78,8 @@ def settling_profile(rate: float, delay: float, min_rate: float, max_rate: float
     bound = max_rate - 1.0 if side > 0 else 1.0 - min_rate
     peak = max(-bound, min(bound, peak))
     rise, fall = abs(peak - excess) / ramp, abs(peak) / ramp
-    rest = delay - 0.5 * (excess + peak) * rise - 0.5 * peak * fall
-    cruise = max(0.0, rest / peak) if peak else 0.0
+    remaining_delay = delay - 0.5 * (excess + peak) * rise - 0.5 * peak * fall
+    cruise = max(0.0, remaining_delay / peak) if peak else 0.0
     nodes = ((0.0, excess), (rise, peak), (rise + cruise, peak), (rise + cruise + fall, 0.0))
     return RateProfile(tuple(t for t, _ in nodes), tuple(1.0 + e for _, e in nodes), settles=True)
 

@@ -68,16 +68,16 @@ class Rejoin:
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Sample at `times` (n,) [s] on the reference's clock: the connection before `joins`, then the reference."""
         times = np.atleast_1d(np.asarray(times, dtype=float))
-        after = self.reference.sample(times)
-        before = times < self.joins
-        if not before.any():
-            return after
-        part = self.connection.sample(times - self.starts)
+        sample = self.reference.sample(times)
+        is_connection = times < self.joins
+        if not is_connection.any():
+            return sample
+        connection = self.connection.sample(times - self.starts)
         start = float(self.reference.sample([self.joins]).arc_length[0]) - self.ahead
         return ReferenceSample(
-            np.where(before[:, None], part.pose, after.pose),
-            np.where(before[:, None], part.twist, after.twist),
-            np.where(before, start + part.arc_length, after.arc_length),
+            np.where(is_connection[:, None], connection.pose, sample.pose),
+            np.where(is_connection[:, None], connection.twist, sample.twist),
+            np.where(is_connection, start + connection.arc_length, sample.arc_length),
         )
 
 
@@ -143,14 +143,14 @@ def rejoin(
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
     speed = path_speeds(paths, options.enter, options.leave, limits, _SPEED_SHARES, options.travel)
     times = travel_times(paths, speed)
-    before = options.brake + turning_times(options.first_turn, limits)
-    duration = before + times[..., -1] + turning_times(options.last_turn, limits)
+    start_time = options.brake + turning_times(options.first_turn, limits)
+    duration = start_time + times[..., -1] + turning_times(options.last_turn, limits)
     # If the delay is positive, the reference waits; if it is negative, a part of the reference is skipped.
     delay = since_start + duration - window.times[options.sample]
     cost = duration + np.maximum(delay, -_SKIPPED_TIME * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])
     cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
-    cost += _distance_cost(window, nearest, options, paths, times, before)
+    cost += _distance_cost(window, nearest, options, paths, times, start_time)
     # A path to the position of the robot has no direction, and a path with a cusp is not feasible; candidates that turn
     # on the spot are kept.
     gap = options.end[:, :2] - options.start[:, :2]
@@ -195,13 +195,13 @@ def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
 
 
 def _distance_cost(
-    window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
+    window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, start_time: FloatArray
 ) -> FloatArray:
     """Compute the cost (S, C) of the distance from the path along each motion, for S shares of the speed limit [s].
 
     A node of a connection is compared with the point of the reference at the same fraction of the arc length.
     """
-    distance = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
+    distance = np.concatenate([np.zeros((start_time.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
     first, last = window.arc_length[nearest], window.arc_length[options.sample]
     arc = first + (last - first)[:, None] * (distance / distance[:, -1:])
     index = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
@@ -211,4 +211,4 @@ def _distance_cost(
     side = np.sign(across[:, :1])
     cost = _DISTANCE * np.abs(across) + _OPPOSITE_SIDE * np.maximum(0.0, -side * across)
     integral = np.sum(0.5 * (cost[:, 1:] + cost[:, :-1]) * np.diff(times, axis=-1), axis=-1)
-    return np.asarray(integral + before * cost[:, 0])
+    return np.asarray(integral + start_time * cost[:, 0])

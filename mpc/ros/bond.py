@@ -85,7 +85,7 @@ class BondProtocol:
                 self._send(False)
 
     def leave(self) -> None:
-        """Announce the end of this side."""
+        """Send the end of this side to the other side."""
         if self.state is BondState.DEAD:
             return
         self.state = BondState.LEAVING if self.state is BondState.ALIVE else BondState.DEAD
@@ -140,7 +140,7 @@ class Bond:
         self.protocol.beat()
         if self.protocol.end_reason and not self._last_reason:
             self._last_reason = self.protocol.end_reason
-            self._node.get_logger().warning(f"the lifecycle manager is gone: {self._last_reason}; driving continues")
+            self._node.get_logger().warning(f"lifecycle manager disconnected: {self._last_reason}; driving continues")
 
     def _receive(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         if message.id == self._id and message.instance_id != self._instance:

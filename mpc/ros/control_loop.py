@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
 HOLD_MESSAGE = "held; call hold with false to release"
 
-# Minimum motion of a frame after which its reference is moved: displacement at the robot [m] plus rotation [rad].
+# Minimum motion of a frame that moves its reference: displacement at the robot [m] plus rotation [rad].
 _MIN_FRAME_MOTION = 1e-4
 # Minimum shift in time [s], or displacement [m] plus rotation [rad], after which the reference is published again.
 _MIN_SHIFT, _MIN_MOTION = 0.2, 0.02
@@ -419,10 +419,10 @@ class ControlLoop:
 
     def _is_moved(self, published: PublishedReference, reference: Reference) -> bool:
         """Return True if the frame has moved far enough since `published` to publish `reference` again."""
-        pose, before = self.inbox.newest_pose, published.reference
-        if pose is None or not (isinstance(before, MovedReference) and isinstance(reference, MovedReference)):
+        pose, previous = self.inbox.newest_pose, published.reference
+        if pose is None or not (isinstance(previous, MovedReference) and isinstance(reference, MovedReference)):
             return False
-        return _motion_difference(before.motion, reference.motion, pose.value) > _MIN_MOTION
+        return _motion_difference(previous.motion, reference.motion, pose.value) > _MIN_MOTION
 
     def _run_tick(self, t: float) -> LoopTick:
         # The start conditions below require the newest pose.
@@ -558,12 +558,12 @@ class ControlLoop:
         self._was_reset = True
 
 
-def _motion_difference(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
-    """Compute the change of a frame's motion at `pose` (3,): displacement [m] plus rotation [rad]."""
-    (ax, ay, a), (bx, by, b) = before, after
+def _motion_difference(first: FloatArray, second: FloatArray, pose: ArrayLike) -> float:
+    """Compute the difference of two motions of a frame at `pose` (3,): displacement [m] plus rotation [rad]."""
+    (ax, ay, a), (bx, by, b) = first, second
     start = np.asarray(pose, dtype=float)
     x, y = start[0] - ax, start[1] - ay
-    # Undo the motion `before`, then apply the motion `after`.
+    # The pose is moved back by the first motion, and then forward by the second motion.
     x, y = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
     end = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
     return math.hypot(end[0] - start[0], end[1] - start[1]) + abs(math.remainder(b - a, math.tau))

@@ -24,10 +24,11 @@ class _Series:
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_DEPTH + 1))
     """Numbers and sending times [ns] of the last messages."""
 
-    def fits(self, number: int, sent: int) -> bool:
+    def fits(self, number: int, sending_time: int) -> bool:
         """Return True if the message can belong to this series, whose numbers must increase with the sending time."""
         return number > self.newest - _DEPTH and all(
-            sent >= time if number > past else sent <= time and number < past for past, time in self.recent
+            sending_time >= time if number > recent else sending_time <= time and number < recent
+            for recent, time in self.recent
         )
 
     def is_alive(self, arrival: float) -> bool:
@@ -36,9 +37,9 @@ class _Series:
         period = 1e-9 * (end - start) / (last - first) if last > first else _MAX_LIFETIME
         return arrival - self.arrival <= min(max(_LIFETIME, _LIFETIME_PERIODS * period), _MAX_LIFETIME)
 
-    def append(self, number: int, sent: int, arrival: float) -> None:
+    def append(self, number: int, sending_time: int, arrival: float) -> None:
         self.newest, self.arrival = max(self.newest, number), arrival
-        self.recent.append((number, sent))
+        self.recent.append((number, sending_time))
 
 
 class MessageSeries:
@@ -67,14 +68,14 @@ class MessageSeries:
         self._series: list[_Series] = []
         self._changes: deque[_Series] = deque(maxlen=_MAX_CHANGES)
 
-    def add(self, number: int | None, sent: int, arrival: float) -> None:
+    def add(self, number: int | None, sending_time: int, arrival: float) -> None:
         """Record a message.
 
         Parameters
         ----------
         number
             Publication number; None or 0 if the middleware does not number messages.
-        sent
+        sending_time
             Sending time on the clock of the publisher [ns].
         arrival
             Time of arrival on a monotonic clock [s].
@@ -85,10 +86,10 @@ class MessageSeries:
         if not number or not self.is_numbered:
             return
         self._series = [series for series in self._series if series.is_alive(arrival)]
-        matches = [series for series in self._series if series.fits(number, sent)]
+        matches = [series for series in self._series if series.fits(number, sending_time)]
         # The list is sorted by the time of the last message; of equally close series, the most recent one is used.
         series = min(reversed(matches), key=lambda series: abs(number - series.newest), default=_Series())
-        series.append(number, sent, arrival)
+        series.append(number, sending_time, arrival)
         self._series = [*(entry for entry in self._series if entry is not series), series]
         if not self._changes or self._changes[-1] is not series:
             self._changes.append(series)

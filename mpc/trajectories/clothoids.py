@@ -48,9 +48,9 @@ class Clothoid(NamedTuple):
 class Joint(NamedTuple):
     """Transition that replaces a jump of curvature."""
 
-    before: float
+    start_curvature: float
     """Curvature of the arc before the joint [1/m]."""
-    after: float
+    end_curvature: float
     """Curvature of the arc after the joint [1/m]."""
     reach: float
     """Length by which both arcs are shortened [m]."""
@@ -91,18 +91,18 @@ def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple
 
 
 @lru_cache(maxsize=1024)
-def joint(before: float, after: float, max_reach: float, distance: float) -> Joint:
-    """Design the clothoids between two arcs of the curvatures `before` and `after` [1/m].
+def joint(start_curvature: float, end_curvature: float, max_reach: float, distance: float) -> Joint:
+    """Design the clothoids between two arcs of the curvatures `start_curvature` and `end_curvature` [1/m].
 
     The reach is the maximum that is at most `max_reach` [m] and for which the joint deviates by at most `distance` [m]
     from the arcs.
     """
-    max_reach = min(max_reach, _MAX_TURN / max(abs(before), abs(after), _MIN_REACH))
-    if before == after or max_reach < _MIN_REACH:
-        return Joint(before, after, 0.0, ())
+    max_reach = min(max_reach, _MAX_TURN / max(abs(start_curvature), abs(end_curvature), _MIN_REACH))
+    if start_curvature == end_curvature or max_reach < _MIN_REACH:
+        return Joint(start_curvature, end_curvature, 0.0, ())
 
     def build(reach: float) -> Joint:
-        return Joint(before, after, reach, _fit(before, after, reach))
+        return Joint(start_curvature, end_curvature, reach, _fit(start_curvature, end_curvature, reach))
 
     def excess(reach: float) -> float:
         candidate = build(reach)
@@ -115,13 +115,13 @@ def joint(before: float, after: float, max_reach: float, distance: float) -> Joi
     return build(max_reach * brentq(lambda share: excess(share * max_reach) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 
-def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
+def _fit(start_curvature: float, end_curvature: float, reach: float) -> tuple[Clothoid, ...]:
     """Compute the clothoids from `reach` [m] before the meeting point of two arcs to `reach` after this point."""
-    target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
-    overshoot = 0.1 * (after - before)
+    target = integrate_pose(integrate_pose(np.zeros(3), 1.0, start_curvature, reach), 1.0, end_curvature, reach)
+    overshoot = 0.1 * (end_curvature - start_curvature)
 
     def parts(unknown: FloatArray) -> tuple[Clothoid, ...]:
-        knots = (before, unknown[0] / reach, unknown[1] / reach, after)
+        knots = (start_curvature, unknown[0] / reach, unknown[1] / reach, end_curvature)
         lengths = _LENGTH_SHARES * unknown[2] * reach
         return tuple(Clothoid(*row) for row in zip(lengths.tolist(), knots[:-1], knots[1:], strict=True))
 
@@ -131,7 +131,7 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
         # The division by the reach makes positions and heading comparable for any reach.
         return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
 
-    guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])
+    guess = np.array([(start_curvature - overshoot) * reach, (end_curvature + overshoot) * reach, 2.0])
     solution = root(gap, guess, tol=1e-13)
     assert np.abs(gap(solution.x)).max() < 1e-9, "arcs that turn by at most a quarter can be joined"
     return parts(solution.x)
@@ -143,11 +143,11 @@ def distances(poses: FloatArray, transition: Joint) -> FloatArray:
     Each arc of a joint turns by less than half a turn. The closest point is therefore on the first arc for poses behind
     the meeting point of the arcs, measured along their common tangent, and on the second arc for poses ahead of it.
     """
-    x, y, theta = integrate_pose(np.zeros(3), 1.0, transition.before, transition.reach)
+    x, y, theta = integrate_pose(np.zeros(3), 1.0, transition.start_curvature, transition.reach)
     cos, sin = math.cos(theta), math.sin(theta)
     ahead = cos * (poses[:, 0] - x) + sin * (poses[:, 1] - y)
     left = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
-    curvature = np.where(ahead < 0, transition.before, transition.after)
+    curvature = np.where(ahead < 0, transition.start_curvature, transition.end_curvature)
     # Distance to a circle through the origin, in a form that is also valid for straight lines.
     offset = 2 * left - curvature * (ahead**2 + left**2)
     return np.asarray(np.abs(offset) / (1 + np.hypot(curvature * ahead, 1 - curvature * left)))

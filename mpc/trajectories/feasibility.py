@@ -136,9 +136,9 @@ class _Ticks:
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
-        self.before = before = np.vstack([is_moving * command[:1], command[:-1]])
+        self.previous_command = previous = np.vstack([is_moving * command[:1], command[:-1]])
         # The sign selects the side of the slew limit: negative while the magnitude of the command decreases.
-        change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
+        change = np.abs(command - previous) / step * np.where(np.abs(command) >= np.abs(previous), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
         self.needed = np.column_stack([command, change, wheels, self.body])
         bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_LIMITS)]
@@ -171,7 +171,7 @@ class _Ticks:
         # Pose of the reference in the frame of the robot. The lead at the start is not caused by limits: `free_x` is
         # its value in a drive without limits, and is subtracted below.
         x = free_x = self.lead
-        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
+        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.previous_command[0]))
         records: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # The lateral error is critically damped at 1 m/s.

@@ -73,12 +73,12 @@ _MAX_SPOT_TURN = 0.1
 
 
 def check_speeds(
-    reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None, after: float = 0.0
+    reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None, start_time: float = 0.0
 ) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
     If the steady-state `gain` (2, 2) of the model is given, the commands for the reference's twist are also compared.
-    The check starts at the time `after` [s] of the reference.
+    The check starts at the time `start_time` [s] of the reference.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def check_speeds(
     """
     times = _sample_times(reference, dt)
     # At least two samples are kept, since the checks use their spacing.
-    times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
+    times = times[min(int(np.searchsorted(times, start_time)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
     # This comparison and those of the speeds below are negated, so that NaN is invalid.
     invalid = np.flatnonzero(~(np.abs(sample.pose) <= _MAX_POSE).all(axis=1))

@@ -207,8 +207,8 @@ class TransformBuffer:
                 f"{side} the {'last' if side == 'after' else 'first'} transform"
             )
         right = bisect_left(stamps, stamp)
-        after = stamps[right]
-        if after == stamp:
+        end = stamps[right]
+        if end == stamp:
             return entry.history[stamp]
-        before = stamps[right - 1]
-        return entry.history[before].towards(entry.history[after], (stamp - before) / (after - before))
+        start = stamps[right - 1]
+        return entry.history[start].towards(entry.history[end], (stamp - start) / (end - start))

@@ -151,10 +151,10 @@ def _split_at_reversals(part: DirectedPart) -> list[DirectedPart]:
 
     inside = np.flatnonzero((along > settings.min_part_length) & (along < along[-1] - settings.min_part_length))
     vertex = part.points[inside]
-    before, after = vertex - point_at(along[inside] - reach), point_at(along[inside] + reach) - vertex
-    turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
+    first, last = vertex - point_at(along[inside] - reach), point_at(along[inside] + reach) - vertex
+    turn = np.abs(np.arctan2(first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0], (first * last).sum(axis=1)))
     # A chord that spans the reversal is shortened by the fold, so both chords are longest exactly at the reversal.
-    sharpness = np.hypot(*before.T) * np.hypot(*after.T)
+    sharpness = np.hypot(*first.T) * np.hypot(*last.T)
     split_indices: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
         cut = int(inside[i])
