@@ -388,7 +388,7 @@ int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance,
 void ddmpc_predict_belief(const ddmpc_controller *c, const real *commands, real *mean, real *covariance,
                           real *mean_after, real *covariance_after)
 {
-    const ddmpc_belief before = {mean, covariance, {R(0.0)}, {0}};
-    ddmpc_belief after = {mean_after, covariance_after, {R(0.0)}, {0}};
-    ddmpc_filter_predict(c, &before, commands + 2 * WINDOW(c), &after);
+    const ddmpc_belief belief = {mean, covariance, {R(0.0)}, {0}};
+    ddmpc_belief prediction = {mean_after, covariance_after, {R(0.0)}, {0}};
+    ddmpc_filter_predict(c, &belief, commands + 2 * WINDOW(c), &prediction);
 }

@@ -125,7 +125,7 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
  * the pose. Only blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by
  * the delays. */
 static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D,
-                      const real *before, real *out)
+                      const real *covariance, real *out)
 {
     const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c), delays = n + DELAYS(c);
     real top[DDMPC_MAX_STATES][MAX_BELIEF], bottom[3][MAX_BELIEF];
@@ -133,18 +133,18 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
         memset(top[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < n; k++)
             for (int j = 0; j < Z; j++)
-                top[i][j] += A[i * n + k] * before[k * Z + j];
+                top[i][j] += A[i * n + k] * covariance[k * Z + j];
         for (int k = 0; k < 2; k++)
             for (int j = 0; j < Z; j++)
-                top[i][j] += D[2 * i + k] * before[(delays + k) * Z + j];
+                top[i][j] += D[2 * i + k] * covariance[(delays + k) * Z + j];
     }
     for (int i = 0; i < 3; i++) {
         memset(bottom[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < Z; k++)
             for (int j = 0; j < Z; j++)
-                bottom[i][j] += moved->by[i][k] * before[k * Z + j];
+                bottom[i][j] += moved->by[i][k] * covariance[k * Z + j];
     }
-    memcpy(out, before, (size_t)(Z * Z) * sizeof(real));
+    memcpy(out, covariance, (size_t)(Z * Z) * sizeof(real));
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)
             out[i * Z + j] = out[j * Z + i] = dot(A + j * n, top[i], n) + dot(D + 2 * j, top[i] + delays, 2);
@@ -166,34 +166,34 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
  * its rate, and the body's mean twist. The arc of the mean twist is more accurate than the arc of the twist at the start.
  * Returns the body's forward acceleration. Derivatives by acceleration and rate are neglected, since their effect is
  * small. */
-static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
+static real mean_output(const ddmpc_controller *c, const real *z, const real *next_state, const real *A, real y[2],
                         real *rows, real rate[2], real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MAX_STATES], start[2], end[2];
+    real next_output[2], next_rows[2 * DDMPC_MAX_STATES], start[2], end[2];
     ddmpc_velocity_output(c, z, y, rows);
-    ddmpc_velocity_output(c, after, next, next_rows);
-    const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
+    ddmpc_velocity_output(c, next_state, next_output, next_rows);
+    const real *arguments[2][2] = {{y, z + n}, {next_output, z + n}};
     real *results[2][2] = {{start, 0}, {end, 0}};
     for (int i = 0; i < 2; i++)
         WITH_SLIP(c, twist)(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
-        rate[i] = (next[i] - y[i]) / (real)c->constants->sample_time;
-        y[i] = R(0.5) * (y[i] + next[i]);
+        rate[i] = (next_output[i] - y[i]) / (real)c->constants->sample_time;
+        y[i] = R(0.5) * (y[i] + next_output[i]);
         twist[i] = R(0.5) * (start[i] + end[i]);
         for (int j = 0; j < n; j++) {
             /* The output at the end depends on the states at the start through the model's step, by the chain rule. */
-            real through = R(0.0);
+            real by_start = R(0.0);
             for (int k = 0; NONLINEAR(c) && k < n; k++)
-                through += next_rows[i * n + k] * A[k * n + j];
+                by_start += next_rows[i * n + k] * A[k * n + j];
             rows[i * n + j] =
-                NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
+                NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + by_start) : c->constants->mean_output[i * n + j];
         }
     }
     return (end[0] - start[0]) / (real)c->constants->sample_time;
 }
 
-void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
+void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *next_mean)
 {
     const int n = STATES(c), pose = n + POSE(c);
     real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], rate[2], twist[2];
@@ -202,40 +202,40 @@ void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real 
     ddmpc_velocity_step(c, mean, newest, mean + n + DELAYS(c), state, NONLINEAR(c) ? by_state : 0, 0);
     const real acceleration = mean_output(c, mean, state, by_state, y, rows, rate, twist);
     move(c, mean, y, rows, 0, acceleration, (real)c->constants->sample_time, &moved);
-    memcpy(after, state, (size_t)n * sizeof(real));
-    memcpy(after + n, mean + n, (size_t)POSE(c) * sizeof(real));
-    memcpy(after + pose, moved.pose, sizeof moved.pose);
+    memcpy(next_mean, state, (size_t)n * sizeof(real));
+    memcpy(next_mean + n, mean + n, (size_t)POSE(c) * sizeof(real));
+    memcpy(next_mean + pose, moved.pose, sizeof moved.pose);
 }
 
-void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
-                          ddmpc_belief *after)
+void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *belief, const real *newest,
+                          ddmpc_belief *prediction)
 {
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), Z = BELIEF(c), S = SLIPS(c), pose = n + POSE(c);
-    const real *z = before->mean, *late = z + n + DELAYS(c);
+    const real *z = belief->mean, *delays = z + n + DELAYS(c);
     real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], twist[2];
     real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], D[2 * DDMPC_MAX_STATES] = {R(0.0)}, by_delay[4] = {R(0.0)};
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
-    ddmpc_velocity_step(c, z, newest, late, state, NONLINEAR(c) ? by_state : 0, 0);
-    const real acceleration = mean_output(c, z, state, A, y, rows, after->rate, twist);
+    ddmpc_velocity_step(c, z, newest, delays, state, NONLINEAR(c) ? by_state : 0, 0);
+    const real acceleration = mean_output(c, z, state, A, y, rows, prediction->rate, twist);
     if (SPARE(c) > 0) {
-        ddmpc_velocity_by_delay(c, newest, late, D);
+        ddmpc_velocity_by_delay(c, newest, delays, D);
         /* The factor 1/2, since y is the mean of the outputs at both ends, and delays affect only the end. */
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < n; j++)
                 by_delay[i] += R(0.5) * k->C[i / 2 * n + j] * D[2 * j + i % 2];
     }
     move(c, z, y, rows, by_delay, acceleration, (real)k->sample_time, &moved);
-    propagate(c, &moved, A, D, before->covariance, after->covariance);
+    propagate(c, &moved, A, D, belief->covariance, prediction->covariance);
 
     /* Add Q. Noise acts on the input of the model, and thereby on the states through B0 + B1
      * (mpc/problem/constants.py). */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
-            after->covariance[i * Z + j] += k->noise[i * n + j];
+            prediction->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
-        after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
+        prediction->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
     /* A parameter is observable only in some motions: a gain while its channel moves, side-slip in curves. In other
      * motions its uncertainty must not increase, since measurement noise would then make its estimate drift. */
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
@@ -246,18 +246,18 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
                                           turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
         if (observable[i])
-            after->covariance[(n + i) * (Z + 1)] += k->drift[i];
-    after->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
+            prediction->covariance[(n + i) * (Z + 1)] += k->drift[i];
+    prediction->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
     for (int i = 0; i < 2; i++)
         if (i ? turning : driving)
-            after->covariance[(n + DELAYS(c) + i) * (Z + 1)] += k->drift[CURVED_SLIPS + 1 + i];
+            prediction->covariance[(n + DELAYS(c) + i) * (Z + 1)] += k->drift[CURVED_SLIPS + 1 + i];
 
-    memcpy(after->mean + n, z + n, (size_t)POSE(c) * sizeof(real));
-    memcpy(after->mean, state, (size_t)n * sizeof(real));
-    memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
+    memcpy(prediction->mean + n, z + n, (size_t)POSE(c) * sizeof(real));
+    memcpy(prediction->mean, state, (size_t)n * sizeof(real));
+    memcpy(prediction->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
         /* The count is in samples, not in readings, since `patience` is a duration that is valid at any sensor rate. */
-        after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
+        prediction->surprised[i] = belief->surprised[i] + (belief->surprised[i] > 0);
 }
 
 /* Count consecutive large innovations of a sensor; return 1 while they are treated as an external disturbance. A
@@ -308,11 +308,11 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
             slip[i] = max_slip[i];
     }
     for (int i = 0; i < 2; i++) {
-        real *late = slip + DELAYS(c) + i;
-        if (*late < R(0.0))
-            *late = R(0.0);
-        if (*late > (real)SPARE(c) * (real)c->constants->sample_time)
-            *late = (real)SPARE(c) * (real)c->constants->sample_time;
+        real *delay = slip + DELAYS(c) + i;
+        if (*delay < R(0.0))
+            *delay = R(0.0);
+        if (*delay > (real)SPARE(c) * (real)c->constants->sample_time)
+            *delay = (real)SPARE(c) * (real)c->constants->sample_time;
     }
 }
 

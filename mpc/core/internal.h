@@ -178,7 +178,7 @@ typedef struct {
 } ddmpc_last_reading;
 
 typedef struct {
-    ddmpc_motion now, path[MONITORED];       /* a ring of `moves` */
+    ddmpc_motion current, path[MONITORED];   /* a ring of `moves` */
     ddmpc_stored_pose pose[MONITORED_POSES]; /* a ring of `poses` */
     int newest, moves, newest_pose, poses;
     ddmpc_last_reading wheels, gyro;
@@ -326,12 +326,12 @@ void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 
 /* velocity.c: the velocity model over one sample. */
 /* Compute x+ for the command window that ends at `newest` (2), with older commands before it in memory. For a linear
- * model the commands act `late` (2) [s] later; NULL: no extra delay. On request, compute also the Jacobian by x (n, n)
+ * model the commands have the extra `delays` (2) [s]; NULL: no extra delay. On request, compute also the Jacobian by x (n, n)
  * in row-major order, and for a nonlinear model the Jacobian by the window in column-major order. */
-void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, const real *late, real *after,
-                         real *by_state, real *by_window);
-/* Compute the gradient (n, 2) of x+ by `late`. */
-void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, const real *late, real *by_delay);
+void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, const real *delays,
+                         real *next_state, real *by_state, real *by_window);
+/* Compute the gradient (n, 2) of x+ by `delays`. */
+void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, const real *delays, real *by_delay);
 /* Interpolate the command of one channel that was sent `samples` before the newest one at `sent`. */
 real ddmpc_delayed(const real *sent, real samples);
 /* Steady state of a nonlinear model: output, state, command, and derivatives of state and command by the output; all
@@ -340,8 +340,8 @@ typedef struct {
     real output[2], state[DDMPC_MAX_STATES], command[2], by_output[2 * (DDMPC_MAX_STATES + 2)];
     int exists;
 } ddmpc_settled;
-/* Find the steady state with the output `wanted` near the last steady state. Returns 0 if no such state is found. */
-int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *settled);
+/* Find the steady state with the output `target` near the last steady state. Returns 0 if no such state is found. */
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real target[2], ddmpc_settled *settled);
 /* Compute (v, omega) of the model, and its gradient (2, n) in row-major order. */
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
 
@@ -350,9 +350,9 @@ void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[
 void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2]);
 void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3]);
 /* Predict one sample with the commands up to `newest`: the mean (Z) alone, or the full belief. */
-void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after);
-void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
-                          ddmpc_belief *after);
+void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *next_mean);
+void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *belief, const real *newest,
+                          ddmpc_belief *prediction);
 /* Correct a belief by a reading of wheels or gyro, or by a pose, measured `ahead` [s] after the belief's time. Returns
  * the squared innovation over its variance. */
 real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist,

@@ -14,12 +14,12 @@
 static void clip(const ddmpc_controller *c, const real requested[2], real share, const real step[4], real command[2])
 {
     for (int i = 0; i < 2; i++) {
-        const real *largest = c->constants->largest_command + 2 * i;
+        const real *max_command = c->constants->largest_command + 2 * i;
         real reach[2];
         ddmpc_reach(c->last[i], step + 2 * i, reach);
         /* Slew has priority over range, since the last command may be outside a range that was tightened. */
-        const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * largest[0]));
-        const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * largest[1]));
+        const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * max_command[0]));
+        const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * max_command[1]));
         command[i] = ddmpc_min(ddmpc_max(requested[i], lower), upper);
     }
 }
@@ -34,18 +34,18 @@ static void enforce_min_radius(ddmpc_controller *c, real share, real command[2])
     if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
         return;
     ddmpc_reach(last, c->constants->slew + 2, turns);
-    const real widest = v / radius, requested = command[1];
-    const real lower = ddmpc_max(turns[0], -widest), upper = ddmpc_min(turns[1], widest);
+    const real max_yaw_rate = v / radius, requested = command[1];
+    const real lower = ddmpc_max(turns[0], -max_yaw_rate), upper = ddmpc_min(turns[1], max_yaw_rate);
     if (lower <= upper) {
         command[1] = ddmpc_min(ddmpc_max(requested, lower), upper);
     } else {
         const int backwards = c->last[0] < R(0.0);
         command[1] = last < R(0.0) ? turns[1] : turns[0];
         ddmpc_reach(c->last[0], c->constants->slew, speeds);
-        const real before = ddmpc_fabs(c->last[0]), needed = radius * ddmpc_fabs(command[1]);
-        const real slowest = backwards ? -speeds[1] : speeds[0];
-        const real largest = ddmpc_max(slowest, share * c->constants->largest_command[backwards]);
-        const real speed = ddmpc_min(needed, ddmpc_min(before, largest));
+        const real last_speed = ddmpc_fabs(c->last[0]), required_speed = radius * ddmpc_fabs(command[1]);
+        const real min_speed = backwards ? -speeds[1] : speeds[0];
+        const real max_speed = ddmpc_max(min_speed, share * c->constants->largest_command[backwards]);
+        const real speed = ddmpc_min(required_speed, ddmpc_min(last_speed, max_speed));
         if (speed > v || (command[0] < R(0.0)) != backwards)
             command[0] = backwards ? -speed : speed;
     }

@@ -141,9 +141,9 @@ static void set_soft_bounds(ddmpc_controller *c, const soft_group *group, const 
         const int wheel = !group->term && (r == 2 || r == 3);
         const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
-        const real now = ddmpc_fabs(p->term[r]);
-        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, now);
-        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -now);
+        const real magnitude = ddmpc_fabs(p->term[r]);
+        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, magnitude);
+        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -magnitude);
     }
     for (int k = 0; k < N; k++) {
         evaluate_group(c, group, k);
@@ -210,12 +210,12 @@ void ddmpc_limit_values(const void *context, const real *plan, real *values)
     ddmpc_add_plan(c, plan, by_plan);
     ddmpc_linear_moves(c, by_plan, moves, headings);
     for (int channel = 0; channel < 2; channel++) {
-        real before = R(0.0);
+        real previous = R(0.0);
         for (int k = 0; k < N; k++) {
-            const real now = plan[2 * k + channel];
-            values[channel * N + k] = now;
-            values[(2 + channel) * N + k] = now - before;
-            before = now;
+            const real command = plan[2 * k + channel];
+            values[channel * N + k] = command;
+            values[(2 + channel) * N + k] = command - previous;
+            previous = command;
         }
     }
     for (int kind = 0; kind < SOFT(c); kind++) {

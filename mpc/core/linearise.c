@@ -11,13 +11,13 @@
 #include "problem.h"
 
 /* Replace `command`, which was computed with the gain at rest, by the command for which the steady state of a nonlinear
-   model has the body's twist `wanted`, if it exists. The search starts from `last`, the solution at the previous
+   model has the body's twist `target`, if it exists. The search starts from `last`, the solution at the previous
    sample, which is usually close. */
-static void find_settled_command(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
+static void find_steady_command(const ddmpc_controller *c, const real target[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
-    const real *arguments[3] = {wanted, c->problem.slip, no_gain};
+    const real *arguments[3] = {target, c->problem.slip, no_gain};
     real *results[1] = {y};
     WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
     const int same = last->exists && y[0] == last->output[0] && y[1] == last->output[1];
@@ -48,25 +48,25 @@ static void compute_targets(ddmpc_controller *c)
     last.exists = 0;
     /* Step -1 is the feed-forward of the last command, which is the base of the first increment in the cost. */
     for (int i = -1; i < STEPS(c); i++) {
-        real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
+        real target[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
             const real ahead = (real)(i + LAG(c, channel)) + k->lag_rest[channel] + p->late[channel];
             const real sample = ddmpc_max(ahead, R(0.0));
             const int whole = ddmpc_min_int((int)sample, SAMPLES(c) - 2);
-            const real *now = c->reference_twist + 2 * whole + channel;
-            wanted[channel] = now[0] + (sample - (real)whole) * (now[2] - now[0]);
+            const real *current = c->reference_twist + 2 * whole + channel;
+            target[channel] = current[0] + (sample - (real)whole) * (current[2] - current[0]);
         }
-        const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
+        const real *arguments[3] = {target, p->slip, k->inverse_gain};
         real *results[1] = {command};
         WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            find_settled_command(c, wanted, &last, command);
+            find_steady_command(c, target, &last, command);
     }
 }
 
 /* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's twist, which
    are constant for flat slip. With curved slip, the outputs are already those of the body. */
-static void free_twists(ddmpc_controller *c)
+static void compute_free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     real J[2 * (2 + FLAT_SLIPS)];
@@ -118,15 +118,15 @@ static void convolve(const real *response, const real *plan, int count, int N, r
 
 /* Delay a row by `late` samples with linear interpolation. The result has `count` entries; the row has `known` entries
    and is zero beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
-static void delay(const real *row, int known, int stride, int step, real late, int count, real *out)
+static void delay(const real *row, int known, int stride, int step, real samples, int count, real *out)
 {
-    const int whole = (int)late;
-    const real rest = late - (real)whole;
+    const int whole = (int)samples;
+    const real fraction = samples - (real)whole;
     for (int j = 0; j < count; j++) {
-        const int near = j + step * whole, far = near + step;
-        const real now = near >= 0 && near < known ? row[stride * near] : R(0.0);
-        const real next = far >= 0 && far < known ? row[stride * far] : R(0.0);
-        out[stride * j] = now + rest * (next - now);
+        const int first = j + step * whole, second = first + step;
+        const real value = first >= 0 && first < known ? row[stride * first] : R(0.0);
+        const real second_value = second >= 0 && second < known ? row[stride * second] : R(0.0);
+        out[stride * j] = value + fraction * (second_value - value);
     }
 }
 
@@ -137,21 +137,21 @@ static void update_delayed_response(ddmpc_controller *c, const real *delays)
     ddmpc_problem *p = &c->problem;
     const ddmpc_constants *k = c->constants;
     const int N = STEPS(c), row = 2 * WIDTH(c);
-    real late[2];
+    real samples[2];
     for (int i = 0; i < 2; i++)
-        late[i] = R(1e-3) * ddmpc_rint(R(1e3) * delays[i]) / (real)k->sample_time;
-    if (late[0] == p->late[0] && late[1] == p->late[1])
+        samples[i] = R(1e-3) * ddmpc_rint(R(1e3) * delays[i]) / (real)k->sample_time;
+    if (samples[0] == p->late[0] && samples[1] == p->late[1])
         return;
-    memcpy(p->late, late, sizeof late);
+    memcpy(p->late, samples, sizeof samples);
     p->is_stale = 1;
     for (int i = 0; i < 2; i++) {
         for (int output = 0; output < 2; output++) {
             const int response = (2 * output + i) * (N + 1), first = output * row + i;
-            delay(k->response + response, N + 1, 1, -1, late[i], N + 1, p->late_response + response);
-            delay(k->twist_row + first, N, 2, 1, late[i], N, p->late_twist + first);
-            delay(k->mean_row + first, N, 2, 1, late[i], N, p->late_mean + first);
+            delay(k->response + response, N + 1, 1, -1, samples[i], N + 1, p->late_response + response);
+            delay(k->twist_row + first, N, 2, 1, samples[i], N, p->late_twist + first);
+            delay(k->mean_row + first, N, 2, 1, samples[i], N, p->late_mean + first);
         }
-        delay(k->heading_row + i, N, 2, 1, late[i], N, p->late_heading + i);
+        delay(k->heading_row + i, N, 2, 1, samples[i], N, p->late_heading + i);
     }
 }
 
@@ -159,11 +159,11 @@ static void update_delayed_response(ddmpc_controller *c, const real *delays)
    that acts during the plan. Returns the number of past commands that act during the plan. */
 static int delay_commands(const ddmpc_controller *c, real *line)
 {
-    const real *late = c->problem.late;
-    const int W = WINDOW(c), beyond = ddmpc_min_int(STEPS(c), 1 + (int)ddmpc_max(late[0], late[1]));
+    const real *samples = c->problem.late;
+    const int W = WINDOW(c), active_count = ddmpc_min_int(STEPS(c), 1 + (int)ddmpc_max(samples[0], samples[1]));
     for (int i = 0; i < 2; i++)
-        delay(ddmpc_commands(c) + i, W, 2, -1, late[i], W + beyond, line + i);
-    return beyond;
+        delay(ddmpc_commands(c) + i, W, 2, -1, samples[i], W + active_count, line + i);
+    return active_count;
 }
 
 void ddmpc_problem_begin(ddmpc_controller *c)
@@ -171,7 +171,7 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), past = 2 * WINDOW(c), N = STEPS(c);
     const real *z = c->result.estimate.mean;
-    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], arriving[2 * (DDMPC_MAX_STEPS + 1)];
+    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], past_response[2 * (DDMPC_MAX_STEPS + 1)];
     ddmpc_problem *p = &c->problem;
     if (SPARE(c))
         update_delayed_response(c, z + n + DELAYS(c));
@@ -182,9 +182,9 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     if (NONLINEAR(c))
         return;
     real *free_output = CURVED(c) ? p->model_output : p->free_output;
-    const int beyond = delay_commands(c, line);
+    const int active_count = delay_commands(c, line);
     /* Past commands that act only during the plan have the same response as commands of the plan. */
-    convolve(k->response, line + past, beyond, N, arriving);
+    convolve(k->response, line + past, active_count, N, past_response);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
         real free = R(0.0);
@@ -192,10 +192,10 @@ void ddmpc_problem_begin(ddmpc_controller *c)
             free += from_state[j] * z[j];
         for (int j = 0; j < past; j++)
             free += from_past[j] * line[j];
-        free_output[i] = free + arriving[(i % 2) * (N + 1) + i / 2];
+        free_output[i] = free + past_response[(i % 2) * (N + 1) + i / 2];
     }
     if (!CURVED(c))
-        free_twists(c);
+        compute_free_twists(c);
 }
 
 void ddmpc_problem_guess(ddmpc_controller *c)
@@ -238,11 +238,11 @@ static void simulate_model(ddmpc_controller *c, const real *plan, real *outputs,
     const int n = STATES(c), N = STEPS(c), W = WINDOW(c), width = WIDTH(c);
     real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], state[DDMPC_MAX_STATES], next[DDMPC_MAX_STATES];
     real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], by_output[2 * DDMPC_MAX_STATES];
-    real *now = p->sensitivity, *after = p->sensitivity + n * width;
+    real *sensitivity = p->sensitivity, *next_sensitivity = p->sensitivity + n * width;
     memcpy(line, ddmpc_commands(c), (size_t)(2 * W) * sizeof(real));
     memcpy(line + 2 * W, plan, (size_t)(2 * N) * sizeof(real));
     memcpy(state, c->result.estimate.mean, (size_t)n * sizeof(real));
-    memset(now, 0, (size_t)(n * width) * sizeof(real));
+    memset(sensitivity, 0, (size_t)(n * width) * sizeof(real));
     for (int k = 0; k <= N; k++) {
         ddmpc_velocity_output(c, state, outputs + 2 * k, by_output);
         for (int channel = 0; rows && channel < 2; channel++) {
@@ -250,7 +250,7 @@ static void simulate_model(ddmpc_controller *c, const real *plan, real *outputs,
             memset(row, 0, (size_t)width * sizeof(real));
             for (int i = 0; i < n; i++)
                 for (int j = 0; j < 2 * k; j++)
-                    row[j] += by_output[channel * n + i] * now[i * width + j];
+                    row[j] += by_output[channel * n + i] * sensitivity[i * width + j];
         }
         if (k == N)
             break;
@@ -258,19 +258,19 @@ static void simulate_model(ddmpc_controller *c, const real *plan, real *outputs,
         memcpy(state, next, (size_t)n * sizeof(real));
         if (!rows)
             continue;
-        memset(after, 0, (size_t)(n * width) * sizeof(real));
+        memset(next_sensitivity, 0, (size_t)(n * width) * sizeof(real));
         for (int i = 0; i < n; i++) {
             for (int m = 0; m < n; m++)
                 for (int j = 0; j < 2 * k; j++)
-                    after[i * width + j] += by_state[i * n + m] * now[m * width + j];
+                    next_sensitivity[i * width + j] += by_state[i * n + m] * sensitivity[m * width + j];
             /* Add the effect of the commands of the window that belong to the plan. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
-                    after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
+                    next_sensitivity[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
         }
-        real *swapped = now;
-        now = after;
-        after = swapped;
+        real *swapped = sensitivity;
+        sensitivity = next_sensitivity;
+        next_sensitivity = swapped;
     }
 }
 
@@ -279,10 +279,10 @@ static void simulate_linear_model(ddmpc_controller *c, const real *plan, real *o
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
-    real added[2 * (DDMPC_MAX_STEPS + 1)];
-    convolve(ddmpc_rows(c).response, plan, N, N, added);
+    real by_plan[2 * (DDMPC_MAX_STEPS + 1)];
+    convolve(ddmpc_rows(c).response, plan, N, N, by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
-        outputs[i] = p->model_output[i] + added[(i % 2) * (N + 1) + i / 2];
+        outputs[i] = p->model_output[i] + by_plan[(i % 2) * (N + 1) + i / 2];
     for (int k = 0; rows && k <= N; k++)
         for (int channel = 0; channel < 2; channel++) {
             real *row = p->twist_rows + (2 * k + channel) * width;
@@ -341,7 +341,7 @@ static void linearise_rows(ddmpc_controller *c)
             p->heading_rows[(k + 1) * width + j] =
                 p->heading_rows[k * width + j] + dt * p->mean_rows[(2 * k + 1) * width + j];
         }
-    free_twists(c);
+    compute_free_twists(c);
 }
 
 /* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also compute gradients. */
@@ -354,19 +354,19 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
     memcpy(poses, p->pose, sizeof p->pose);
     for (int k = 0; k < N; k++) {
         const real *free = p->free_twist + 2 * k, *pose = poses + 3 * k;
-        const real *omega = by_plan + N + 1 + k, next = ddmpc_speed_at(c, by_plan, k + 1);
-        const real mean_v = R(0.5) * (speed + next);
+        const real *omega = by_plan + N + 1 + k, next_speed = ddmpc_speed_at(c, by_plan, k + 1);
+        const real mean_v = R(0.5) * (speed + next_speed);
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
-        real move[2], J[2 * 3];
+        real displacement[2], J[2 * 3];
         const real *arguments[6] = {pose + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
-        real *results[2] = {move, arcs ? J : 0};
+        real *results[2] = {displacement, arcs ? J : 0};
         WITH_SLIP(c, arc)(arguments, results, 0, 0, 0);
-        speed = next;
-        poses[3 * k + 3] = pose[0] + move[0];
-        poses[3 * k + 4] = pose[1] + move[1];
+        speed = next_speed;
+        poses[3 * k + 3] = pose[0] + displacement[0];
+        poses[3 * k + 4] = pose[1] + displacement[1];
         poses[3 * k + 5] = pose[2] + dt * mean_omega;
         for (int i = 0; arcs && i < 2; i++) {
-            arcs[i * N + k] = move[i];
+            arcs[i * N + k] = displacement[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
             arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
             /* ddmpc_linear_moves integrates headings without this gain, so the derivative must include it. */

@@ -51,8 +51,8 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
     ddmpc_velocity_step(c, m->state, newest, 0, state, 0, 0);
     memcpy(m->state, state, (size_t)STATES(c) * sizeof(real));
     ddmpc_velocity_output(c, state, after, 0);
-    m->now.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);
-    m->now.sum[MODEL_TURN] += half * (before[1] + after[1]);
+    m->current.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);
+    m->current.sum[MODEL_TURN] += half * (before[1] + after[1]);
 }
 
 /* Store a new reading of `count` values; a pause longer than `silence` [s] restarts the uninterrupted arrival. */
@@ -111,9 +111,9 @@ int ddmpc_monitor_doubtful_sensors(const ddmpc_controller *c, ddmpc_time t)
 /* Subtract the current value of a sum from all its copies, to maintain accuracy in single precision. */
 static void rebase(ddmpc_monitor *m, int i)
 {
-    if (!isfinite(m->now.sum[i])) {
+    if (!isfinite(m->current.sum[i])) {
         /* The sums are invalid, as are all quantities that were learned from them. */
-        m->now.sum[i] = R(0.0);
+        m->current.sum[i] = R(0.0);
         m->moves = m->poses = m->residuals = m->has_last = m->has_anchor = 0;
         m->turn_difference = m->course_evidence = m->anchor_evidence = m->fits = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
@@ -123,8 +123,8 @@ static void rebase(ddmpc_monitor *m, int i)
     }
     /* Subtract only whole turns from the heading, because positions were integrated along it. */
     const real turn = R(2.0) * DDMPC_PI,
-               offset = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
-    m->now.sum[i] -= offset;
+               offset = i == HEADING ? turn * ddmpc_rint(m->current.sum[i] / turn) : m->current.sum[i];
+    m->current.sum[i] -= offset;
     m->frozen.sum[i] -= offset;
     m->last_motion.sum[i] -= offset;
     for (int k = 0; k < MONITORED; k++)
@@ -148,8 +148,8 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     if (twists > wheels)
         store_reading(&m->gyro, silence, t, &twist[wheels].value, 1);
     if (m->moves == 0)
-        m->now.time = t;
-    const real dt = (real)(t - m->now.time);
+        m->current.time = t;
+    const real dt = (real)(t - m->current.time);
     if (m->moves > 0 && !(dt > R(0.0)))
         return;
     const real *newest = ddmpc_estimator_slip(c);
@@ -162,7 +162,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     /* The heading is integrated from the gyro or, without a gyro, from the wheels. */
     const int no_gyro = t - m->gyro.arrival > silence || (m->excluded & BY_GYRO);
     const real turn = no_gyro ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
-    real *sum = m->now.sum;
+    real *sum = m->current.sum;
     if (dt > R(0.0)) {
         /* The slide is estimated in the frame of the poses, so the motion is computed in this frame, and then rotated into the
          * frame of the sums. */
@@ -187,12 +187,12 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     sum[WHEEL_TURN] += wheel_turn;
     sum[GYRO_TURN] += gyro_turn;
     sum[TURNED] += ddmpc_fabs(turn);
-    m->now.time = t;
+    m->current.time = t;
     const ddmpc_time span = (ddmpc_time)(k->windows[LONG] + k->pose_spacing + k->latest + k->stamp_history);
     if (m->moves == 0 || t - stored_motion(m, 0)->time >= span / (MONITORED - 2)) {
         m->newest = (m->newest + 1) % MONITORED;
         m->moves += m->moves < MONITORED;
-        *stored_motion(m, 0) = m->now;
+        *stored_motion(m, 0) = m->current;
     }
     for (int i = 0; i < MOTIONS; i++)
         /* The comparison is negated so that `rebase` also removes NaN. */
@@ -221,7 +221,7 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
         else
             low = middle + 1;
     }
-    const ddmpc_motion *before = stored_motion(m, low), *after = low > 0 ? stored_motion(m, low - 1) : &m->now;
+    const ddmpc_motion *before = stored_motion(m, low), *after = low > 0 ? stored_motion(m, low - 1) : &m->current;
     const ddmpc_time length = after->time - before->time;
     const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
     motion->time = time;
@@ -458,8 +458,8 @@ static void learn_gyro_scale(const ddmpc_constants *k, ddmpc_monitor *m, const m
 static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
-    return (m->now.time - m->gyro.arrival > silence || m->implausible & BY_GYRO) &&
-           m->now.time - m->wheels.arrival <= silence && !(m->excluded & BY_WHEELS);
+    return (m->current.time - m->gyro.arrival > silence || m->implausible & BY_GYRO) &&
+           m->current.time - m->wheels.arrival <= silence && !(m->excluded & BY_WHEELS);
 }
 
 /* Compute the turn between two times by the gyro or, without a gyro, by the wheels. */
@@ -474,18 +474,18 @@ static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const
  * an offset, a drifting bias and a share of the turn, so that neither bias nor scale appears as a delay; all candidates share
  * one covariance. Forward motion does not determine the delay, because the elasticity of the tyres delays the body relative to
  * the wheels. For the same reason, the wheels can replace the gyro only for long delays. */
-static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
                         real noise)
 {
-    const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
+    const real dt = (real)(current->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
     const real decay = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)),
                reading = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real error[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
     ddmpc_motion earlier;
     const int wheels = turns_by_wheels(k, m);
     const int no_turns =
-        !wheels && (m->now.time - m->gyro.last_change > (ddmpc_time)k->silence || m->implausible & BY_GYRO);
-    if (no_turns || (m->excluded & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &earlier))
+        !wheels && (m->current.time - m->gyro.last_change > (ddmpc_time)k->silence || m->implausible & BY_GYRO);
+    if (no_turns || (m->excluded & BY_POSE) || !motion_at(m, current->time - (ddmpc_time)k->latest, &earlier))
         return;
     /* P = F P F', as the offset grows by the bias and by a share of the turn. */
     for (int j = 0; j < 3; j++)
@@ -496,9 +496,9 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     P[1][1] += dt * square(k->delay_fit[1]);
     const real total = P[0][0] + reading, gain[3] = {P[0][0] / total, P[1][0] / total, P[2][0] / total};
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        motion_at(m, now->time - delay_of(k, i), &earlier);
+        motion_at(m, current->time - delay_of(k, i), &earlier);
         m->fit[i][0] += dt * m->fit[i][1] + turn * m->fit[i][2];
-        error[i] = turn_between(k, m, &earlier, now) - m->turn_difference - m->fit[i][0];
+        error[i] = turn_between(k, m, &earlier, current) - m->turn_difference - m->fit[i][0];
         low = ddmpc_min(low, error[i]);
         high = ddmpc_max(high, error[i]);
     }
@@ -533,10 +533,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     /* The delay must be certain for some time: the turns of a failing sensor may briefly appear delayed, and a new delay changes
      * the whole estimate. */
     if (!is_certain || restart || (wheels && delay < k->by_wheels[2]))
-        m->uncertain_at = now->time;
+        m->uncertain_at = current->time;
     const int is_different = ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation;
     const int is_more_precise = m->delay > 0.0 && deviation < m->delay_deviation;
-    if (now->time - m->uncertain_at >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
+    if (current->time - m->uncertain_at >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
         /* The scale of the gyro was learned from windows at the previous delay. */
         if (is_different)
             memset(m->gyro_sums, 0, sizeof m->gyro_sums);
@@ -549,13 +549,13 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
 static int available_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddmpc_time time)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
-    const int wheels = m->wheels.first_arrival <= time && m->now.time - m->wheels.arrival <= silence;
-    const int gyro = m->gyro.first_arrival <= time && m->now.time - m->gyro.arrival <= silence;
+    const int wheels = m->wheels.first_arrival <= time && m->current.time - m->wheels.arrival <= silence;
+    const int gyro = m->gyro.first_arrival <= time && m->current.time - m->gyro.arrival <= silence;
     return (wheels ? BY_WHEELS : 0) | (gyro ? BY_GYRO : 0);
 }
 
 /* Return 1 if poses repeat while two other sources report motion. */
-static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now, const real noise[2])
+static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *current, const real noise[2])
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
@@ -564,15 +564,15 @@ static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion
         if (pose[i] != m->last.value[i])
             m->same = 0;
     if (m->same == 0)
-        m->frozen = *now;
+        m->frozen = *current;
     if (m->same < (int)k->often - 1)
         return 0;
-    const motions motion = compare_motions(m, &m->frozen, now, pose, pose);
+    const motions motion = compare_motions(m, &m->frozen, current, pose, pose);
     const int available = available_since(k, m, m->frozen.time) & ~m->excluded;
     const real min_distance = k->frozen[0] + R(3.0) * noise[0], min_turn = k->frozen[1] + R(3.0) * noise[1];
-    const int model = ddmpc_fabs(now->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
+    const int model = ddmpc_fabs(current->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
                       ddmpc_fabs(motion.model_turn) > min_turn;
-    const int wheels = ddmpc_fabs(now->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
+    const int wheels = ddmpc_fabs(current->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
                        ddmpc_fabs(motion.wheel_turn) > min_turn;
     const int gyro = ddmpc_fabs(motion.gyro_turn) > min_turn;
     return model + (wheels && (available & BY_WHEELS)) + (gyro && (available & BY_GYRO)) >= 2;
@@ -592,7 +592,7 @@ static const ddmpc_stored_pose *pose_before(const ddmpc_monitor *m, ddmpc_time s
 /* Evaluate each hypothesis at its best delay of poses, because late poses are not a fault. For a faulty pose the delay has no
  * meaning, so the other sensors must agree at all delays. */
 static evaluation evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
-                                  const ddmpc_motion *now, const real *pose, int available, const real noise[2],
+                                  const ddmpc_motion *current, const real *pose, int available, const real noise[2],
                                   int window)
 {
     evaluation minimum;
@@ -604,7 +604,7 @@ static evaluation evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, co
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions motion;
         /* Skip delays that are already excluded. */
-        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, now, delay_of(k, i), pose, &motion))
+        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, current, delay_of(k, i), pose, &motion))
             continue;
         const evaluation result = evaluate(k, m, &motion, available, noise, k->windows[window]);
         if (first)
@@ -635,16 +635,16 @@ static int compute_course(const ddmpc_constants *k, const ddmpc_stored_pose *fro
 }
 
 /* If gyro and poses have diverged, the course of the poses shows which heading is correct, since it turns with the robot. */
-static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
                           real noise)
 {
-    const ddmpc_stored_pose *from = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
+    const ddmpc_stored_pose *from = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
     real direction, spread;
-    if (!from || !compute_course(k, from, now, pose, noise, &direction, &spread))
+    if (!from || !compute_course(k, from, current, pose, noise, &direction, &spread))
         return;
     m->direction_weight = k->late[1] * m->direction_weight + R(1.0) / spread;
     m->direction = ddmpc_wrap(m->direction + ddmpc_wrap(direction - m->direction) / (spread * m->direction_weight));
-    if (now->time >= m->next_pose) {
+    if (current->time >= m->next_pose) {
         m->course_evidence *= k->late[1];
         m->anchor_evidence *= k->late[1];
     }
@@ -665,13 +665,13 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
 
 /* Compute the squared deviation of poses that move sideways in two consecutive windows; a push affects only one of them. */
 static real sideways_evidence(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
-                              const ddmpc_motion *now, const real pose[3], real noise)
+                              const ddmpc_motion *current, const real pose[3], real noise)
 {
-    const ddmpc_stored_pose *middle = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
+    const ddmpc_stored_pose *middle = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
     motions motion[2];
     if (!middle || middle == from ||
         !compare_delayed(k, m, from, &middle->motion, m->delay, middle->value, &motion[0]) ||
-        !compare_delayed(k, m, middle, now, m->delay, pose, &motion[1]) ||
+        !compare_delayed(k, m, middle, current, m->delay, pose, &motion[1]) ||
         !(motion[0].left * motion[1].left + motion[0].pose * motion[1].pose > R(0.0)))
         return R(0.0);
     real minimum = HUGE_VAL;
@@ -714,30 +714,30 @@ static real wheel_scale_evidence(const ddmpc_constants *k, const ddmpc_monitor *
 
 /* Compute the evidence against each sensor from the motion up to this pose; set `agreeing` to the sensors, as bits, that
  * agree with the others during motion. */
-static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now,
+static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *current,
                              const real noise[2], real evidence[SENSES], int *agreeing)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
     const int excluded = m->excluded, both = BY_WHEELS | BY_GYRO;
     motions half, whole;
-    if (available_since(k, m, now->time) & BY_GYRO)
-        follow_course(k, m, now, pose->value, noise[0]);
-    learn_delay(k, m, now, pose->value, noise[1]);
+    if (available_since(k, m, current->time) & BY_GYRO)
+        follow_course(k, m, current, pose->value, noise[0]);
+    learn_delay(k, m, current, pose->value, noise[1]);
     for (int window = SHORT; window < WINDOWS; window++) {
         const ddmpc_stored_pose *from = pose_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
         motions *motion = window == LONG ? &whole : &half;
-        if (!from || !compare_delayed(k, m, from, now, m->delay, pose->value, motion))
+        if (!from || !compare_delayed(k, m, from, current, m->delay, pose->value, motion))
             break;
         const int available = available_since(k, m, from->motion.time - m->delay), used = available & ~excluded;
         if (window == MIDDLE) {
             const ddmpc_stored_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && used & BY_WHEELS)
                 evidence[DDMPC_OF_POSE] =
-                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways_evidence(k, m, oldest, now, pose->value, noise[0]));
+                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways_evidence(k, m, oldest, current, pose->value, noise[0]));
             continue;
         }
-        evaluation result = evaluate_delays(k, m, from, now, pose->value, used, noise, window);
+        evaluation result = evaluate_delays(k, m, from, current, pose->value, used, noise, window);
         result.fault[DDMPC_OF_POSE] += ddmpc_max(m->course_evidence, R(0.0));
         result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->course_evidence, R(0.0));
         result.fault[DDMPC_OF_POSE] += gyro_has_scale(k, m) ? k->scaled[3] : R(0.0);
@@ -784,7 +784,7 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
             m->slipped_at = pose->stamp;
         const ddmpc_time changed =
             m->wheels.last_change < m->gyro.last_change ? m->wheels.last_change : m->gyro.last_change;
-        const int both_change = m->now.time - changed <= (ddmpc_time)k->silence;
+        const int both_change = m->current.time - changed <= (ddmpc_time)k->silence;
         if (pose->stamp < m->next_pose)
             continue;
         const int turns_agree =
@@ -793,14 +793,14 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
             !m->is_diverging)
             learn_gains(k, m, motion);
         if (!((excluded & BY_POSE) | (m->implausible & BY_GYRO)) && available & BY_GYRO &&
-            m->now.time - m->gyro.last_change <= (ddmpc_time)k->silence &&
+            m->current.time - m->gyro.last_change <= (ddmpc_time)k->silence &&
             ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_gyro_scale(k, m, motion, noise[1]);
     }
     /* Readings that repeat despite the commands, or at the end of their range, are not evidence against poses. */
-    const int gyro_repeats = m->now.time - m->gyro.last_change > (ddmpc_time)k->silence &&
+    const int gyro_repeats = m->current.time - m->gyro.last_change > (ddmpc_time)k->silence &&
                              ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
-    if ((ddmpc_monitor_doubtful_sensors(c, m->now.time) | (gyro_repeats ? BY_GYRO : 0)) & ~excluded)
+    if ((ddmpc_monitor_doubtful_sensors(c, m->current.time) | (gyro_repeats ? BY_GYRO : 0)) & ~excluded)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* Poses that are not used are not evidence against other sensors. */
     if (excluded & BY_POSE)
@@ -813,8 +813,8 @@ static void update_exclusions(ddmpc_controller *c, const real evidence[SENSES], 
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const ddmpc_time now = m->now.time, silence = (ddmpc_time)k->silence;
-    const int repeats[SENSES] = {now - m->wheels.last_change > silence, now - m->gyro.last_change > silence,
+    const ddmpc_time time = m->current.time, silence = (ddmpc_time)k->silence;
+    const int repeats[SENSES] = {time - m->wheels.last_change > silence, time - m->gyro.last_change > silence,
                                  m->same > 0};
     for (int i = 0; i < SENSES; i++) {
         const int bit = 1 << i;
@@ -852,8 +852,8 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    ddmpc_motion now;
-    if (!k->monitor || !motion_at(m, pose->stamp, &now))
+    ddmpc_motion current;
+    if (!k->monitor || !motion_at(m, pose->stamp, &current))
         return 0;
     const int before = m->excluded;
     const real noise[2] = {
@@ -863,8 +863,8 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
     real evidence[SENSES] = {R(0.0), R(0.0), R(0.0)};
     if (m->has_last) {
         const ddmpc_time elapsed = pose->stamp - m->last.stamp;
-        const motions motion = compare_motions(m, &m->last_motion, &now, m->last.value, pose->value);
-        frozen = is_frozen(c, pose->value, &now, noise);
+        const motions motion = compare_motions(m, &m->last_motion, &current, m->last.value, pose->value);
+        frozen = is_frozen(c, pose->value, &current, noise);
         /* A pose that moves further than a faulty sensor can explain is a jump, which the estimator handles. */
         const real max_distance = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)elapsed;
         const real max_turn = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)elapsed;
@@ -873,11 +873,12 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
             m->poses = m->residuals = m->has_anchor = 0;
         else if (elapsed <= R(0.25) && m->same == 0)
             learn_scatter(k, m, pose, &motion);
-        m->turn_difference += turn_between(k, m, &m->last_motion, &now) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
-        collect_evidence(c, pose, &now, noise, evidence, &agreeing);
+        m->turn_difference +=
+            turn_between(k, m, &m->last_motion, &current) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
+        collect_evidence(c, pose, &current, noise, evidence, &agreeing);
         update_exclusions(c, evidence, agreeing, pose->stamp, elapsed < 0.25 ? elapsed : 0.25);
     } else {
-        m->frozen = now;
+        m->frozen = current;
     }
     for (int i = 0; i < DDMPC_OF_POSE; i++)
         if (is_impossible(c, i))
@@ -899,11 +900,11 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;
         m->poses += m->poses < MONITORED_POSES;
         memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
-        m->pose[m->newest_pose].motion = now;
+        m->pose[m->newest_pose].motion = current;
         m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-6;
     }
     m->last = *pose;
-    m->last_motion = now;
+    m->last_motion = current;
     m->has_last = 1;
     return m->excluded & ~before;
 }

@@ -190,12 +190,12 @@ static void clip_to_hard_limits(const ddmpc_controller *c, real *plan)
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
     for (int channel = 0; channel < 2; channel++) {
-        real before = R(0.0);
+        real previous = R(0.0);
         for (int k = 0; k < N; k++) {
             const int range = channel * N + k, slew = (2 + channel) * N + k;
-            const real lower = ddmpc_max(p->lower[range], before + p->lower[slew]);
-            const real upper = ddmpc_min(p->upper[range], before + p->upper[slew]);
-            before = plan[2 * k + channel] = ddmpc_min(ddmpc_max(plan[2 * k + channel], lower), upper);
+            const real lower = ddmpc_max(p->lower[range], previous + p->lower[slew]);
+            const real upper = ddmpc_min(p->upper[range], previous + p->upper[slew]);
+            previous = plan[2 * k + channel] = ddmpc_min(ddmpc_max(plan[2 * k + channel], lower), upper);
         }
     }
 }
@@ -205,18 +205,18 @@ static real cost_of(ddmpc_controller *c, const real *plan)
 {
     ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
-    real moved[2 * DDMPC_MAX_STEPS], sum = R(0.0);
+    real displacement[2 * DDMPC_MAX_STEPS], sum = R(0.0);
     for (int i = 0; i < inputs; i++)
-        moved[i] = plan[i] - p->minimiser[i];
+        displacement[i] = plan[i] - p->minimiser[i];
     for (int i = 0; i < inputs; i++) {
         /* Relative to its minimum, the quadratic cost is |R (plan - minimiser)|^2 / 2, since H = R'R. */
-        const real z = long_dot(p->factor + i * inputs + i, moved + i, inputs - i);
+        const real z = long_dot(p->factor + i * inputs + i, displacement + i, inputs - i);
         sum += R(0.5) * z * z;
     }
     ddmpc_limit_values(c, plan, p->values);
     for (int i = HARD * STEPS(c); i < KINDS(c) * STEPS(c); i++) {
-        const real beyond = ddmpc_max(ddmpc_max(p->values[i] - p->upper[i], p->lower[i] - p->values[i]), R(0.0));
-        sum += c->constants->price * beyond + R(0.5) * c->constants->price_slope * beyond * beyond;
+        const real excess = ddmpc_max(ddmpc_max(p->values[i] - p->upper[i], p->lower[i] - p->values[i]), R(0.0));
+        sum += c->constants->price * excess + R(0.5) * c->constants->price_slope * excess * excess;
     }
     return sum;
 }
@@ -226,14 +226,14 @@ static real cost_of(ddmpc_controller *c, const real *plan)
 static void use_unfinished_iterate(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    real rest[2 * DDMPC_MAX_STEPS];
+    real last_plan[2 * DDMPC_MAX_STEPS];
     const size_t size = (size_t)INPUTS(c) * sizeof(real);
-    memcpy(rest, p->guess, size);
-    clip_to_hard_limits(c, rest);
+    memcpy(last_plan, p->guess, size);
+    clip_to_hard_limits(c, last_plan);
     clip_to_hard_limits(c, p->plan);
     /* Negated so that an iterate with a NaN cost is not used. */
-    if (!(cost_of(c, p->plan) <= cost_of(c, rest)))
-        memcpy(p->plan, rest, size);
+    if (!(cost_of(c, p->plan) <= cost_of(c, last_plan)))
+        memcpy(p->plan, last_plan, size);
 }
 
 static int find_active_set(ddmpc_controller *c)

@@ -169,12 +169,12 @@ static int is_finished(ddmpc_controller *c, ddmpc_time time)
     const real distance = distance_to(c, pose);
     const int is_settled = distance <= k->finish_position && ddmpc_fabs(moving[0]) <= k->finish_speed &&
                            ddmpc_fabs(moving[1]) <= k->finish_speed;
-    const int late = time >= duration + (ddmpc_time)k->finish_timeout;
-    if (late && !is_settled) {
+    const int is_overdue = time >= duration + (ddmpc_time)k->finish_timeout;
+    if (is_overdue && !is_settled) {
         c->result.reasons |= DDMPC_NOT_AT_REST;
         c->result.distance = distance;
     }
-    c->finished = is_settled || late;
+    c->finished = is_settled || is_overdue;
     return c->finished;
 }
 
@@ -213,18 +213,18 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
         stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
     /* The reference slows down as the uncertainty of the position grows. */
-    const real beyond = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
-    stray.late = ddmpc_max(stray.late, R(1.0) + beyond);
+    const real excess = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
+    stray.late = ddmpc_max(stray.late, R(1.0) + excess);
     return stray;
 }
 
 static void sample_reference(ddmpc_controller *c, ddmpc_time time)
 {
     const real *delays = c->result.estimate.mean + STATES(c) + DELAYS(c);
-    const real late = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
+    const real max_delay = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
     /* The feed-forward interpolates at the sum of the lag and the estimated delay ahead, which limits the number of
      * samples. */
-    const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)late;
+    const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)max_delay;
     real arc_length;
     for (int i = 0; i < SAMPLES(c) && i < count; i++)
         c->reference.sample(c->reference.context, time + i * c->constants->sample_time, c->reference_pose + 3 * i,

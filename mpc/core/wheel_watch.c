@@ -34,8 +34,8 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
     const int newest = COMMANDS(c) - 1;
     const int steady = (int)(c->constants->short_for / (real)c->constants->sample_time),
               settling = 4 * LONGEST_LAG(c) / 3;
-    const int since = LONGEST_LAG(c) + (steady > settling ? steady : settling);
-    if (since > newest)
+    const int samples = LONGEST_LAG(c) + (steady > settling ? steady : settling);
+    if (samples > newest)
         return 0;
     real low[2][2], high[2][2];
     for (int i = 0; i < 4; i++) {
@@ -43,8 +43,8 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
         high[i / 2][i % 2] = -(real)HUGE_VAL;
     }
     *max_forward = R(0.0);
-    for (int ago = 0; ago <= since; ago++) {
-        const real *u = c->estimator.commands + 2 * (newest - ago);
+    for (int age = 0; age <= samples; age++) {
+        const real *u = c->estimator.commands + 2 * (newest - age);
         const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
         const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
         *max_forward = ddmpc_max(*max_forward, ddmpc_fabs(forward));
@@ -70,7 +70,7 @@ static int saturated_wheel(const ddmpc_controller *c, const real by_reference[2]
 {
     const ddmpc_constants *k = c->constants;
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
-    real lowest[2], highest[2], forward, worst = R(0.0);
+    real lowest[2], highest[2], forward, max_rank = R(0.0);
     int wheel = -1;
     if (!demanded_speeds(c, sign, lowest, highest, &forward))
         return -1;
@@ -83,8 +83,8 @@ static int saturated_wheel(const ddmpc_controller *c, const real by_reference[2]
         if (along > highest[i] + k->short_by[0])
             return -1;
         if (along > k->stuck * target && deficit > k->short_by[1] * target && deficit > k->short_by[0] &&
-            rank > worst && slower > k->slower * deficit && ddmpc_fabs(read[i] - c->rim[i]) < k->steady * target) {
-            worst = rank;
+            rank > max_rank && slower > k->slower * deficit && ddmpc_fabs(read[i] - c->rim[i]) < k->steady * target) {
+            max_rank = rank;
             wheel = i;
             *demanded = lowest[i];
         }
