@@ -151,10 +151,11 @@ def _split_at_reversals(part: DirectedPart) -> list[DirectedPart]:
 
     inside = np.flatnonzero((along > settings.min_part_length) & (along < along[-1] - settings.min_part_length))
     vertex = part.points[inside]
-    first, last = vertex - point_at(along[inside] - reach), point_at(along[inside] + reach) - vertex
-    turn = np.abs(np.arctan2(first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0], (first * last).sum(axis=1)))
+    incoming, outgoing = vertex - point_at(along[inside] - reach), point_at(along[inside] + reach) - vertex
+    cross = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
+    turn = np.abs(np.arctan2(cross, (incoming * outgoing).sum(axis=1)))
     # A chord that spans the reversal is shortened by the fold, so both chords are longest exactly at the reversal.
-    sharpness = np.hypot(*first.T) * np.hypot(*last.T)
+    sharpness = np.hypot(*incoming.T) * np.hypot(*outgoing.T)
     split_indices: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
         cut = int(inside[i])
