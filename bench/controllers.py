@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_con
 from diffdrive_mpc.mpc.features.registry import prepare_config
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
 from diffdrive_mpc.sim.plants.names import split_plant
@@ -120,7 +120,7 @@ def load_reference(case: Case) -> Trajectory:
             for segment in segments
         ]
         name = f"{case.trajectory} at {case.top_speed:g} m/s"
-        return lay_segments(scaled, TrajectoryLimits.of_controller(config.limits), name=name)
+        return time_segments(scaled, TrajectoryLimits.of_controller(config.limits), name=name)
     try:
         return load_trajectory(case.trajectory, config, timing=None if case.timing == AS_FILED else case.timing)
     except BeyondLimitError as error:

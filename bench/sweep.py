@@ -23,7 +23,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, Trajectory
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.typed_settings import parsed_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_settings
 from diffdrive_mpc.sim.loop import simulate
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
     """Parse settings and return every combination of their values, in order; no settings have one empty combination.
 
-    Raise the errors of `parsed_settings`, and ValueError if there are too many combinations.
+    Raise the errors of `parse_settings`, and ValueError if there are too many combinations.
     """
-    parsed = parsed_settings(texts)
+    parsed = parse_settings(texts)
     check_count(math.prod(len(values) for _, values in parsed))
     keys = [key for key, _ in parsed]
     return [tuple(zip(keys, combination, strict=True)) for combination in itertools.product(*(v for _, v in parsed))]

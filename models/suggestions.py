@@ -125,7 +125,7 @@ def _select_paths(paths: list[str], parents: list[str], names: list[str]) -> lis
 
 def _further_groups(level: type[BaseModel]) -> Mapping[str, type[BaseModel]]:
     """Return groups that are not fields of a schema, such as the groups of installed features."""
-    groups: Mapping[str, type[BaseModel]] = getattr(level, "further_groups", dict)()
+    groups: Mapping[str, type[BaseModel]] = getattr(level, "feature_schemas", dict)()
     return groups
 
 

@@ -1,6 +1,6 @@
 """Controller: reference trajectories, tracking problem, solver, estimator and failure ladder.
 
-Public names are imported on first use, so that an import of a single module does not load the controller.
+Public names are imported on first access, so that the import of a submodule does not load the controller.
 """
 
 from __future__ import annotations

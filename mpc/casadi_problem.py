@@ -25,14 +25,14 @@ from diffdrive_mpc.mpc.problem.formulas import (
     arc_move,
     body_twist,
     named_function,
+    radius_violation,
     soft_limit_values,
     term_symbols,
     tracking_errors,
-    turned_tighter,
 )
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_terms, parameter_places
 
-# Below the limit of an unlimited row (1e14, `terms._NO_LIMIT`), which solvers would treat as a bound.
+# Bounds above this value count as none; it is below `terms._NO_LIMIT`, which solvers would treat as a bound.
 _UNLIMITED = 1e13
 
 
@@ -136,14 +136,14 @@ def casadi_problem(
     config = prepare_config(load_config(config, overrides))
     terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
     problem = build_problem(config, chosen_model(config, model), terms)
-    symbols = _symbols(problem)
+    symbols = _create_symbols(problem)
     stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _soft_values(problem)
     outputs = _roll_out(problem, symbols, stage, stage_cost, limited)
     horizon = named_function("horizon", symbols, outputs)
     return CasadiProblem(stage, stage_cost, limited, horizon, _nlp(config.weights, symbols, outputs))
 
 
-def _symbols(problem: Problem) -> dict[str, ca.SX]:
+def _create_symbols(problem: Problem) -> dict[str, ca.SX]:
     sizes, N = problem.sizes, problem.config.horizon
     shapes = {
         "plan": (2, N),
@@ -178,8 +178,8 @@ def _next_state(problem: Problem, state: ca.SX, sent: ca.SX, late: ca.SX) -> ca.
     def delayed_command(channel: int, lag: int) -> ca.SX:
         """Interpolate the command that takes effect after the estimated delay."""
         first = newest - lag - int(model.delay[channel])
-        # The delay is a symbol and cannot be an index, so all possible ages are summed with the weights of linear
-        # interpolation.
+        # The delay is a symbol and cannot be an index, so the commands of all ages are summed with the weights of a
+        # linear interpolation.
         return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(late[channel] - age)) * sent[channel, first - age] for age in ages))
 
     recent, older = (ca.vertcat(delayed_command(0, lag), delayed_command(1, lag)) for lag in (0, 1))
@@ -225,15 +225,15 @@ def _soft_values(problem: Problem) -> ca.Function:
     inputs, limits = term_symbols(problem.sizes["parameters"]), problem.config.limits
     inputs |= {"slip": ca.SX.sym("slip", problem.sizes["slips"]), "direction": ca.SX.sym("direction", 2)}
     half_track = ca.vertcat(inputs["slip"], 0.5 * problem.config.wheels.track)
-    shipped = soft_limit_values(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
+    built_in = soft_limit_values(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
     turns = [
-        turned_tighter(inputs[moves], ca.vertcat(radius, inputs["direction"][row]))
+        radius_violation(inputs[moves], ca.vertcat(radius, inputs["direction"][row]))
         for row, (moves, radius) in enumerate(
             (("twist", limits.min_turn_radius), ("command", limits.min_commanded_radius))
         )
         if radius is not None
     ]
-    values = ca.vertcat(shipped, *turns, *_values(problem.terms, inputs, soft=True))
+    values = ca.vertcat(built_in, *turns, *_values(problem.terms, inputs, soft=True))
     return named_function("limited", inputs, {"values": values})
 
 
@@ -241,14 +241,14 @@ def _roll_out(
     problem: Problem, p: Mapping[str, ca.SX], stage: ca.Function, cost: ca.Function, limited: ca.Function
 ) -> dict[str, ca.SX]:
     plan, feed_forward, slip, window = p["plan"], p["feed_forward"], p["slip"], p["sent"].size2()
-    commands, before = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
+    commands, previous = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
     state, total, poses, soft = p["state"], ca.SX(0), [p["pose"]], []
     twists = [body_twist(_model_twist(problem, state), slip)]
     for k in range(problem.config.horizon):
         state, pose, twist = stage(state, poses[-1], slip, commands[:, k : k + window + 1], p["late"], p["ahead"][k])
         at_end = pose, twist, plan[:, k], p["reference"][:, k + 1], p["parameters"][:, k + 1]
         terminal = problem.config.weights.terminal if k == problem.config.horizon - 1 else 1.0
-        total += cost(*at_end, before[:, k], feed_forward[:, k + 1], feed_forward[:, k], terminal)
+        total += cost(*at_end, previous[:, k], feed_forward[:, k + 1], feed_forward[:, k], terminal)
         soft.append(limited(*at_end, slip, p["direction"][:, k]))
         poses.append(pose)
         twists.append(twist)

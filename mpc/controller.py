@@ -1,7 +1,7 @@
 """Controller that passes measurements to the compiled tick and returns its result as arrays and messages.
 
-`mpc/core/tick.c` implements the tick. This module implements configuration, discretisation of models, re-entry, calls
-of the solver backends that the tick requests, and message texts.
+`mpc/core/tick.c` implements the tick. This module connects the tick to the configuration, the prediction model, the
+re-entry, the optional solver backend, the features and the message texts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
-from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepare_config
+from diffdrive_mpc.mpc.features.registry import enabled_features, feature_terms, prepare_config
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, is_from_file, sampled_model
@@ -50,12 +50,12 @@ from diffdrive_mpc.mpc.trajectories.feasibility import Shortfall, find_shortfall
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 
-_CHANGEABLE = ("weights", "limits")
+_CHANGEABLE_GROUPS = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
-# Values of ddmpc_pending.
+# Values of `ddmpc_pending`.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
 _MAX_COMMAND = 1e6
-"""Maximum absolute value of applied commands [m/s, rad/s]; no robot is faster, and squares do not overflow."""
+"""Maximum absolute value of applied commands [m/s, rad/s], far above the speed of any robot; squares stay finite."""
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Controller:
     config
         Configuration, or any other argument of `load_config`, such as "ssm".
     model
-        Velocity model, or its name or path, which replaces the model of the configuration. The extra dead time of the
+        Velocity model, or its name or path; replaces the model of the configuration. The extra dead time of the
         configuration is not added to this model.
     terms
         Cost terms and soft limits in addition to those of the configuration, see `mpc.problem.terms`.
@@ -114,18 +114,18 @@ class Controller:
         terms: Sequence[Term] = (),
         **overrides: object,
     ) -> None:
-        # Features may change the configuration, so they run before anything is derived from it.
+        # Features may change the configuration, so this call precedes everything that is derived from it.
         config, terms = prepare_config(load_config(config, overrides)), checked_terms(terms)
-        # Stored as passed, for `__setstate__`: a copy adds the terms of files and of features again.
+        # Stored without the terms of files and features, since `__setstate__` calls `__init__`, which adds them.
         self._arguments = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
         dt, active_model = config.sample_time, chosen_model(config, model)
         self._prediction = _PredictionModel.from_model(active_model, dt)
-        # Unset weights on increments depend on the sampled model, and the problem needs them.
+        # Unset weights on increments are derived from the sampled model, before the problem is built with them.
         self._config = config = with_increments(config, self._prediction.sampled)
         self._features: dict[str, Feature] = {
-            name: kind(config, active_model) for name, kind in features_of(config).items()
+            name: feature_class(config, active_model) for name, feature_class in enabled_features(config).items()
         }
         problem = self._problem(config)
         sizes = problem.sizes
@@ -136,7 +136,7 @@ class Controller:
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
-        self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
+        self._time_grid: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(
             config, self._tick.stray, lambda: costliest_limit(self._program, self._config, self._soft_names)
         )
@@ -151,12 +151,12 @@ class Controller:
             self._tick,
             self._pursuit,
             self._terms,
-            # A function, because `_c_result` is only assigned below.
+            # The function reads `_c_result` at the call, since it is assigned only below.
             is_new_tick=lambda: not self._c_result.reasons & self._messages.not_a_new_tick,
         )
         for feature in self._features.values():
             feature.attach(self._host)
-        # Each attribute access on the C library takes as long as a small computation, so these are stored.
+        # Attribute access through cffi is slow, so the members that each tick uses are stored.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
@@ -182,14 +182,14 @@ class Controller:
     def __repr__(self) -> str:
         """Describe the prediction model and the reference in one line."""
         config, model, reference = self._config, self.model, self._reference
-        tracked = "nothing yet" if reference is None else repr(reference.name)
+        reference_name = "nothing yet" if reference is None else repr(reference.name)
         return (
             f"Controller with model {model.name!r}, {config.horizon} steps of {config.sample_time:g} s ahead, tracking "
-            f"{tracked}"
+            f"{reference_name}"
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for a process pool: configuration, model, terms and reference, without a running drive."""
+        """Return configuration, model, terms and reference for a process pool; the state of the drive is omitted."""
         return {
             "config": self._pending.config if self._pending else self._config,
             "arguments": self._arguments,
@@ -208,12 +208,12 @@ class Controller:
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # The reference was checked at the start; limits that were tightened later do not apply to this check.
+            # No second check: the reference was checked at the start, and limits may have been tightened since then.
             self._begin(state["reference"], state["t0"])
 
     @property
     def config(self) -> ControllerConfig:
-        """Current configuration, including the weights that are derived from the margin."""
+        """Current configuration, including the weights derived from the margin."""
         return self._config
 
     @property
@@ -228,7 +228,7 @@ class Controller:
 
     @property
     def program(self) -> Program:
-        """Quadratic program that was set up last; it shares the memory of the core."""
+        """Quadratic program of the last solve; a view of the core's memory."""
         return self._program
 
     def quadratic_program(self, plan: ArrayLike | None = None) -> QuadraticProgram:
@@ -246,7 +246,7 @@ class Controller:
         ValueError
             If the plan is not N pairs of finite numbers.
         """
-        # The core's memory starts with zeros; once set up, H has the positive weights on its diagonal.
+        # The core's memory is initialised with zeros, while H of a program has positive weights on its diagonal.
         if not self._program.H.any():
             raise RuntimeError("no tick has set up a quadratic program yet: call start and step first")
         if plan is not None:
@@ -270,7 +270,7 @@ class Controller:
         """
         estimate, belief, p = self._fresh_estimate(), self.belief, self._program
         bounds = np.stack([p.lower, p.upper])
-        # The core subtracts the values at a plan of zeros from the soft bounds; `CasadiProblem` limits whole values.
+        # The core subtracts the values at a zero plan from the soft bounds; `CasadiProblem` limits the full values.
         bounds[:, HARD_KINDS:] += p.soft_values
         return {
             "state": estimate.state,
@@ -300,9 +300,9 @@ class Controller:
 
     @property
     def planned_delay(self) -> float:
-        """Delay of the reference that is due to a waiting reference, speed limits and obstacles [s].
+        """Part of `StepResult.reference_delay` that is caused by a waiting reference, speed limits and obstacles [s].
 
-        This delay is a part of `reference_delay` of a step. The lag of the robot is not included.
+        The lag of the robot is not included.
         """
         return self._pursuit.planned_delay
 
@@ -333,24 +333,24 @@ class Controller:
         Raises
         ------
         RuntimeError
-            If there is no estimate because no step since the last `start` had a pose.
+            If there is no estimate because no pose was accepted since the last `start`.
         """
-        pose = self._tick.newest_belief()
-        if pose is None:
+        newest = self._tick.newest_belief()
+        if newest is None:
             raise RuntimeError("there is no estimate yet: call step with a pose first")
-        return Belief(*pose, self._tick.layout.slip.start)
+        return Belief(*newest, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
         """Predict the filter's belief without measurements, including the future pose and its uncertainty.
 
-        The prediction is that of the estimator, including noise and random walks.
+        The prediction uses the process model of the estimator, including noise and random walks.
 
         Parameters
         ----------
         belief
             Initial belief, possibly modified or from an earlier tick.
         commands
-            (K, 2) v_ref [m/s], omega_ref [rad/s] from the belief's tick on, one row per sample.
+            (K, 2) v_ref [m/s], omega_ref [rad/s], one row per sample, starting at the tick of the belief.
 
         Returns
         -------
@@ -411,7 +411,7 @@ class Controller:
         self._begin(self.checked_reference(reference, t0), t0)
 
     def checked_reference(self, reference: Reference | str | Path, t0: float = 0.0) -> Reference:
-        """Load a trajectory if its name or path is given, and check the reference as `start` does.
+        """Load a trajectory if `reference` is a name or path, and apply the checks of `start`.
 
         Raises
         ------
@@ -428,8 +428,8 @@ class Controller:
     def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
         """Find the first point where `reference` exceeds the robot's limits, and a feasible duration.
 
-        The robot starts at rest, or with the twist of the reference if `is_moving` is True. Returns None if the
-        reference is feasible. `start` accepts infeasible references.
+        The robot starts at rest, or with the twist of the reference if `is_moving` is True. The result is None if the
+        reference is feasible. `start` does not call this method and accepts infeasible references.
         """
         return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
 
@@ -450,7 +450,7 @@ class Controller:
         """Start to track a checked reference."""
         tracked = reference
         for feature in self._features.values():
-            tracked = feature.begin(tracked, t0)
+            tracked = feature.start(tracked, t0)
         native, tracked = self._prepare_reference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # The native reference must stay alive, since the core reads its memory.
@@ -458,10 +458,10 @@ class Controller:
         self._pursuit.start(tracked, native=native.complete)
 
     def _prepare_reference(self, reference: Reference) -> tuple[NativeReference, Reference]:
-        """Apply the features to a reference; return the result for the core and as a Python object."""
+        """Apply the features to a reference; return the reference in the form of the core and as a Python object."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
-            tracked = feature.lay(tracked)
+            tracked = feature.modify_reference(tracked)
         return NativeReference(tracked), tracked
 
     def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
@@ -483,7 +483,8 @@ class Controller:
         Raises
         ------
         ValueError
-            If `t0` is None and the duration differs from that of the current reference, or as for `start`.
+            If `t0` is None and the duration differs from that of the current reference, or if `t0` is given and `start`
+            would reject the reference.
         RuntimeError
             If no reference is being tracked.
         """
@@ -507,11 +508,11 @@ class Controller:
             self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
-        """Reset estimate, plan and commands of a robot at standstill, and keep the reference."""
+        """Reset the estimate, plan and commands of a robot at standstill; the reference is kept."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
-            feature.forget()
+            feature.reset()
 
     @property
     def is_latched(self) -> bool:
@@ -523,7 +524,7 @@ class Controller:
         return bool(self._tick.lib.ddmpc_is_latched(self._c))
 
     def resume(self) -> None:
-        """Continue along the waiting reference after a failure that has latched the robot."""
+        """Continue along the waiting reference after a latched failure, see `is_latched`."""
         self._tick.lib.ddmpc_resume(self._c)
 
     @checked_call()
@@ -532,8 +533,8 @@ class Controller:
     ) -> ControllerConfig:
         """Change weights and limits while driving; they take effect at the start of the next step.
 
-        Derived objects are built here, outside the tick; `step` only applies them. If a limit is tightened below the
-        current command, the command reaches it at the slew limit.
+        This method builds the derived objects, so that `step` only applies them. If a limit is tightened below the
+        current command, the command approaches it at the slew limit.
 
         Returns
         -------
@@ -566,18 +567,18 @@ class Controller:
         ConfigError, ArgumentError
             If an argument is invalid, as for `update`.
         """
-        for group, values in zip(_CHANGEABLE, (weights, limits), strict=True):
+        for group, values in zip(_CHANGEABLE_GROUPS, (weights, limits), strict=True):
             if not isinstance(values, (Mapping, type(None))):
                 raise wrong_type(group, "values by key", values, f"write update({group}={{'{_EXAMPLES[group]}': 1.0}})")
         changes = {
             f"{group}.{key}": value
-            for group, values in zip(_CHANGEABLE, (weights, limits), strict=True)
+            for group, values in zip(_CHANGEABLE_GROUPS, (weights, limits), strict=True)
             for key, value in (values or {}).items()
         }
-        # Several changes between two steps add up.
+        # Consecutive changes between two steps accumulate.
         config = replace_values(self._pending.config if self._pending else self._config, changes)
         config = with_increments(config, self._prediction.sampled)
-        # These limits have rows of their own, and the sizes of the core are fixed at construction.
+        # Each of these limits adds rows to the program, whose size is fixed at construction.
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
@@ -598,10 +599,10 @@ class Controller:
     def limit_speed(self, v: float | None) -> None:
         """Limit the speed to `v` [m/s] from the next step on, as in a speed zone; None removes the limit.
 
-        The limit is a hard limit on |v_ref|, which is approached at the slew limit, and a soft limit on the predicted
-        speed. If the reference is faster, its clock slows down and catches up afterwards. If `reentry.enabled` is
-        false, the clock continues and the robot falls behind. References are still checked against the limits of the
-        configuration.
+        The limit is a hard limit on |v_ref|, which the command approaches at the slew limit, and a soft limit on the
+        predicted speed. If the reference is faster, its clock slows down and catches up afterwards. If
+        `reentry.enabled` is false, the clock continues and the robot falls behind. References are still checked
+        against the limits of the configuration.
 
         Raises
         ------
@@ -617,12 +618,12 @@ class Controller:
         self._prepare_limits(self._pending.config if self._pending else self._config)
 
     def set_parameters(self, **values: ArrayLike) -> None:
-        """Set the stage parameters of terms by the name of the term, from the next step on.
+        """Set the stage parameters of terms by term name; they take effect at the next step.
 
         Parameters
         ----------
         values
-            (p,) parameters of a term for all samples, or (N + 1, p) with one row for each of the samples 0 to N.
+            (p,) parameters of a term for all samples, or (N + 1, p) parameters for the samples 0 to N.
 
         Raises
         ------
@@ -630,8 +631,8 @@ class Controller:
             If a term does not exist, a shape is wrong, or a value is not finite; all parameters then stay unchanged.
         """
         table = self._tick.parameters
-        for place, rows in checked_parameters(self._terms, len(table), values):
-            table[:, place] = rows
+        for columns, rows in checked_parameters(self._terms, len(table), values):
+            table[:, columns] = rows
 
     def step(
         self,
@@ -644,19 +645,19 @@ class Controller:
     ) -> StepResult:
         """Compute the command for the tick at `t` [s] from the measurements since the last tick.
 
-        The method never raises an error on invalid measurements. A measurement that is not finite, jumps or is too old
-        is rejected with a note in `message`, and the robot dead-reckons. The robot brakes if no pose was accepted for
+        Invalid measurements never raise an error. A measurement that is not finite, jumps or is too old is rejected
+        with a note in `message`, and the controller dead-reckons. The robot brakes if no pose was accepted for
         `failure.max_pose_age`, or for `failure.dead_reckoning` if wheels and gyro are available. With `hold` the robot
-        brakes and stands, and the estimate is still updated. If `t` leaps by more than `estimator.history`, the command
-        becomes zero in one tick, since the base has already stopped by its command timeout. All other changes of the
-        command respect the slew or the braking limits.
+        brakes to a standstill, and the estimate is still updated. If `t` leaps by more than `estimator.history`, the
+        command becomes zero in one tick, since the command timeout of the base has already stopped the robot. All other
+        changes of the command respect the slew or the braking limits.
 
-        `deadline` [s, `time.monotonic`] is the time at which the solve stops, so results depend on the speed of the
-        computer. The active set stops after at least one iteration. Its plan respects ranges and slew but may violate
-        other limits, which `solver.status` reports. A backend that is stopped returns no plan; it does not start if its
-        factorisation is expected to take longer. After `solver.max_missed` consecutive missed deadlines the robot
-        brakes. `most_iterations` reproduces a tick that missed its deadline (`solver.missed`): it is the maximum number
-        of iterations of the active set; with 0 no backend is used.
+        `deadline` [s, `time.monotonic`] is the time at which the solve stops; results then depend on the speed of the
+        computer. The active set performs at least one iteration. Its plan respects ranges and slew but may violate
+        other limits, which `solver.status` reports. A backend that reaches the deadline returns no plan, and it does
+        not start if its factorisation is expected to exceed the deadline. After `solver.max_missed` consecutive missed
+        deadlines the robot brakes. `most_iterations` reproduces a tick that missed its deadline (`solver.missed`): it
+        is the maximum number of iterations of the active set; with 0 no backend is used.
 
         Raises
         ------
@@ -685,25 +686,25 @@ class Controller:
         # Values of `ddmpc_request`.
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
-        # Only the replay of a late tick gives a number of iterations.
+        # Only the replay of a late tick passes a number of iterations.
         tick_input.is_late = most_iterations is not None
         try:
             since_start = t - self._t0
         except TypeError as error:
             raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
-        # The reference's clock advances once per tick, not at a repeated call or at a faulty time.
-        is_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
-        tick_input.reference_time = pursuit.advance(since_start) if is_advanced else since_start
+        # The reference's clock advances once per tick, but not at a repeated call or at an invalid time.
+        has_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
+        tick_input.reference_time = pursuit.advance(since_start) if has_advanced else since_start
         tick_input.on_time = on_time
         pending = self._step(self._c, t, tick_input)
-        # In a replay, 0 iterations stand for a backend that was stopped without a solution: its deadline has passed.
+        # In a replay, 0 iterations represent a backend that found no solution in time, hence a deadline in the past.
         result = self._complete(
-            pending, since_start, start, hold, 0.0 if most_iterations == 0 else deadline, is_advanced=is_advanced
+            pending, since_start, start, hold, 0.0 if most_iterations == 0 else deadline, has_advanced=has_advanced
         )
         for feature in self._features.values():
             result = feature.after_step(t, measurement, result)
-        # The time of the features is part of the step.
+        # The step time includes the computation time of the features.
         return replace(result, step_time=time.perf_counter() - start) if self._features else result
 
     def _complete(
@@ -714,21 +715,21 @@ class Controller:
         hold: Hold | None = None,
         deadline: float | None = None,
         *,
-        is_advanced: bool = False,
+        has_advanced: bool = False,
     ) -> StepResult:
         """Complete the tick of the last step in C; `pending` is its return value, `start` the time of the call."""
         pursuit, tick_input, message = self._pursuit, self._input, ""
         if pending == _NEEDS_TARGET:
-            # The robot was on time until now, so its clock has not been advanced yet.
-            if not is_advanced:
+            # The robot was on time until this tick, so `step` has not advanced the reference's clock.
+            if not has_advanced:
                 tick_input.reference_time = pursuit.advance(since_start)
             pending, message = self._choose_target(since_start, tick_input.reference_time)
         elif tick_input.on_time:
             c = self._c_result
             if not c.reasons & self._messages.not_a_new_tick:
                 self._record_on_time(since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
-        # The core has braked or finished without a target: without a motion command the robot is not blocked.
-        elif is_advanced:
+        # The core has braked or finished; a robot without a motion command is not blocked.
+        elif has_advanced:
             self._blocked_for = 0.0
         is_refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
@@ -742,7 +743,7 @@ class Controller:
         self._pursuit.record_on_time(since_start, tracked=tracked)
 
     def compiled_tick(self) -> CompiledTick:
-        """Return the tick in C for a simulation, see `models.interface.CompiledTick`; call it after `start`."""
+        """Return the C tick for a simulation, see `models.interface.CompiledTick`; call `start` first."""
         layout, lib, pursuit, steps = self._tick.layout, self._tick.lib, self._pursuit, {}
         command, estimate = layout.take(layout.live, "command"), Estimate(layout, layout.live, 0.0)
         for method in (lib.DDMPC_UNLIMITED, lib.DDMPC_ACTIVE_SET):
@@ -774,21 +775,24 @@ class Controller:
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Choose the target of a robot that is off its path or late; return the core's pending work and a message."""
+        """Choose the target of a robot that is off its path or late.
+
+        Returns the value of `ddmpc_pending` after the choice, and a message.
+        """
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0
         try:
-            target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
+            target = self._pursuit.target(since_start, reference_time, estimate, self._time_grid, self._c_result.reach)
             if isinstance(target, TooFar):
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
-            sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # Limit the commands of a blocked base, which would otherwise jerk when it is released.
+            sample = target.sample or target.reference.sample(target.time + self._time_grid)
+            # Commands to a blocked base are reduced, so that the robot does not jerk when it comes free.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
-            # The reference has returned invalid samples: use the rest of the last plan instead of raising.
+            # The samples of the reference are invalid; a drive must not raise, so use the rest of the last plan.
             return tick.lib.ddmpc_give_up(self._c), f"the reference cannot be sampled: {error}"
 
     def _solve_with_backend(self, deadline: float | None) -> bool:
@@ -814,7 +818,7 @@ class Controller:
         return is_refused
 
     def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, is_refused: bool) -> StepResult:
-        """Build the step result, with arrays and message, from the result in C."""
+        """Build the step result from the C result; `times` are the start of the call and the solve time [s]."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
         block = layout.copy()
@@ -857,12 +861,12 @@ def _with_speed_limit(config: ControllerConfig, speed: float | None) -> Controll
     limits = config.limits
     if speed is None or speed >= max(limits.v.sides):
         return config
-    lower = {"v": limits.v.map(lambda side: min(side, speed)), "predicted_v": min(limits.predicted_v, speed)}
-    return config.model_copy(update={"limits": limits.model_copy(update=lower)})
+    reduced = {"v": limits.v.map(lambda side: min(side, speed)), "predicted_v": min(limits.predicted_v, speed)}
+    return config.model_copy(update={"limits": limits.model_copy(update=reduced)})
 
 
 def _pairs(commands: ArrayLike) -> FloatArray:
-    """Return commands as an array (K, 2); raise ValueError for a wrong shape or invalid values."""
+    """Convert commands to an array (K, 2); raise ValueError for a wrong shape or invalid values."""
     remedy = "give an array (K, 2) of v_ref [m/s], omega_ref [rad/s]"
     pairs = checked_array("commands", commands, "pairs of numbers", remedy)
     # The comparison is negated so that NaN fails.

@@ -16,12 +16,12 @@ SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 
 
 class Estimate:
-    """Estimate of the filter. The filter's state is (model states, slip, gyro bias, delays, pose).
+    """Estimate of the filter, whose state is (model states, slip, gyro bias, delays, pose).
 
     Parameters
     ----------
     layout, block
-        Layout of the core's result, and a copy of its values; properties are views of this block.
+        Layout of the core's result, and a copy of the result's values; the arrays of the properties are views of it.
     time
         Time of the tick [s].
     """
@@ -32,7 +32,7 @@ class Estimate:
         self._layout, self._block, self.time = layout, block, time
 
     def __repr__(self) -> str:
-        """Return time, pose and twist."""
+        """Return time, pose and twist in one line."""
         (x, y, theta), (v, omega) = self.pose.tolist(), self.twist.tolist()
         return f"Estimate at {self.time:g} s: {x:.3f} m {y:.3f} m {theta:.3f} rad, {v:.3f} m/s {omega:.3f} rad/s"
 
@@ -86,7 +86,7 @@ class Estimate:
     @property
     def gyro_bias(self) -> float:
         """Bias of the gyro [rad/s]."""
-        # The end of the state is the same with flat and with curved slip: bias, two delays, and the pose.
+        # With flat and with curved slip, the last six entries of the state are the bias, two delays and the pose.
         return float(self.mean[-6])
 
     @property
@@ -106,12 +106,9 @@ class Estimate:
 
     @property
     def innovations(self) -> Mapping[str, float]:
-        """Newest squared innovation over its variance [-], by sensor; 1 on average if the noise model is valid."""
-        pairs = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
-        return {sensor: value for sensor, value in pairs if not np.isnan(value)}
-
-
-# Belief of the filter at one tick, including all covariances.
+        """Latest normalised innovation squared [-], by sensor; its mean is 1 if the noise model is valid."""
+        values = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
+        return {sensor: value for sensor, value in values if not np.isnan(value)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +161,7 @@ class Belief:
 
     @property
     def polynomial_covariance(self) -> FloatArray:
-        """(9, 9) first-order covariance of `Slip.polynomial`, the nine terms of Ordonez et al., 2017 (P4)."""
+        """(9, 9) first-order covariance of `Slip.polynomial`, the nine coefficients of Ordonez et al., 2017 (P4)."""
         gradient = self.slip.polynomial_gradient
         return gradient @ self.slip_covariance @ gradient.T
 

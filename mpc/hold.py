@@ -17,7 +17,7 @@ class Hold:
         True if the hold counts as a failure: `failure.resume` and `failure.resume_within` of the configuration then
         determine whether the robot continues by itself when the hold ends. False for a pause.
     waits
-        True if the robot waits for `start` or `resume` after the hold, independent of its duration.
+        True if the robot waits for `start` or `resume` after the hold, whatever the duration of the hold.
     """
 
     reason: str

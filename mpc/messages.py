@@ -13,22 +13,24 @@ from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 _TOLERANCE = 0.1
-"""Tolerated relative deviation of a sensor from the poses [-]."""
+"""Relative deviation of a sensor's motion from that of the poses up to which no fault is assumed [-]."""
 _MIN_COURSE_ANGLE = 15.0
-"""Angle between course and heading that side-slip cannot explain [deg]."""
+"""Angle between course and heading above which side-slip is not the cause [deg]."""
 _MIN_RATIO = 0.35
 """Ratio of wheel distance to pose distance above which the signs of the wheels can be determined [-]."""
 _SCALES = {"yaw rate": "sensors.yaw_rate.scale (57.3 for degrees)", "wheel speed": "sensors.wheels.scale"}
-"""Configuration keys that correct a wrong unit, by sensor."""
+"""Configuration key that corrects a wrong unit, by sensor."""
 
 
 class MessageFormatter:
-    """Formatter of messages about a controller's results.
+    """Formatter of the messages in a controller's results.
 
     Attributes
     ----------
     modes, statuses
-        Modes and solver statuses by their C codes, which are looked up by name.
+        Modes and solver statuses by C code.
+    not_a_new_tick
+        Bits of the reasons for which a call of `step` is not a new tick.
     """
 
     def __init__(self, tick: Tick, config: ControllerConfig) -> None:
@@ -44,16 +46,16 @@ class MessageFormatter:
             lib.DDMPC_OF_POSE: "pose",
         }
         # In the order of ddmpc_subject.
-        self._accused = {
-            lib.DDMPC_WHEELS_ACCUSED: "wheel speed",
-            lib.DDMPC_YAW_RATE_ACCUSED: "yaw rate",
-            lib.DDMPC_POSE_ACCUSED: "pose",
+        self._excluded = {
+            lib.DDMPC_WHEELS_EXCLUDED: "wheel speed",
+            lib.DDMPC_YAW_RATE_EXCLUDED: "yaw rate",
+            lib.DDMPC_POSE_EXCLUDED: "pose",
         }
         self.not_a_new_tick: int = (
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
         self.cause = ""
-        """Reason for the failure after which the robot waits for `start` or `resume`; empty if it is not waiting."""
+        """Reason for the failure after which the robot waits for `start` or `resume`; empty if the robot can drive."""
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
@@ -88,10 +90,10 @@ class MessageFormatter:
             parts.append(f"solve failed: {status}")
         if reasons & lib.DDMPC_LATCHED:
             cause = f" ({self.cause})" if self.cause else ""
-            # The parts at the first tick of the stop name the failure; those of later ticks may not.
+            # Only the parts at the first tick of the stop are certain to name the failure.
             self.cause = self.cause or "; ".join(parts)
             parts.append(f"stopped after a failure{cause}; call start or resume to drive on")
-        # A repeated tick has no other reason, so it says nothing about the stop.
+        # A repeated tick has no other reason, so the stop may continue.
         elif not reasons & lib.DDMPC_TIME_REPEATED:
             self.cause = ""
         return "; ".join(parts)
@@ -100,10 +102,7 @@ class MessageFormatter:
     def _time_messages(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
         return [
             (lib.DDMPC_TIME_FAULTY, _describe_invalid_time),
-            (
-                lib.DDMPC_TIME_REPEATED,
-                _describe_repeated_tick,
-            ),
+            (lib.DDMPC_TIME_REPEATED, _describe_repeated_tick),
             (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
             (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate restarts"),
         ]
@@ -143,16 +142,16 @@ class MessageFormatter:
 
     def unused(self, reasons: int) -> tuple[str, ...]:
         """Return the names of the sensors that are not used because the other sensors contradict them."""
-        return tuple(name for bit, name in self._accused.items() if reasons & bit)
+        return tuple(name for bit, name in self._excluded.items() if reasons & bit)
 
     def _sensor_messages(self, c: Any) -> list[str]:  # noqa: ANN401
-        """Return messages about the comparison of the sensors: unused sensors, and faults to correct."""
+        """Return messages about the sensor comparison: unused sensors, and faults with remedies."""
         lib, messages = self._lib, []
-        for subject, (bit, name) in enumerate(self._accused.items()):
+        for subject, (bit, name) in enumerate(self._excluded.items()):
             if c.reasons & bit:
                 is_repeating = c.repeating >> subject & 1
                 cause = "its readings repeat, and " if is_repeating else ""
-                is_impossible = bool(c.unreal >> subject & 1)
+                is_impossible = bool(c.implausible >> subject & 1)
                 error = "" if is_repeating else _describe_mounting_error(name, c, is_impossible=is_impossible)
                 messages.append(f"{name} not used: {cause}the other sensors contradict it{error}")
         if c.reasons & lib.DDMPC_POSES_SCATTER:

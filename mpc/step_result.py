@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
 LATE = "LATE"
-"""State of a robot that tracks its reference but lags behind it."""
+"""State that replaces `Mode.TRACKING` while the robot lags behind its reference."""
 
 
 class Mode(StrEnum):
@@ -42,7 +42,8 @@ class StepResult:
     mode
         Operating mode.
     message
-        Reasons for the mode and for rejected measurements; empty while tracking on time without rejections.
+        Reasons for the mode and for rejected measurements; empty if the robot tracks on time and no measurement was
+        rejected.
     solver
         Status, method, residuals and iterations of the solve; the status is NOT_RUN if there was no solve.
     progress
@@ -62,7 +63,7 @@ class StepResult:
         Part of `step_time` for linearisation, condensing and solving, including the backend [s]; NaN if there was no
         solve.
     unused_sensors
-        Sensors that are not used because the others contradict them: "wheel speed", "yaw rate", "pose".
+        Sensors that are not used because the other sensors contradict them: "wheel speed", "yaw rate", "pose".
     clearance
         Distance from the robot's footprint to the nearest obstacle [m], negative inside an obstacle, infinity if no
         obstacle is near; NaN if `free_space.enabled` is false or there is no estimate.
@@ -92,7 +93,7 @@ class StepResult:
 
     @property
     def state(self) -> str:
-        """The mode; `LATE` instead of `TRACKING` if `is_late` is True."""
+        """Mode as text; `LATE` instead of `TRACKING` if `is_late` is True."""
         return LATE if self.is_late and self.mode is Mode.TRACKING else str(self.mode)
 
     @property

@@ -11,7 +11,7 @@ from diffdrive_mpc.sim.recorder import Recorder
 
 
 class CompiledLoop:
-    """Loop in C that stops at ticks that need Python.
+    """Loop in C that returns at ticks that need Python.
 
     Parameters
     ----------
@@ -46,15 +46,15 @@ class CompiledLoop:
         self._loop = ffi.new("closed_loop *", fields)
 
     def run(self, k: int) -> tuple[int, ControlStep | None]:
-        """Run ticks from tick `k` on; return the number of the next tick, and its step if the step has been made."""
-        plant, rest = self._plant, self._ticks - k
+        """Run ticks from tick `k` on; return the index of the next tick, and its step if C has already called it."""
+        plant, remaining = self._plant, self._ticks - k
         if not self._tick.is_next():
             return k, None
-        plant.sensors.draw_noise(rest)
-        count = self._lib.closed_loop_run(self._loop, plant.c, plant.sensors.c, k, rest)
+        plant.sensors.draw_noise(remaining)
+        count = self._lib.closed_loop_run(self._loop, plant.c, plant.sensors.c, k, remaining)
         if count:
-            times, done = np.arange(k, k + count) * plant.sample_time, slice(k, k + count)
-            steps = [self._tick.steps[method] for method in self._methods[done].tolist()]
-            self._record.record_ticks(times, steps, self._iterations[done])
+            times, completed = np.arange(k, k + count) * plant.sample_time, slice(k, k + count)
+            steps = [self._tick.steps[method] for method in self._methods[completed].tolist()]
+            self._record.record_ticks(times, steps, self._iterations[completed])
             self._tick.record(float(times[-1]))
-        return k + count, None if count == rest else self._tick.complete(plant.time, self._loop.pending)
+        return k + count, None if count == remaining else self._tick.complete(plant.time, self._loop.pending)

@@ -33,14 +33,16 @@ def simulate(
     lean: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference` from rest at its start pose, plus the start offset of the plant's scenario.
+    """Drive `plant` along `reference`, from rest at the start pose of the reference.
+
+    The scenario of the plant may add a start offset.
 
     Parameters
     ----------
     controller
-        Controller, which receives only measurements, not the true state.
+        Controller; it receives only measurements, not the true state.
     plant
-        Simulated robot, which is reset first.
+        Simulated robot; it is reset at the start.
     reference
         Timed trajectory, whose time 0 is the plant's time 0.
     extra_time
@@ -48,8 +50,8 @@ def simulate(
     keep_plans
         True to store the plan of the controller at each tick.
     lean
-        True to store neither measurements nor computation times. The ticks of a velocity model as plant then run in C,
-        without Python, unless a feature, `keep_plans` or `on_tick` needs Python. Other results are equal bit for bit.
+        True to store neither measurements nor computation times. If the plant is a velocity model, ticks then run in C,
+        unless a feature, `keep_plans` or `on_tick` requires Python. Other results are bitwise equal.
     on_tick
         Function that is called after each tick with the number of finished ticks and the total number.
 
@@ -57,7 +59,8 @@ def simulate(
     -------
     Run
         Run from time 0 to the first tick at or after the end, or until the robot is lost; `ended` then contains the
-        reason. The run of a plant with surroundings continues until its time limit, or until the plant ends it.
+        reason. The run of a plant with surroundings continues until the time limit of the plant, or until the plant
+        ends the run.
 
     Raises
     ------
@@ -73,8 +76,8 @@ def simulate(
     end_time = max(reference.duration + extra_time, surrounded.time_limit if surrounded else 0.0)
     ticks = int(np.ceil((end_time - TIME_TOLERANCE) / plant.sample_time)) + 1
     record = Recorder(ticks, keep_plans=keep_plans, lean=lean)
-    is_plain = lean and not keep_plans and on_tick is None
-    loop = _compiled_loop(controller, plant, record, ticks) if is_plain else None
+    is_compilable = lean and not keep_plans and on_tick is None
+    loop = _compiled_loop(controller, plant, record, ticks) if is_compilable else None
     k, ended = 0, ""
     while k < ticks:
         k, step = (k, None) if loop is None else loop.run(k)

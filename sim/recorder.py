@@ -17,7 +17,7 @@ from diffdrive_mpc.models.interface import (
     solver_method,
 )
 from diffdrive_mpc.models.step_scalars import scalar_row
-from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stack
+from diffdrive_mpc.sim.plants.drivetrain import NO_WORK, MotorWork, motor_work, stack
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
 
@@ -65,7 +65,7 @@ class Recorder:
             self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
         if step.solver is not None:
             self._iterations[k] = step.solver.iterations
-        # A check for the protocol `EstimatingStep` would take longer than the step.
+        # `isinstance` with the protocol `EstimatingStep` would take longer than the step.
         estimate: MotionEstimate | None = getattr(step, "estimate", None)
         if estimate is not None:
             self._estimates[k, :3], self._estimates[k, 3:] = estimate.pose, estimate.twist
@@ -75,9 +75,10 @@ class Recorder:
             self._plans.append(step.plan)
 
     def columns(self, pose: FloatArray, twist: FloatArray, step: ControlStep) -> list[tuple[FloatArray, FloatArray]]:
-        """Pair the arrays of a tick with the tables whose row k receives their values at tick k.
+        """Return pairs of an array with the values of a tick, and of the table whose row k stores them at tick k.
 
-        `pose` (3,) and `twist` (3,) are the true state of the plant; the arrays of `step` change with each tick.
+        `pose` (3,) and `twist` (3,) are the true state of the plant. The controller updates the arrays of `step` in
+        place at each tick.
         """
         estimate: MotionEstimate = step.estimate  # type: ignore[attr-defined]
         return [
@@ -91,16 +92,19 @@ class Recorder:
         ]
 
     def record_ticks(self, times: FloatArray, steps: Sequence[ControlStep], iterations: AnyArray) -> None:
-        """Record the rest of ticks whose rows of `columns` are filled, of a plant without motors."""
+        """Record times, reports and iterations of ticks in C, which have already filled their rows of `columns`.
+
+        The plant has no motors.
+        """
         rows = slice(len(self._reports), len(self._reports) + len(times))
         self._time[rows], self._iterations[rows] = times, iterations
         reports = {id(step): _StepReport.of_step(step) for step in dict.fromkeys(steps)}
         self._reports += [reports[id(step)] for step in steps]
-        self._work += [NOTHING] * len(times)
+        self._work += [NO_WORK] * len(times)
 
     def record_work(self, plant: Plant, *, lost: bool) -> None:
-        """Record the motor work of the sample; `NOTHING` if the robot was `lost` during the sample."""
-        self._work.append(NOTHING if lost else motor_work(plant))
+        """Record the motor work of the sample; `NO_WORK` if the robot was `lost` during the sample."""
+        self._work.append(NO_WORK if lost else motor_work(plant))
 
     def run(self, plant: Plant, reference: Reference, *, ended: str) -> Run:
         """Return the recorded run along `reference`; `ended` is the reason for an early end, otherwise empty."""

@@ -33,8 +33,7 @@ NO_SOLVER = "none"
 class Run(ReadOnlyArrays):
     """Record of a closed-loop run of n ticks.
 
-    Row k belongs to the time of tick k, before the command of this tick is effective. `print(run)` shows the
-    statistics.
+    Row k contains the values at tick k, before the command of the tick is effective. `print(run)` shows the statistics.
 
     Attributes
     ----------
@@ -61,8 +60,8 @@ class Run(ReadOnlyArrays):
     measurements
         Measurements of the controller at each tick, from which the run can be replayed without the plant.
     disturbance
-        Start of the first disturbance, and end of the last disturbance with an end [s], infinity if no disturbance
-        ends; None if there is no disturbance.
+        Start of the first disturbance, and end of the last disturbance that ends during the run [s]; the end is
+        infinite if no disturbance ends. None if there is no disturbance.
     ended
         Reason for an early end of the run in one line; empty if the run did not end early.
     solver_statuses
@@ -78,9 +77,9 @@ class Run(ReadOnlyArrays):
     estimate_deviations
         (n, 5) standard deviations of the estimates.
     plans
-        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, one per sample, starting at the tick; in
-        mode REUSED_PLAN those of the last valid plan, which started earlier. NaN at ticks without a plan; N + 1 = 0 for
-        a controller without prediction. Empty unless `keep_plans=True` was passed to `simulate`.
+        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, one per sample, starting at the tick. In
+        mode REUSED_PLAN, the poses are those of the last valid plan, which started earlier. NaN at ticks without a
+        plan; N + 1 = 0 for a controller without prediction. Empty unless `keep_plans=True` is passed to `simulate`.
     motor_torque, motor_speed, motor_power, motor_square
         (n, 4) true means of each motor until the next tick: torque at the wheel [N m], wheel speed [rad/s], mechanical
         power [W], and square of the torque [N^2 m^2]. The order is front left, front right, rear left, rear right. NaN
@@ -122,7 +121,7 @@ class Run(ReadOnlyArrays):
     parts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill missing fields of solver, estimate, motors and scalars with NaN or empty values."""
+        """Fill missing fields of states, solver, estimate, motors and scalars with default values."""
         count = len(self.time)
         defaults = {
             "states": self.modes,
@@ -140,7 +139,7 @@ class Run(ReadOnlyArrays):
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(n,) mask of the ticks that the statistics cover, from time 0 to the end of the reference."""
+        """(n,) mask of the ticks of the statistics, from time 0 to the end of the reference."""
         return np.asarray(self.time <= self.reference.duration + TIME_TOLERANCE)
 
     @cached_property
@@ -197,9 +196,9 @@ class Run(ReadOnlyArrays):
         the standard deviation of an estimate. Other names correspond to the attributes of `Run`.
         """
         body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
-        uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
+        deviations = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
         wheels = tuple(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr"))
-        numbers = [
+        series = [
             (("t_s",), self.time),
             (("v_ref_m_s", "omega_ref_rad_s"), self.command),
             (("v_wheel_m_s", "omega_wheel_rad_s"), self.wheel_twist),
@@ -212,15 +211,15 @@ class Run(ReadOnlyArrays):
             (_column_names("reference", body), self.reference_pose),
             (_column_names("reference", motion), self.reference_twist),
             (_column_names("estimate", (*body, *motion)), self.estimates),
-            (_column_names("estimate", uncertain), self.estimate_deviations),
+            (_column_names("estimate", deviations), self.estimate_deviations),
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
         finite = np.flatnonzero(np.isfinite(self.scalars).any(axis=0))
         names = tuple(step_scalars())
-        numbers.append((tuple(names[column] for column in finite), self.scalars[:, finite]))
+        series.append((tuple(names[column] for column in finite), self.scalars[:, finite]))
         if np.isfinite(self.motor_torque).any():
-            numbers += [
+            series += [
                 (tuple(f"true_{quantity}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)
                 for quantity, unit, rows in (
                     ("torque", "n_m", self.motor_torque),
@@ -229,7 +228,7 @@ class Run(ReadOnlyArrays):
                 )
             ]
         columns = {
-            name: column for names, rows in numbers for name, column in zip(names, np.atleast_2d(rows.T), strict=True)
+            name: column for names, rows in series for name, column in zip(names, np.atleast_2d(rows.T), strict=True)
         }
         texts = {
             "mode": self.modes,
@@ -278,9 +277,9 @@ class Run(ReadOnlyArrays):
         )
 
     def with_step_time(self, step_time: ArrayLike, solve_time: ArrayLike | None = None) -> Self:
-        """Return the run with times (n,) [s] of a separate timing pass; statistics exclude ticks with NaN.
+        """Return the run with computation times (n,) [s] of a separate run for timing; statistics exclude NaN.
 
-        Raises ValueError if the length differs.
+        Raises ValueError if the number of times is not n.
         """
         times = [
             np.asarray(series, dtype=float)

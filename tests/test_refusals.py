@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.load import load_base_effects, model_path
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -61,7 +61,7 @@ def started_controller():
 
 CALLS = (Case, TrajectoryLimits, WheelKinematics, check_cases, default_settings, load_base_effects, load_scenario)
 CALLS += (load_sensor_set, load_surface, parse_seeds, plan_cases, read_yaml, write_model, written, scaled_matrix)
-CALLS += (single_settings, started_controller, sweep_settings)
+CALLS += (parse_single_settings, started_controller, sweep_settings)
 NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__}
 NAMES |= {function.__name__: function for function in CALLS} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
 NAMES |= {"X": np.sin(0.5 * TIMES), "Y": 1.0 - np.cos(0.5 * TIMES), "SYSTEM": control.tf([1.0], [0.1, 1.0])}

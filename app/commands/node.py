@@ -34,7 +34,7 @@ def node(
 
     Arguments after `--ros-args` are passed to ROS, for example remappings and parameters.
     """
-    from diffdrive_mpc.mpc.config.typed_settings import single_settings  # noqa: PLC0415 - --help does not need it
+    from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
     from diffdrive_mpc.mpc.trajectories.load import trajectory_file  # noqa: PLC0415
 
@@ -42,7 +42,7 @@ def node(
     node_settings = NodeSettings(
         config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive
     )
-    overrides = single_settings(settings or [])
+    overrides = parse_single_settings(settings or [])
     if trajectory and not trajectory.startswith("spline-"):
         trajectory_file(trajectory)
     from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy

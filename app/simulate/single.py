@@ -21,10 +21,10 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.run_row import RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings
 from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
-from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
+from diffdrive_mpc.mpc.trajectories.speed_check import describe_tight_turns
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -88,7 +88,7 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
         raise ConfigError(f"the controller '{name}' does not accept --model, --config or --set")
     model = NO_MODEL if name in PEERS else select_model(model, config)
     file = None if config is None else str(config)
-    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
+    return Case(**{**values, "model": model}, config=file, overrides=parse_single_settings(settings), scaled=scaled)
 
 
 def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:
@@ -102,7 +102,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
         reference = outcome.run.reference
         shortfall = find_shortfall(reference, config, predicting_model(config, None))
-        for remark in (shortfall, sharper_than_commands(reference, config.limits, config.sample_time)):
+        for remark in (shortfall, describe_tight_turns(reference, config.limits, config.sample_time)):
             if remark:
                 console.print(str(remark), markup=False, highlight=False)
     for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):

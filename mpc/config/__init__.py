@@ -1,1 +1,1 @@
-"""Configuration of a controller: typed schema, reading of files, and the built-in configurations."""
+"""Configuration of a controller: schema, loading of files, and built-in configurations."""

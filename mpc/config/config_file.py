@@ -1,4 +1,4 @@
-"""Loading of a controller's configuration from a YAML file, and replacement of single values by key."""
+"""Loading of a controller's configuration from a file, and replacement of single values by key."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.two_sided import SIDES
-from diffdrive_mpc.mpc.config.former_keys import with_present_names
-from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
+from diffdrive_mpc.mpc.config.former_keys import rename_former_keys
+from diffdrive_mpc.mpc.config.rooms import merge_sections, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
-_FAST_TURN = 15.0
-"""Yaw rate above which a limit is probably in degrees [rad/s]."""
+"""Folder of the built-in configurations."""
+_MAX_PLAUSIBLE_OMEGA = 15.0
+"""Yaw rate limit above which the value is probably in degrees per second [rad/s]."""
 
 
 @checked_call()
@@ -35,8 +36,8 @@ def load_config(
     ----------
     source
         Name of a built-in configuration such as "mbm", "sm" or "ssm"; path of a YAML file; keys and values of such a
-        file, for instance from `identify`; or a configuration. Relative paths in a file (of a model, a term or a
-        feature's file) are relative to the folder of that file.
+        file, for instance from `identify`; or a configuration. Relative paths in a file (of a model, a term or a file
+        of a feature) are relative to the folder of that file.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; the prefix ``expert.`` is
         optional.
@@ -53,7 +54,7 @@ def load_config(
     if isinstance(source, ControllerConfig):
         return replace_values(source, overrides) if overrides else source
     if isinstance(source, Mapping):
-        return _check_config(_apply_overrides(side_by_side(source), overrides), "configuration")
+        return _check_config(_apply_overrides(merge_sections(source), overrides), "configuration")
     if not isinstance(source, (str, Path)):
         raise wrong_type(
             "configuration",
@@ -68,7 +69,7 @@ def load_config(
     if "structure" in data:
         raise ConfigError(f"{path}: a model, not a configuration; give it by --model, or as 'model' in a configuration")
     where = path.stem if path.stem == str(source) else str(path)
-    config = _check_config(_apply_overrides(side_by_side(data, where), overrides), where)
+    config = _check_config(_apply_overrides(merge_sections(data, where), overrides), where)
     local = path.parent / config.model
     if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(local):
         config = config.model_copy(update={"model": str(local)})
@@ -102,7 +103,7 @@ def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) ->
 def _check_config(values: Mapping[str, object], where: str) -> ControllerConfig:
     config = check(ControllerConfig, values, where, shown_key)
     fastest = max(config.limits.omega.sides)
-    if fastest > _FAST_TURN:
+    if fastest > _MAX_PLAUSIBLE_OMEGA:
         degrees = f"if it is in degrees, give {np.radians(fastest):.3g}"
         message = f"{where}: limits.omega = {fastest:g} rad/s is {fastest / (2 * np.pi):.1f} turns a second; {degrees}"
         warnings.warn(message, UnusualValueWarning, stacklevel=4)
@@ -110,21 +111,22 @@ def _check_config(values: Mapping[str, object], where: str) -> ControllerConfig:
 
 
 def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
-    replaced = dict(data)
+    result = dict(data)
     for key, value in (overrides or {}).items():
-        replaced = _with_value(replaced, plain_key(key).split("."), value, key)
-    return with_present_names(replaced)
+        result = _with_value(result, plain_key(key).split("."), value, key)
+    return rename_former_keys(result)
 
 
-def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:
-    first, *rest = keys
-    if not rest:
+def _with_value(data: Mapping[str, Any], keys: list[str], value: object, dotted_key: str) -> dict[str, Any]:
+    """Return `data` with the value at the nested `keys` replaced; `dotted_key` is the name of the key in messages."""
+    first, *inner_keys = keys
+    if not inner_keys:
         # NumPy numbers, such as those of `np.arange`, are converted to Python numbers for the schema.
         return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
-    # A side of a limit that was given as one number for both sides.
-    if rest[0] in SIDES and isinstance(inner, (int, float)):
-        inner = dict.fromkeys(SIDES[rest[0]], inner)
+    # The key is a side of a limit that is given as one number for both sides.
+    if inner_keys[0] in SIDES and isinstance(inner, (int, float)):
+        inner = dict.fromkeys(SIDES[inner_keys[0]], inner)
     if not isinstance(inner, Mapping):
-        raise ConfigError(f"configuration: unknown key '{whole}': '{first}' holds one value, not a group")
-    return {**data, first: _with_value(inner, rest, value, whole)}
+        raise ConfigError(f"configuration: unknown key '{dotted_key}': '{first}' holds one value, not a group")
+    return {**data, first: _with_value(inner, inner_keys, value, dotted_key)}

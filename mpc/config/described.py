@@ -1,4 +1,4 @@
-"""Descriptions of configuration keys from the schema: table rows, and YAML with comments."""
+"""Descriptions of configuration keys from the schema, as table rows and as YAML with comments."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 
 @dataclass(frozen=True)
 class FieldRow:
-    """Key of the schema, formatted as a table row."""
+    """Table row of a key: dotted key, default, unit, range and description."""
 
     key: str
     default: str
@@ -46,7 +46,7 @@ def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") ->
 
 def feature_rows() -> list[FieldRow]:
     """Return a row for every configuration key of installed features."""
-    groups = ControllerConfig.further_groups()
+    groups = ControllerConfig.feature_schemas()
     return [row for name, schema in groups.items() for row in _rows(schema, f"{EXPERT}.{name}.")]
 
 
@@ -117,7 +117,7 @@ def _group(kind: object) -> type[BaseModel] | None:
 
 
 def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
-    """Split "description [unit]" into both parts; the unit is empty if there are no brackets at the end."""
+    """Split "description [unit]" into description and unit; the unit is empty if there are no brackets at the end."""
     match = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
     return (match[1], match[2]) if match else (field.description or "", "")
 

@@ -27,8 +27,8 @@ def _schema(name: str) -> type[FeatureGroup]:
     return schema
 
 
-def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
-    """Return the groups of features by name, checked against their schemas.
+def validate_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
+    """Validate the groups of features against their schemas, and return them by name.
 
     A disabled group, such as `{enabled: false}`, is omitted if its feature is not installed.
 
@@ -39,7 +39,7 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     ValueError
         If a group enables a feature that is not installed; the message names the package.
     """
-    checked: dict[str, FeatureGroup] = {}
+    valid_groups: dict[str, FeatureGroup] = {}
     details: list[InitErrorDetails] = []
     for name, values in groups.items():
         if name not in plug_in_names("features"):
@@ -47,12 +47,12 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
                 continue
             raise ValueError(f"{missing_part('features', name)}; or remove expert.{name}")
         try:
-            checked[name] = _schema(name).model_validate(values)
+            valid_groups[name] = _schema(name).model_validate(values)
         except ValidationError as error:
-            details += [_in_group(name, detail) for detail in error.errors()]
+            details += [_relocate(name, detail) for detail in error.errors()]
     if details:
         raise ValidationError.from_exception_data("features", details)
-    return checked
+    return valid_groups
 
 
 def is_disabled(values: object) -> bool:
@@ -62,7 +62,7 @@ def is_disabled(values: object) -> bool:
     return not values["enabled"] if "enabled" in values else not any(values.values())
 
 
-def _in_group(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
-    """Convert error details of a group to error details of the whole configuration."""
-    located = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
-    return located | {"ctx": detail["ctx"]} if "ctx" in detail else located
+def _relocate(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
+    """Convert error details of the group `name` to error details of the whole configuration."""
+    details = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
+    return details | {"ctx": detail["ctx"]} if "ctx" in detail else details

@@ -1,8 +1,8 @@
 """Constants that are the same for all robots.
 
-`fixed_values.yaml` contains constants that were configuration keys. This module defines thresholds of re-entry for
-Python and the core. `sensor_test.yaml` contains thresholds of the sensor test, and `core_thresholds.yaml` contains
-thresholds of single measurements.
+`fixed_values.yaml` contains constants that were configuration keys. `sensor_test.yaml` contains thresholds of the
+sensor test, and `core_thresholds.yaml` thresholds for the validity of single measurements. This module defines
+thresholds of re-entry that Python and the core share.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ def fixed_values() -> Mapping[str, float]:
 
 
 STANDING = 0.02
-"""Speed below which a reference is at standstill [m/s]; its direction of travel is then that of its next motion."""
+"""Speed below which a reference is at standstill [m/s]; its direction of travel is then that of the next motion."""
 TURNING = 0.05
 """Yaw rate above which a reference at standstill turns on the spot [rad/s]."""
 BEHIND = 3.0
-"""Distance behind the reference, divided by `reentry.wait`, beyond which the robot was displaced [-].
+"""Ratio of the distance behind the reference to `reentry.wait` above which the robot counts as displaced [-].
 
-A lag of twice `reentry.wait` is normal, since the reference then waits.
+A ratio up to 2 is normal, since the reference waits for a lagging robot.
 """
 AHEAD = 1.5
-"""Distance ahead of the reference, divided by `reentry.wait`, beyond which the robot was displaced [-]."""
+"""Ratio of the distance ahead of the reference to `reentry.wait` above which the robot counts as displaced [-]."""

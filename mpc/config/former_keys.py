@@ -1,4 +1,4 @@
-"""Conversion of configurations of earlier versions: renamed keys, and keys that became constants or list entries."""
+"""Conversion of configurations of earlier versions: renamed keys, and keys that are now constants or list entries."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if g
 """Kinds of slip that are configured as lists in the group `estimator`."""
 _FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 _ENTRIES = ("", "_uncertainty", "_drift")
-"""Suffixes of the former keys of a curved slip, in the order of the present list."""
+"""Suffixes of the former keys of a curved slip, in the order of the entries of the list that replaced them."""
 _REMOVED_GROUPS = {"online_dead_time": "the filter estimates unknown delays"}
 """Replacements of removed groups, by the name of the group."""
 
 
 @cache
 def former_keys() -> Mapping[str, str]:
-    """Return the present names of keys by their former names; for keys that became constants see `fixed_values`."""
+    """Return the current names of keys by their former names; keys that became constants are in `fixed_values`."""
     data: dict[str, str] = read_yaml(Path(__file__).with_name("former_keys.yaml"))
     return data
 
 
-def present_place(key: str) -> str:
-    """Return the replacement of a former key for a message; empty for a present key."""
-    present = former_keys().get(key, key)
-    if present in fixed_values():
-        return f"the constant {present} in {FILE}"
+def current_place(key: str) -> str:
+    """Return the replacement of a former key, for a message; empty for a key that has not changed."""
+    current = former_keys().get(key, key)
+    if current in fixed_values():
+        return f"the constant {current} in {FILE}"
     group, _, name = key.partition(".")
     for entry, ending in enumerate(_ENTRIES[1:], start=2):
         if group == "estimator" and name.removesuffix(ending) in CURVED_SLIPS and name.endswith(ending):
             return f"entry {entry} of expert.estimator.{name.removesuffix(ending)}"
-    return "" if present == key else present
+    return "" if current == key else current
 
 
 def removed_message(key: str) -> str:
@@ -46,7 +46,7 @@ def removed_message(key: str) -> str:
 
 
 def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the configuration without disabled groups that no longer exist."""
+    """Return the configuration without removed groups that are disabled."""
     return {
         name: values
         for name, values in data.items()
@@ -54,8 +54,8 @@ def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def with_present_names(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
-    """Rename former keys of a merged configuration, and drop keys that became constants.
+def rename_former_keys(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
+    """Rename former keys of a merged configuration, and remove keys that became constants.
 
     Raises
     ------
@@ -67,27 +67,27 @@ def with_present_names(data: Mapping[str, Any], where: str = "configuration") ->
         values = data[group]
         key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group
         raise ConfigError(f"{where}: {removed_message(key)}")
-    present = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
-    # Renaming comes before `_drop_constants`, since a constant may be given by its former name.
+    current = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
+    # The renaming precedes `_drop_constants`, since a constant may be given by its former name.
     for old, new in former_keys().items():
         group, name = old.split(".")
-        if isinstance(present.get(group), dict) and name in present[group]:
-            value = present[group].pop(name)
+        if isinstance(current.get(group), dict) and name in current[group]:
+            value = current[group].pop(name)
             *groups, name = new.split(".")
-            level = present
+            level = current
             for inner in groups:
                 level = level.setdefault(inner, {})
             level.setdefault(name, value)
-    # The keys of this group moved to another group; an empty group would be an unknown key.
-    if present.get("drivable") == {}:
-        del present["drivable"]
-    _drop_constants(present, where)
-    if isinstance(present.get("estimator"), dict):
-        _join_curved_slips(present["estimator"])
-    solver = present.get("solver")
+    # The keys of this group have moved to another group, and the empty group would be an unknown key.
+    if current.get("drivable") == {}:
+        del current["drivable"]
+    _drop_constants(current, where)
+    if isinstance(current.get("estimator"), dict):
+        _join_curved_slips(current["estimator"])
+    solver = current.get("solver")
     if isinstance(solver, dict) and _FORMER_SOLVER & solver.keys():
-        present["solver"] = _with_method(solver)
-    return present
+        current["solver"] = _with_method(solver)
+    return current
 
 
 def _drop_constants(data: dict[str, Any], where: str) -> None:
@@ -110,18 +110,18 @@ def _join_curved_slips(estimator: dict[str, Any]) -> None:
         whole = estimator.get(slip)
         if not former or (len(former) == 1 and isinstance(whole, list)):
             continue
-        joined = whole if isinstance(whole, list) else [0.0, 0.0, 0.0]
+        new_values = whole if isinstance(whole, list) else [0.0, 0.0, 0.0]
         values = {entry: estimator.pop(key) for entry, key in former.items()}
         values = {entry: value for entry, value in values.items() if not isinstance(value, list)}
-        estimator[slip] = [values.get(entry, value) for entry, value in enumerate(joined)]
+        estimator[slip] = [values.get(entry, value) for entry, value in enumerate(new_values)]
 
 
 def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `solver` with `method` instead of the former strategy and backend, and with the group `osqp`."""
-    joined = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
+    """Replace the former keys `strategy`, `backend` and `check_every` by `method` and the group `osqp`."""
+    new_values = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
     if solver.keys() & {"strategy", "backend"}:
         strategy = solver.get("strategy", "auto")
-        joined["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
-    if "check_every" in solver and isinstance(joined.get("osqp", {}), Mapping):
-        joined["osqp"] = {**joined.get("osqp", {}), "check_termination": solver["check_every"]}
-    return joined
+        new_values["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
+    if "check_every" in solver and isinstance(new_values.get("osqp", {}), Mapping):
+        new_values["osqp"] = {**new_values.get("osqp", {}), "check_termination": solver["check_every"]}
+    return new_values

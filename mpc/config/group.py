@@ -13,16 +13,16 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
 MIN_SIZE, MAX_SIZE = 1e-12, 1e12
-"""Range of absolute values in a configuration, in any unit; values outside are mistakes and could overflow."""
+"""Range of absolute values in a configuration, in any unit; values outside are errors and could overflow."""
 
 
 class Group(StrictModel, strict=True):
-    """Base of all groups, without implicit conversions such as `true` to 1."""
+    """Base of all groups; implicit conversions, such as `true` to 1, are rejected."""
 
     @field_validator("*", mode="after")
     @classmethod
     def _check_size(cls, value: object) -> object:
-        """Check that a number is zero or within `MIN_SIZE` and `MAX_SIZE`, so that products cannot overflow."""
+        """Check that a number is zero or between `MIN_SIZE` and `MAX_SIZE`, so that products cannot overflow."""
         numbers = getattr(value, "sides", (value,)) if isinstance(value, float) else ()
         if any(number != 0.0 and not MIN_SIZE <= abs(number) <= MAX_SIZE for number in numbers):
             raise ValueError(f"give zero, or an absolute value from {MIN_SIZE:g} to {MAX_SIZE:g}, in the field's unit")
@@ -34,7 +34,7 @@ class FeatureGroup(Group):
 
     @property
     def is_enabled(self) -> bool:
-        """True if the controller attaches the feature; the value of the field `enabled` if it exists."""
+        """True if the controller attaches the feature: value of the field `enabled`, or True if there is none."""
         return bool(getattr(self, "enabled", True))
 
     def relative_to(self, folder: Path) -> Self:

@@ -1,7 +1,7 @@
-"""The two sections of a configuration: keys for users, and under `expert:` rarely changed keys and features.
+"""The two sections of a configuration: user keys, and expert keys, which are rarely changed, under `expert:`.
 
-Files, `config show`, documents and the node's parameters have both sections; inside the program and in records of runs,
-the groups of both sections are merged.
+Files, `config show`, documents and the node's parameters have both sections. `ControllerConfig` and records of runs
+merge the groups of both sections.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from diffdrive_mpc.models.checked_yaml import ConfigError, merge_mappings
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc.config.feature_groups import is_feature
-from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place, with_present_names
+from diffdrive_mpc.mpc.config.former_keys import current_place, former_keys, rename_former_keys
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 EXPERT = "expert"
@@ -50,11 +50,11 @@ USER = (
     "fence",
     "terms",
 )
-"""Keys of the first section, with the name of a group for all of its keys; all other keys are under `expert:`."""
+"""Keys of the user section; the name of a group stands for all of its keys. All other keys are under `expert:`."""
 
 
 def is_for_users(key: str) -> bool:
-    """Return True if a dotted key belongs to the first section."""
+    """Return True if a dotted key belongs to the user section."""
     return any(key == user_key or key.startswith((f"{user_key}.", f"{user_key}[]")) for user_key in USER)
 
 
@@ -66,8 +66,8 @@ def shown_key(key: str) -> str:
         return key
     if group not in ControllerConfig.model_fields:
         return f"{EXPERT}.{key}" if is_feature(group) else key
-    # An unknown name in a group of both sections keeps its place.
-    known = key in _LEAVES or not any(user_key.startswith(f"{group}.") for user_key in USER)
+    # An unknown key of a group that is in both sections keeps its form.
+    known = key in _ALL_KEYS or not any(user_key.startswith(f"{group}.") for user_key in USER)
     return f"{EXPERT}.{key}" if known else key
 
 
@@ -77,34 +77,34 @@ def plain_key(key: str) -> str:
     return former_keys().get(inner, inner)
 
 
-def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Merge the values of a file, in two sections or in the former layout, into the layout of `ControllerConfig`.
+def merge_sections(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """Convert the values of a file, in two sections or in the former layout, to the layout of `ControllerConfig`.
 
-    If `where` is the name of the file, each key in a former place causes one FormerNameWarning with its new place.
+    If `where` is the name of the file, each key in a former place causes a FormerNameWarning with its new place.
 
-    Raises ConfigError if a value is given twice, a user's key is under `expert`, a group is not a mapping, or a former
-    key has another value than the constant that replaced it.
+    Raises ConfigError if a value is given twice, a user key is under `expert`, a group is not a mapping, or the value
+    of a former key differs from the constant that replaced the key.
     """
     first = {key: value for key, value in data.items() if key != EXPERT}
     inner = data.get(EXPERT)
     if inner is not None and not isinstance(inner, Mapping):
         raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
-    _check_rooms(first, second, where or "configuration")
-    flat = with_present_names(merge_mappings(first, second), where or "configuration")
+    _check_sections(first, second, where or "configuration")
+    flat = rename_former_keys(merge_mappings(first, second), where or "configuration")
     if where:
-        for key, place in _new_places(first, second).items():
+        for key, place in _moved_keys(first, second).items():
             message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file in its present form"
             warnings.warn(message, FormerNameWarning, stacklevel=3)
     return flat
 
 
-def _new_places(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
-    """Return the present place of each key of an earlier file whose place has changed, by its former place."""
+def _moved_keys(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
+    """Return the current place of each key of a file that has moved, by its former place."""
     moved: dict[str, str] = {}
-    for prefix, room in (("", first), (f"{EXPERT}.", second)):
-        for key, _ in _leaves(room):
-            place = present_place(key) or key
+    for prefix, section in (("", first), (f"{EXPERT}.", second)):
+        for key, _ in _leaves(section):
+            place = current_place(key) or key
             shown = shown_key(place) if place == plain_key(key) else place
             if shown != f"{prefix}{key}" and not (prefix and shown == key):
                 moved[f"{prefix}{key}"] = shown
@@ -112,22 +112,22 @@ def _new_places(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str
     return moved
 
 
-def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
+def _check_sections(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError if a value of one section would replace a value of the other section."""
     for group in first.keys() & second.keys():
-        for prefix, room in (("", first), (f"{EXPERT}.", second)):
-            if not isinstance(room[group], Mapping):
+        for prefix, section in (("", first), (f"{EXPERT}.", second)):
+            if not isinstance(section[group], Mapping):
                 raise ConfigError(f"{where}: {prefix}{group}: expected groups of keys below it")
-    stated: dict[str, str] = {}
-    for prefix, room in (("", first), (f"{EXPERT}.", second)):
-        for key, _ in _leaves(room):
+    places: dict[str, str] = {}
+    for prefix, section in (("", first), (f"{EXPERT}.", second)):
+        for key, _ in _leaves(section):
             plain = plain_key(key)
-            if plain in stated:
-                raise ConfigError(f"{where}: {plain} is given twice, as {stated[plain]} and {prefix}{key}; remove one")
+            if plain in places:
+                raise ConfigError(f"{where}: {plain} is given twice, as {places[plain]} and {prefix}{key}; remove one")
             if prefix and is_for_users(plain):
                 raise ConfigError(f"{where}: {prefix}{key}: write it outside '{EXPERT}', as {plain}")
-            stated[plain] = f"{prefix}{key}"
-    if "solver.method" in stated and stated.keys() & {"solver.strategy", "solver.backend"}:
+            places[plain] = f"{prefix}{key}"
+    if "solver.method" in places and places.keys() & {"solver.strategy", "solver.backend"}:
         raise ConfigError(f"{where}: solver.method replaces strategy and backend; leave these out")
 
 
@@ -139,4 +139,4 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-_LEAVES = frozenset(key for key, _ in _leaves(ControllerConfig().model_dump()))
+_ALL_KEYS = frozenset(key for key, _ in _leaves(ControllerConfig().model_dump()))

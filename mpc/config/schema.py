@@ -22,7 +22,7 @@ from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.errors import ArgumentError
 from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit
-from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
+from diffdrive_mpc.mpc.config.feature_groups import installed_schemas, is_feature, validate_groups
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
 from diffdrive_mpc.mpc.config.solver import Solver
@@ -208,7 +208,7 @@ class SensorResponses(Group):
 
 
 class Compensation(Group):
-    """Effects that the controller compensates. All are recommended; an effect is disabled to measure its benefit."""
+    """Effects that the controller compensates; all are recommended, and each can be disabled to measure its benefit."""
 
     dead_time: bool = Field(True, description="compensation of the dead time of model file and extra_dead_time [-]")
     delay: bool = Field(True, description="estimation of command delays in addition to those of the model [-]")
@@ -217,7 +217,7 @@ class Compensation(Group):
     side_slip: bool = Field(True, description="estimation of side-slip and turning point [-]")
 
 
-_FLAT = [0.0, 0.0, 0.0]
+_NO_CURVED_SLIP = [0.0, 0.0, 0.0]
 
 
 def _check_slip(values: list[float]) -> list[float]:
@@ -228,7 +228,7 @@ def _check_slip(values: list[float]) -> list[float]:
 
 
 CurvedSlip = Annotated[list[float], Field(min_length=3, max_length=3), AfterValidator(_check_slip)]
-"""Initial value, standard deviation and random walk per sqrt(s) of a curved slip."""
+"""Initial value, standard deviation, and random walk per sqrt(s) of a parameter of curved slip."""
 
 
 class Estimator(Group):
@@ -306,15 +306,15 @@ class Estimator(Group):
     slide_drift: NotNegative = Field(
         0.001, description="random walk of the slide per radian of turn [m/rad per sqrt(s)]"
     )
-    crab: CurvedSlip = Field(_FLAT, description="ratio of lateral speed to the left to forward speed [-]")
-    veer: CurvedSlip = Field(_FLAT, description="yaw angle per wheel distance [rad/m]")
+    crab: CurvedSlip = Field(_NO_CURVED_SLIP, description="ratio of lateral speed to the left to forward speed [-]")
+    veer: CurvedSlip = Field(_NO_CURVED_SLIP, description="yaw angle per wheel distance [rad/m]")
     forward_coupling: CurvedSlip = Field(
-        _FLAT, description="ratio of forward speed to the product of the wheels' speed and yaw rate [s/rad]"
+        _NO_CURVED_SLIP, description="ratio of forward speed to the product of the wheels' speed and yaw rate [s/rad]"
     )
     yaw_coupling: CurvedSlip = Field(
-        _FLAT, description="ratio of yaw rate to the product of the wheels' speed and yaw rate [s/m]"
+        _NO_CURVED_SLIP, description="ratio of yaw rate to the product of the wheels' speed and yaw rate [s/m]"
     )
-    track_growth: CurvedSlip = Field(_FLAT, description="relative growth of the track per yaw rate [s/rad]")
+    track_growth: CurvedSlip = Field(_NO_CURVED_SLIP, description="relative growth of the track per yaw rate [s/rad]")
     lasting_surprise: Positive = Field(
         0.6, description="duration of large innovations after which the filter learns them as slip [s]"
     )
@@ -329,7 +329,7 @@ class Estimator(Group):
     )
 
     def start(self, slip: str) -> float:
-        """Return the initial value of a curved slip."""
+        """Return the initial value of a parameter of curved slip."""
         return float(getattr(self, slip)[0])
 
     def uncertainty(self, slip: str) -> float:
@@ -362,7 +362,7 @@ class Monitor(Group):
 
 
 class Failure(Group):
-    """Behaviour after a failed solve or a loss of measurements."""
+    """Response to failed solves and missing measurements."""
 
     max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
         5, description="maximum number of ticks for which the last valid plan is used after a failed solve [-]"
@@ -386,7 +386,7 @@ class Failure(Group):
     )
 
 
-Place = Annotated[float, Field(ge=-1e6, le=1e6)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class Fence(Group):
@@ -403,8 +403,8 @@ class Fence(Group):
         "start",
         description="frame of the rectangle: start pose of the reference, or frame of the poses [-]",
     )
-    x: Place = Field(0.0, description="x of the centre of the rectangle in `frame` [m]")
-    y: Place = Field(0.0, description="y of the centre of the rectangle in `frame` [m]")
+    x: Coordinate = Field(0.0, description="x of the centre of the rectangle in `frame` [m]")
+    y: Coordinate = Field(0.0, description="y of the centre of the rectangle in `frame` [m]")
     heading: Annotated[float, Field(ge=-7, le=7)] = Field(
         0.0, description="heading of the rectangle in `frame`, positive to the left [rad]"
     )
@@ -540,11 +540,11 @@ class ControllerConfig(Group):
         if not isinstance(data, Mapping):
             return data
         groups = {name: data[name] for name in data if name not in cls.model_fields and is_feature(name)}
-        given_features = data.get("features", {})
-        if not isinstance(given_features, Mapping) or not (groups or given_features):
+        features = data.get("features", {})
+        if not isinstance(features, Mapping) or not (groups or features):
             return data
-        rest = {name: value for name, value in data.items() if name not in groups}
-        return rest | {"features": checked_groups({**given_features, **groups})}
+        other_values = {name: value for name, value in data.items() if name not in groups}
+        return other_values | {"features": validate_groups({**features, **groups})}
 
     @model_serializer(mode="wrap")
     def _dump(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -553,7 +553,7 @@ class ControllerConfig(Group):
         return {**data, **features}
 
     @classmethod
-    def further_groups(cls) -> Mapping[str, type[FeatureGroup]]:
+    def feature_schemas(cls) -> Mapping[str, type[FeatureGroup]]:
         """Return the schemas of installed features by name."""
         return installed_schemas()
 

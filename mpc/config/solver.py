@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc.config.group import Group
 
 
 class Osqp(Group):
-    """Settings of OSQP, with the names of OSQP; used if `solver.method` is osqp."""
+    """Settings of OSQP under the names of OSQP, used if `solver.method` is osqp."""
 
     eps_abs: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-6, description="absolute tolerance on the residuals of OSQP [-]"
@@ -61,5 +61,5 @@ class Solver(Group):
 
     @property
     def backend(self) -> str:
-        """Solver for ticks in which the methods of the core are disabled or do not prove optimality."""
+        """Name of the solver for ticks in which the methods of the core are disabled or do not prove optimality."""
         return "daqp" if self.method == "auto" else self.method

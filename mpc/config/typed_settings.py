@@ -15,21 +15,21 @@ def parse_setting(text: str) -> tuple[str, list[object]]:
 
     Raises ConfigError if the key or the value is missing, or the values are not valid YAML.
     """
-    key, equals, listed = text.partition("=")
-    if not equals or not key.strip() or not listed.strip():
+    key, equals, value_list = text.partition("=")
+    if not equals or not key.strip() or not value_list.strip():
         raise ConfigError(f"--set {text}: write KEY=VALUE or KEY=V1,V2,..., for instance weights.across=100,200")
     try:
-        values = parse_yaml(f"[{listed}]")
+        values = parse_yaml(f"[{value_list}]")
     except yaml.YAMLError as error:
-        raise ConfigError(f"--set {text}: '{listed}' is not a list of values separated by commas") from error
+        raise ConfigError(f"--set {text}: '{value_list}' is not a list of values separated by commas") from error
     if not values or any(isinstance(value, (list, dict)) for value in values):
         raise ConfigError(f"--set {text}: each value must be a number, a word, true or false; groups have dotted keys")
     if plain_key(key.strip()) == "model":
         raise ConfigError(f"--set {text}: select models with --model (simulate) or --models (bench)")
-    return key.strip(), [_number(value) for value in values]
+    return key.strip(), [_to_number(value) for value in values]
 
 
-def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
+def parse_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
     """Parse several settings and return their keys and values in the order of `texts`.
 
     Raises ConfigError for the reasons of `parse_setting`, and if a key or a value is given twice.
@@ -44,16 +44,19 @@ def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
     return parsed
 
 
-def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
-    """Parse settings with one value each, for `simulate`; raises ConfigError as `parsed_settings`."""
-    parsed = parsed_settings(texts)
+def parse_single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
+    """Parse settings with one value each, for `simulate`.
+
+    Raises ConfigError for the reasons of `parse_settings`, and if a setting has several values.
+    """
+    parsed = parse_settings(texts)
     if any(len(values) > 1 for _, values in parsed):
         raise ConfigError("--set: give one value per key; to compare several values use 'bench'")
     return tuple((key, values[0]) for key, values in parsed)
 
 
-def _number(value: object) -> object:
-    """Convert text such as 1e-3 to a number; YAML 1.1 does not treat it as a number because it has no dot."""
+def _to_number(value: object) -> object:
+    """Convert text such as 1e-3 to a number; YAML 1.1 parses it as text because it has no dot."""
     if isinstance(value, str):
         try:
             return float(value)

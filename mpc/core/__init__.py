@@ -1,1 +1,1 @@
-"""The compiled core: hand-written C for algebra and state, generated C for all formulas, and the library's loader."""
+"""Compiled core: hand-written C code for algebra and state, generated C code for all formulas, and loading of both."""

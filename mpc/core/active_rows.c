@@ -7,17 +7,17 @@
 enum { LANES = DDMPC_LANES };
 
 /* Minimum number of columns for which a batch is faster than single columns. */
-enum { SIDE_BY_SIDE = 3 };
+enum { MIN_BATCH = 3 };
 
-/* A row counts as linearly dependent if less than this share of its squared norm remains after elimination: about 30
- * rounding errors in single precision, and 5000 in double precision, which leaves enough digits for a large margin. */
+/* Share of the squared norm of a row that remains after elimination, below which the row counts as linearly dependent:
+ * about 30 rounding errors in single precision, and 5000 in double precision, which has enough digits for a margin. */
 #ifdef DDMPC_FLOAT
-static const real DEPENDENT = R(4e-6);
+static const real DEPENDENCE_TOLERANCE = R(4e-6);
 #else
-static const real DEPENDENT = R(1e-12);
+static const real DEPENDENCE_TOLERANCE = R(1e-12);
 #endif
 
-int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory)
+int ddmpc_init_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory)
 {
     const int n = problem->inputs, m = problem->rows, slots = DDMPC_LIMITED_SLOTS(memory->max_active);
     const int whole = ddmpc_whole_lanes(n);
@@ -38,12 +38,12 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
     rows->line = rows->z + whole;
     rows->pivot = rows->line + whole;
     rows->partial = rows->pivot + slots;
-    rows->wanted = rows->partial + slots;
-    rows->multiplier = rows->wanted + slots;
+    rows->solution = rows->partial + slots;
+    rows->multiplier = rows->solution + slots;
     rows->step = rows->multiplier + slots;
-    rows->spread = rows->step + slots;
-    rows->start = rows->spread + slots;
-    rows->now = rows->start + m;
+    rows->slot_multipliers = rows->step + slots;
+    rows->start = rows->slot_multipliers + slots;
+    rows->values = rows->start + m;
     rows->slot_of = memory->ints;
     rows->state = rows->slot_of + m;
     rows->row_in = rows->state + m;
@@ -58,13 +58,13 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
         if (!(diagonal > R(0.0) && diagonal < DDMPC_LARGEST && ddmpc_fabs(problem->minimiser[i]) < DDMPC_LARGEST))
             return 0;
         rows->inverse[i] = R(1.0) / diagonal;
-        rows->largest_input = ddmpc_max(rows->largest_input, ddmpc_fabs(problem->minimiser[i]));
+        rows->max_input = ddmpc_max(rows->max_input, ddmpc_fabs(problem->minimiser[i]));
     }
     problem->values(problem->context, problem->minimiser, rows->start);
-    int sound = 1;
+    int is_finite = 1;
     for (int i = 0; i < m; i++)
-        sound &= ddmpc_fabs(rows->start[i]) < DDMPC_LARGEST;
-    return sound;
+        is_finite &= ddmpc_fabs(rows->start[i]) < DDMPC_LARGEST;
+    return is_finite;
 }
 
 static real sum_of_lanes(const real sum[LANES])
@@ -134,8 +134,8 @@ static void cross(const real *restrict left, int left_stride, const real *restri
     memcpy(sum, block, sizeof block);
 }
 
-/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero,
- * and before `known`, whole lanes, it is solved already. */
+/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before the index `zero`, x is
+ * zero; before the index `known`, a multiple of LANES, x is already solved. */
 static void substitute(const real *restrict U, int stride, const real *restrict inverse, int count, int zero, int known,
                        real *restrict x)
 {
@@ -151,9 +151,9 @@ static void substitute(const real *restrict U, int stride, const real *restrict 
                     sum[half][lane] += x[k + half] * U[(k + half) * stride + i + lane];
         for (int a = 0; a < width; a++) {
             const real *row = U + (i + a) * stride + i;
-            const real now = x[i + a] = (x[i + a] - sum[0][a] - sum[1][a]) * inverse[i + a];
+            const real solved = x[i + a] = (x[i + a] - sum[0][a] - sum[1][a]) * inverse[i + a];
             for (int c = a + 1; c < width; c++)
-                sum[0][c] += row[c] * now;
+                sum[0][c] += row[c] * solved;
         }
     }
 }
@@ -187,7 +187,7 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
     /* x is zero beyond the last row, so the entries of U there are read without effect. */
     for (int k = count; k < whole; k++)
         x[k] = R(0.0);
-    /* In blocks: the products with solved blocks vectorise, and only the small triangles are sequential. */
+    /* Blocks allow vectorised products with solved blocks; only the small triangles are sequential. */
     for (int start = whole - LANES; start >= 0; start -= LANES) {
         const int end = start + LANES, last = end < count ? end : count;
         if (end < whole)
@@ -204,38 +204,38 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
 void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan)
 {
     const int n = rows->n;
-    /* Slots of inactive rows get a multiplier of zero, so the products run over whole lanes without an index. */
-    memset(rows->spread, 0, (size_t)rows->used * sizeof(real));
+    /* The multipliers of inactive rows are zero, so that products can run over all slots in whole lanes. */
+    memset(rows->slot_multipliers, 0, (size_t)rows->padded_count * sizeof(real));
     for (int i = 0; i < rows->active; i++)
-        rows->spread[rows->order[i]] = multipliers[i];
+        rows->slot_multipliers[rows->order[i]] = multipliers[i];
     for (int k = 0; k < n; k++)
-        rows->z[k] = dot(rows->columns + k * rows->slots, rows->spread, rows->used);
+        rows->z[k] = dot(rows->columns + k * rows->slots, rows->slot_multipliers, rows->padded_count);
     /* `z` is now sum lambda_i v_i, the negative of z in active_rows.h; hence the minus below. */
     substitute_back(rows->problem->factor, n, rows->inverse, n, rows->z);
     for (int k = 0; k < n; k++)
         plan[k] = start[k] - rows->z[k];
-    rows->problem->values(rows->problem->context, plan, rows->now);
-    rows->work += ddmpc_plan_operations(n, rows->m, rows->used);
+    rows->problem->values(rows->problem->context, plan, rows->values);
+    rows->work += ddmpc_plan_operations(n, rows->m, rows->padded_count);
 }
 
-/* Return a slot for `row`: an unused one, or else that of an inactive row. */
+/* Return a slot for `row`: an unused slot or, if there is none, the slot of an inactive row. */
 static int take_slot(ddmpc_rows *rows, int row)
 {
-    int slot = rows->taken;
+    int slot = rows->slot_count;
     if (slot < rows->slots) {
-        rows->taken++;
+        rows->slot_count++;
     } else {
-        /* The caller has checked that there is room, so at least one slot holds an inactive row. */
+        /* The caller ensures that there are enough slots, so at least one slot belongs to an inactive row. */
         for (slot = 0; slot < rows->slots - 1 && rows->state[rows->row_in[slot]] != DDMPC_FREE; slot++)
             ;
         rows->work += rows->slots;
         rows->slot_of[rows->row_in[slot]] = 0;
     }
-    /* Products run over whole lanes, also over slots that no row has taken yet: these must be zero. */
-    if (slot == rows->used) {
+    /* Products run over whole lanes, including slots that are not used yet, which must be zero. */
+    if (slot == rows->padded_count) {
         for (int k = 0; k < rows->n; k++)
             memset(rows->columns + k * rows->slots + slot, 0, LANES * sizeof(real));
-        rows->used += LANES;
+        rows->padded_count += LANES;
     }
     rows->row_in[slot] = row;
     rows->slot_of[row] = slot + 1;
@@ -254,7 +254,7 @@ static void compute_column(ddmpc_rows *rows, int slot)
     substitute(rows->problem->factor, n, rows->inverse, n, first, first / LANES * LANES, x);
     for (int k = 0; k < n; k++)
         rows->columns[k * slots + slot] = x[k];
-    for (int block = 0; block < rows->used; block += LANES) {
+    for (int block = 0; block < rows->padded_count; block += LANES) {
         real sum[LANES] = {R(0.0)};
         const real *restrict column = rows->columns + first * slots + block;
         for (int k = first; k < n; k++, column += slots)
@@ -267,61 +267,61 @@ static void compute_column(ddmpc_rows *rows, int slot)
 }
 
 /* Compute columns and products of the rows in several slots at once. */
-static void compute_batch(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_batch(ddmpc_rows *rows, const int *batch_slots, int count)
 {
     const int n = rows->n, slots = rows->slots;
-    int earliest = n;
+    int min_first = n;
     memset(rows->batch, 0, (size_t)(n * LANES) * sizeof(real));
     for (int lane = 0; lane < count; lane++) {
         int first = 0, last = n;
-        rows->problem->row(rows->problem->context, rows->row_in[chosen[lane]], rows->line, &first, &last);
+        rows->problem->row(rows->problem->context, rows->row_in[batch_slots[lane]], rows->line, &first, &last);
         for (int k = first; k < last; k++)
             rows->batch[k * LANES + lane] = rows->line[k];
-        earliest = first < earliest ? first : earliest;
+        min_first = first < min_first ? first : min_first;
     }
-    substitute_batch(rows, earliest, rows->batch);
+    substitute_batch(rows, min_first, rows->batch);
     for (int k = 0; k < n; k++)
         for (int lane = 0; lane < count; lane++)
-            rows->columns[k * slots + chosen[lane]] = rows->batch[k * LANES + lane];
-    for (int block = 0; block < rows->used; block += LANES) {
+            rows->columns[k * slots + batch_slots[lane]] = rows->batch[k * LANES + lane];
+    for (int block = 0; block < rows->padded_count; block += LANES) {
         real sum[LANES][LANES];
-        cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest,
+        cross(rows->columns + min_first * slots + block, slots, rows->batch + min_first * LANES, LANES, n - min_first,
               sum);
         for (int a = 0; a < LANES; a++)
             for (int lane = 0; lane < count; lane++) {
-                const int slot = chosen[lane];
+                const int slot = batch_slots[lane];
                 rows->gram[slot * slots + block + a] = rows->gram[(block + a) * slots + slot] = sum[a][lane];
             }
     }
 }
 
-static void compute_columns(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_columns(ddmpc_rows *rows, const int *batch_slots, int count)
 {
     /* A batch computes whole lanes, even if some are unused. */
-    rows->work += (count >= SIDE_BY_SIDE ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
-    if (count >= SIDE_BY_SIDE)
-        compute_batch(rows, chosen, count);
+    rows->work += (count >= MIN_BATCH ? LANES : count) * ddmpc_column_operations(rows->n, rows->padded_count);
+    if (count >= MIN_BATCH)
+        compute_batch(rows, batch_slots, count);
     else
         for (int i = 0; i < count; i++)
-            compute_column(rows, chosen[i]);
+            compute_column(rows, batch_slots[i]);
 }
 
 void ddmpc_enter_rows(ddmpc_rows *rows, int count)
 {
-    int chosen[LANES], waiting = 0;
+    int batch_slots[LANES], batch_count = 0;
     for (int i = 0; i < count; i++) {
         const int row = rows->entering[i];
         if (rows->slot_of[row] == 0) {
-            chosen[waiting++] = take_slot(rows, row);
-            if (waiting == LANES) {
-                compute_columns(rows, chosen, waiting);
-                waiting = 0;
+            batch_slots[batch_count++] = take_slot(rows, row);
+            if (batch_count == LANES) {
+                compute_columns(rows, batch_slots, batch_count);
+                batch_count = 0;
             }
         }
         rows->multiplier[rows->active] = R(0.0);
         rows->order[rows->active++] = rows->slot_of[row] - 1;
     }
-    compute_columns(rows, chosen, waiting);
+    compute_columns(rows, batch_slots, batch_count);
 }
 
 static void invalidate_factor(ddmpc_rows *rows, int position)
@@ -332,9 +332,9 @@ static void invalidate_factor(ddmpc_rows *rows, int position)
 void ddmpc_leave_row(ddmpc_rows *rows, int position)
 {
     rows->state[ddmpc_row_at(rows, position)] = DDMPC_FREE;
-    const size_t after = (size_t)(--rows->active - position);
-    memmove(rows->order + position, rows->order + position + 1, after * sizeof(int));
-    memmove(rows->multiplier + position, rows->multiplier + position + 1, after * sizeof(real));
+    const size_t moved_count = (size_t)(--rows->active - position);
+    memmove(rows->order + position, rows->order + position + 1, moved_count * sizeof(int));
+    memmove(rows->multiplier + position, rows->multiplier + position + 1, moved_count * sizeof(real));
     invalidate_factor(rows, position);
 }
 
@@ -347,14 +347,14 @@ void ddmpc_switch_piece(ddmpc_rows *rows, int position)
 }
 
 /* Factorise U'U = S in one block. A row is dependent on the previous ones if its pivot is small compared with its
- * diagonal `before`; it becomes zero if `skip`, and ends the factorisation otherwise. Returns the number of
+ * diagonal `diagonal`; it becomes zero if `skip`, and ends the factorisation otherwise. Returns the number of
  * factorised rows, or -1 for numbers that are not finite. */
-static int factorise_block(real S[LANES][LANES], const real *before, int count, int skip, real *inverse)
+static int factorise_block(real S[LANES][LANES], const real *diagonal, int count, int skip, real *inverse)
 {
     for (int p = 0; p < count; p++) {
         if (!(S[p][p] < DDMPC_LARGEST))
             return -1;
-        if (!(S[p][p] > DEPENDENT * before[p])) {
+        if (!(S[p][p] > DEPENDENCE_TOLERANCE * diagonal[p])) {
             if (!skip)
                 return p;
             inverse[p] = R(0.0);
@@ -373,17 +373,17 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
     /* Blocks are factorised as a whole: the first invalid block may begin with valid rows. */
     const int k = rows->active, from = rows->factored / LANES * LANES, slots = rows->slots;
     rows->work += k * (k + 16);
-    real *U = rows->factor, *before = rows->step;
+    real *U = rows->factor, *diagonal = rows->step;
     /* An incomplete last block is padded with an arbitrary row. */
     for (int i = k; i < ddmpc_whole_lanes(k); i++)
         rows->order[i] = rows->order[0];
     for (int i = from; i < k; i++) {
         /* `step` is free until the next step is computed. The diagonal is that of G + E. */
-        before[i] = rows->gram[rows->order[i] * (slots + 1)];
+        diagonal[i] = rows->gram[rows->order[i] * (slots + 1)];
         if (ddmpc_is_exceeded(rows, i))
-            before[i] += R(1.0) / rows->problem->slope;
-        rows->partial[i] = -ddmpc_room(rows, i);
-        if (!(before[i] < DDMPC_LARGEST && ddmpc_fabs(rows->partial[i]) < DDMPC_LARGEST))
+            diagonal[i] += R(1.0) / rows->problem->slope;
+        rows->partial[i] = -ddmpc_bound_distance(rows, i);
+        if (!(diagonal[i] < DDMPC_LARGEST && ddmpc_fabs(rows->partial[i]) < DDMPC_LARGEST))
             return -1;
     }
     for (int i = 0; i < k; i += LANES) {
@@ -394,7 +394,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
         /* Valid rows need only the columns of the invalid ones. */
         for (int j = i > from ? i : from; j < k; j += LANES) {
             real sum[LANES][LANES];
-            int through = height;
+            int factorised = height;
             rows->work += (i + LANES) * (LANES * LANES);
             cross(U + i, slots, U + j, slots, i, sum);
             for (int a = 0; a < height; a++) {
@@ -406,8 +406,8 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
             if (i == j) {
                 for (int a = 0; a < height; a++)
                     /* Add E. */
-                    sum[a][a] += before[i + a] - rows->gram[rows->order[i + a] * (slots + 1)];
-                through = factorise_block(sum, before + i, height, skip, rows->pivot + i);
+                    sum[a][a] += diagonal[i + a] - rows->gram[rows->order[i + a] * (slots + 1)];
+                factorised = factorise_block(sum, diagonal + i, height, skip, rows->pivot + i);
                 memcpy(corner, sum, sizeof corner);
             } else {
                 for (int a = 0; a < height; a++) {
@@ -418,11 +418,11 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
             }
             for (int a = 0; a < height; a++)
                 memcpy(U + (i + a) * slots + j, sum[a], sizeof sum[a]);
-            if (through < height) {
+            if (factorised < height) {
                 substitute(U, slots, rows->pivot, i, 0, from, rows->partial);
                 /* The block is incomplete, so the next factorisation starts with it again. */
                 rows->factored = i;
-                return through < 0 ? -1 : i + through;
+                return factorised < 0 ? -1 : i + factorised;
             }
         }
     }
@@ -434,8 +434,8 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
 void ddmpc_solve_rows(ddmpc_rows *rows)
 {
     rows->work += rows->active * rows->active;
-    memcpy(rows->wanted, rows->partial, (size_t)rows->active * sizeof(real));
-    substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->wanted);
+    memcpy(rows->solution, rows->partial, (size_t)rows->active * sizeof(real));
+    substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->solution);
 }
 
 void ddmpc_null_step(ddmpc_rows *rows, int position)

@@ -4,12 +4,12 @@
  *     minimise  |R (U - U0)|^2 / 2 + sum over soft rows of (price s + slope s^2 / 2)
  *     subject to  lower <= a_i U <= upper  for hard rows, and lower - s <= a_i U <= upper + s, s >= 0 for soft rows
  *
- * R is upper triangular with R'R the Hessian, and U0 is the minimiser without limits. First comes the primal-dual
- * active-set method (Hintermueller, Ito, Kunisch, SIAM Journal on Optimization 13(3), 2002): it changes many rows at
- * once and usually converges in one to three rounds, but may cycle. Then comes the dual method (Goldfarb, Idnani,
- * Mathematical Programming 27, 1983): it increases the dual objective in each round and therefore terminates.
+ * R is upper triangular with R'R the Hessian, and U0 is the unconstrained minimiser. The first method is the primal-dual
+ * active-set method (Hintermueller, Ito, Kunisch, SIAM Journal on Optimization 13(3), 2002): it changes many rows at once
+ * and usually converges in one to three iterations, but may cycle. The second is the dual method (Goldfarb, Idnani,
+ * Mathematical Programming 27, 1983): it increases the dual objective in each iteration and therefore terminates.
  *
- * There are no allocations and no globals: the caller provides memory and sizes.
+ * There are no allocations and no global variables: the caller provides memory and sizes.
  * */
 #ifndef DDMPC_ACTIVE_SET_H
 #define DDMPC_ACTIVE_SET_H
@@ -19,7 +19,7 @@
 /* Number of operations. */
 typedef long long ddmpc_count;
 
-/* The units are the caller's choice; the solver uses magnitudes only to estimate rounding errors. */
+/* The caller defines the units; the solver uses magnitudes only to estimate rounding errors. */
 typedef struct {
     int inputs, rows, hard;         /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
     const real *factor, *minimiser; /* R (n, n), row by row; the part below the diagonal is not read; U0 (n) */
@@ -32,25 +32,25 @@ typedef struct {
     const void *context;
     real slack; /* tolerated excess over a limit, in addition to rounding errors */
     int max_iterations;
-    ddmpc_count max_operations; /* no round starts beyond this number */
-    ddmpc_time deadline;        /* time of ddmpc_now [s]; infinite: none. The first iteration always runs */
+    ddmpc_count max_operations; /* number of operations after which no iteration starts */
+    ddmpc_time deadline;        /* on the clock of ddmpc_now [s]; infinite: none. The first iteration always runs */
 } ddmpc_limited_problem;
 
 typedef enum {
     DDMPC_PROVEN,     /* limits are kept within slack, multipliers have the right sign, the cost is stationary */
-    DDMPC_UNFINISHED, /* iterations, time or room for active rows ran out */
-    DDMPC_NOT_PROVEN, /* prevented by rounding errors, or data are not finite */
+    DDMPC_UNFINISHED, /* stopped at the bound of iterations, time, operations or active rows */
+    DDMPC_NOT_PROVEN, /* rounding errors prevent a proof, or data are not finite */
     DDMPC_INFEASIBLE  /* the hard rows contradict each other by more than slack */
 } ddmpc_limited_status;
 
 typedef struct {
     ddmpc_limited_status status;
-    int iterations;         /* systems solved */
-    int late;               /* 1 if the deadline ended the solve */
+    int iterations;         /* number of solved systems */
+    int late;               /* 1 if the deadline stopped the solve */
     int active;             /* number of active rows */
     ddmpc_count operations; /* operations used, counted as in `ddmpc_limited_bound` */
-    real primal;            /* largest excess of a hard row */
-    real dual;              /* largest entry of the gradient of the Lagrangian, computed from the plan */
+    real primal;            /* maximum excess of a hard row */
+    real dual;              /* maximum entry of the gradient of the Lagrangian, computed from the plan */
 } ddmpc_limited_result;
 
 /* Memory for n inputs, m rows and at most `max_active` active rows. More than n can be active, since a soft row
@@ -71,19 +71,19 @@ typedef struct {
 unsigned long ddmpc_limited_reals(int inputs, int rows, int max_active);
 unsigned long ddmpc_limited_ints(int inputs, int rows, int max_active);
 
-/* Operations allowed in a tick: those of six starts with all rows active and six factorisations. The hardest ticks of
- * tests/mpc/hard_ticks.py, whose robots cannot follow their references, need at most a third of this allowance. */
+/* Maximum number of operations in a tick: those of six starts with all rows active and six factorisations. The hardest
+ * ticks of tests/mpc/hard_ticks.py, whose robots cannot follow their references, need at most a third of it. */
 ddmpc_count ddmpc_limited_allowance(int inputs, int rows, int max_active);
-/* Upper bound of the operations of a solve with the allowance above: it adds two starts, a round that starts just below
+/* Upper bound of the operations of a solve with this allowance: it adds two starts, an iteration that starts just below
  * the allowance, and the final plan. Multiplications in loops over rows and inputs are counted; an incomplete block
- * counts as a whole block. */
+ * counts as a complete block. */
 ddmpc_count ddmpc_limited_bound(int inputs, int rows, int max_active);
 
 /* Solve the program. On entry `multipliers` (m) are an initial guess, such as those of the last tick, or zeros: only
  * their signs and whether they exceed the price matter. On exit they are the multipliers of the solution: positive at
  * an upper bound, negative at a lower bound, and larger than the price if a soft limit is exceeded. `plan` (n) is
  * the solution. After DDMPC_UNFINISHED both are the last iterate of the dual method, and the plan may violate limits.
- * After any other failure the plan is the minimiser without limits, and the multipliers are zero. */
+ * After any other failure the plan is the unconstrained minimiser, and the multipliers are zero. */
 ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
                                          real *multipliers, real *plan);
 

@@ -1,6 +1,6 @@
-/* Plausibility checks of measurements: stamps, finite numbers, ranges and jumps. A rejected measurement is noted in the
- * result with its numbers and never reaches the filter. Thresholds are in mpc/config/core_thresholds.yaml; ranges and
- * jumps are in the configuration's `estimator`. */
+/* Plausibility checks of measurements: stamps, finite numbers, ranges and jumps. The result contains a note on each
+ * rejected measurement, which the filter does not use. Thresholds are in mpc/config/core_thresholds.yaml; maximum values
+ * and jumps are in the group `estimator` of the configuration. */
 #include <string.h>
 
 #include "internal.h"
@@ -21,9 +21,9 @@ static int all_finite(const real *values, int count)
     return 1;
 }
 
-/* Return 1 if the k x k `entries` form a symmetric positive definite matrix, by the signs of the pivots in
+/* Return 1 if the k x k `entries` form a symmetric positive definite matrix, by the signs of the pivots of an
  * elimination. */
-static int possible_covariance(const ddmpc_constants *constants, const real *entries, int k)
+static int is_valid_covariance(const ddmpc_constants *constants, const real *entries, int k)
 {
     real work[9];
     if (!all_finite(entries, k * k))
@@ -77,7 +77,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     int fault = stamp_fault(constants, DDMPC_OF_POSE, pose->stamp, t, estimator->pose_stamp, &number);
     if (!all_finite(pose->value, 3))
         fault = DDMPC_NOT_NUMBERS;
-    else if (pose->has_covariance && !possible_covariance(constants, pose->covariance, 3))
+    else if (pose->has_covariance && !is_valid_covariance(constants, pose->covariance, 3))
         fault = DDMPC_BAD_COVARIANCE;
     if (fault == DDMPC_TOO_OLD)
         estimator->too_old = (ddmpc_time)number;
@@ -98,7 +98,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     return 1;
 }
 
-/* Check one message with `count` numbers of the sensors from `first` on. */
+/* Check a message with the readings of `count` sensors, starting with the sensor `first`. */
 static int check_twist(ddmpc_controller *c, int subject, int first, int count, ddmpc_time *last_stamp, real *last,
                        ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked)
 {
@@ -112,7 +112,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
-        /* Find the first number out of range; the loop takes at most `count` rounds. */
+        /* Find the first number out of range; the loop has at most `count` iterations. */
         int excess = 0;
         while (excess < count && !(ddmpc_fabs(value[excess]) > constants->largest_twist[first + excess]))
             excess++;
@@ -120,12 +120,12 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
             fault = DDMPC_TOO_LARGE;
             a = value[excess];
             b = constants->largest_twist[first + excess];
-        } else if (stamped->has_covariance && !possible_covariance(constants, stamped->covariance, count)) {
+        } else if (stamped->has_covariance && !is_valid_covariance(constants, stamped->covariance, count)) {
             fault = DDMPC_BAD_COVARIANCE;
         }
     }
     for (int i = 0; i < count && fault == DDMPC_NO_FAULT; i++)
-        /* The speed of a robot that hits a wall does jump, but then stays constant: the next sample is accepted. */
+        /* The speed of a robot that hits a wall jumps but then stays constant, so the next sample is accepted. */
         if (ddmpc_fabs(value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
             fault = DDMPC_JUMPS;
             a = last[i];
@@ -179,13 +179,13 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
         ddmpc_accept_pose(c, pose);
         return 1;
     }
-    if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jumped[estimator->jumps - 1].value))
+    if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jump_poses[estimator->jumps - 1].value))
         estimator->jumps = 0;
     if (estimator->jumps == AGREEING) {
-        memmove(estimator->jumped, estimator->jumped + 1, (AGREEING - 1) * sizeof estimator->jumped[0]);
+        memmove(estimator->jump_poses, estimator->jump_poses + 1, (AGREEING - 1) * sizeof estimator->jump_poses[0]);
         estimator->jumps--;
     }
-    estimator->jumped[estimator->jumps++] = *pose;
+    estimator->jump_poses[estimator->jumps++] = *pose;
     ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_JUMPS,
                  ddmpc_hypot(pose->value[0] - expected[0], pose->value[1] - expected[1]),
                  ddmpc_fabs(ddmpc_wrap(pose->value[2] - expected[2])));

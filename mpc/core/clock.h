@@ -1,5 +1,5 @@
-/* Clock that measures the time of a solve [s]. An export makes no system calls and has no clock, unless the application
- * provides a function with -DDDMPC_NOW=function. */
+/* Clock for the duration and the deadline of a solve [s]. An export makes no system calls, so it has no clock unless the
+ * application provides a function with -DDDMPC_NOW=function. */
 #ifndef DDMPC_CLOCK_H
 #define DDMPC_CLOCK_H
 

@@ -2,16 +2,16 @@
  *
  *     minimise  U' H U / 2 + g' U,   H = S' S + constant terms,
  *
- * where S stacks the rows of the errors along, across and in heading and of the user's residuals: their derivatives
+ * where S stacks the rows of the errors along, across and in heading, and of user-defined residuals: their derivatives
  * by the commands U, times the roots of their weights. S is the matrix J of docs/how-it-works.md, and H its
  * Gauss-Newton Hessian.
  *
- * The predicted states are eliminated: with N = 30 the program has 60 variables, whatever the order of the model. The
- * variables are the commands themselves, not changes of the guess, so every residual is first reduced by the part
- * that the guess contributes: g is then the gradient at U = 0, and limits need no shift.
+ * The predicted states are eliminated: with N = 30 the program has 60 variables, independent of the order of the model.
+ * The variables are the commands, not changes of the guess, so the contribution of the guess is subtracted from every
+ * residual: g is then the gradient at U = 0, and limits need no shift.
  *
- * Sample k + 1 depends on the commands 0 to k only. Products skip the zeros of later commands, about half of the
- * operations. Errors and their gradients are generated from mpc/problem/formulas.py, or come from user functions. */
+ * Sample k + 1 depends only on the commands 0 to k. Products skip the zeros of later commands, which saves about half of
+ * the operations. Errors and their gradients are generated from mpc/problem/formulas.py or from user functions. */
 #include <string.h>
 
 #include "problem.h"
@@ -77,7 +77,7 @@ void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, 
                      const real *parameters, real *out)
 {
     const ddmpc_problem *p = &c->problem;
-    /* No command acts at once, so the current state (k = -1) does not depend on the plan. */
+    /* No command acts immediately, so the current state (k = -1) does not depend on the plan. */
     const real twist[2] = {ddmpc_speed_at(c, p->by_plan, k + 1),
                            p->free_twist[2 * k + 3] + p->gains[1] * p->by_plan[STEPS(c) + 2 + k]};
     const real *arguments[5] = {p->poses + 3 * (k + 1), twist, command, p->aim + 4 * (k + 1), parameters};
@@ -93,8 +93,8 @@ static real dot(const real *a, const real *b, int count)
     return sum;
 }
 
-/* Fill the rows of the user's residuals at sample k + 1, after those along and across, and their part of the
- * gradient. The user's functions contain their own weights. */
+/* Fill the rows of user-defined residuals at sample k + 1, after the rows along and across, and their part of the
+ * gradient. User-defined functions include their weights. */
 static void fill_residuals(ddmpc_controller *c, int k)
 {
     ddmpc_problem *p = &c->problem;
@@ -102,7 +102,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
     real *row = p->stack + (k * STACKED(c) + 2) * width;
     for (int t = 0; t < TERMS(c); t++) {
         const ddmpc_term *term = c->functions.terms + t;
-        /* Limited functions are not part of the cost; they enter through limits.c. */
+        /* Functions with soft limits are not part of the cost; limits.c evaluates them. */
         if (term->soft)
             continue;
         ddmpc_call_term(c, term->function, k, term->rows, p->guess + 2 * k, ddmpc_parameters_at(c, k + 1, term),
@@ -139,10 +139,10 @@ static void fill_rows(ddmpc_controller *c)
         ddmpc_f_errors(arguments, results, 0, 0, 0);
         /* J is column-major: its first column is the derivative by x, the second by y. */
         const real cosine = p->cosine[k] = J[0], sine = p->sine[k] = J[3];
-        /* Error at a plan of zeros, linearised along the guess: the error minus the contribution of the guess. */
+        /* Error at a zero plan, linearised along the guess: the error minus the contribution of the guess. */
         const real along = error[0] - (cosine * moves[k] + sine * moves[N + k]);
         const real across = error[1] - (cosine * moves[N + k] - sine * moves[k]);
-        const real turned = error[2] - omega_gain * headings[k + 1];
+        const real heading_error = error[2] - omega_gain * headings[k + 1];
         real *stack = p->stack + k * STACKED(c) * width, *position = p->position + 2 * k * width;
         const row_weights weights = {
             {p->arc[2 * N + k], p->arc[3 * N + k], p->arc[4 * N + k]},
@@ -153,18 +153,18 @@ static void fill_rows(ddmpc_controller *c)
             constants->across[k],
             constants->along[k] * along,
             constants->across[k] * across,
-            /* Weights along and across are roots, once in the row and once in the residual. The heading row `after`
-             * is not weighted, so its residual has the whole weight. */
-            omega_gain * constants->heading[k] * turned,
+            /* Weights along and across are roots, one in the row and one in the residual. The heading row `after` is not
+             * weighted, so its residual has the full weight. */
+            omega_gain * constants->heading[k] * heading_error,
         };
-        /* Whole lanes: surplus entries are zeros of the padding. */
+        /* The count is rounded up to whole lanes; the additional entries are zeros of the padding. */
         fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1),
                  ddmpc_heading_row(c, k), ddmpc_heading_row(c, k + 1), p->moves, p->moves + width, position,
                  position + width, stack, stack + width, p->gradient);
         if (RESIDUALS(c))
             fill_residuals(c, k);
-        /* A linear model has the same heading rows at every tick, so their part of H is a constant (heading_hessian).
-         * Other models need the rows in the stack. */
+        /* The heading rows of a linear model do not change, so their part of H is constant (heading_hessian). Other
+         * models need the rows in the stack. */
         if (ROWS(c)) {
             real *row = stack + (STACKED(c) - 1) * width;
             const real root = omega_gain * ddmpc_sqrt(constants->heading[k]);
@@ -205,7 +205,7 @@ static void fill_hessian(ddmpc_controller *c)
     square_stack(p->stack, STEPS(c), STACKED(c), WIDTH(c), inputs, p->H);
     for (int i = 0; i < inputs; i++) {
         real *row = p->H + i * inputs;
-        /* The constant Hessian is for a gain of 1 from the heading of the model to that of the body. */
+        /* The constant Hessian is valid for a gain of 1 from the heading of the model to the heading of the body. */
         for (int j = 0; !ROWS(c) && j <= i; j++)
             row[j] += scale * heading_hessian[i * inputs + j];
         /* |u_k - u_(k-1)|^2 couples neighbours: 2 on the diagonal, 1 at the last command, which has no successor, and
@@ -214,7 +214,7 @@ static void fill_hessian(ddmpc_controller *c)
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
             row[i - 2] -= increment;
-        /* The other triangle, too: the residual of `minimise` and the backends read whole rows. */
+        /* Also fill the other triangle, since the residual of `minimise` and the backends read whole rows. */
         for (int j = 0; j < i; j++)
             p->H[j * inputs + i] = row[j];
     }
@@ -225,14 +225,15 @@ static void fill_gradient(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_problem *p = &c->problem;
-    const real *fed = p->feed_forward;
+    const real *feed_forward = p->feed_forward;
     const int inputs = INPUTS(c);
     for (int i = 0; i < inputs; i++) {
         const int channel = i % 2;
         /* Increments are relative to those of the feed-forward, so that a ramp of the reference has no cost. */
-        const real into = fed[i] - (i < 2 ? p->fed_before[channel] : fed[i - 2]);
-        const real out = i < inputs - 2 ? fed[i + 2] - fed[i] : R(0.0);
-        p->g[i] = p->gradient[i] - k->command_weight[channel] * fed[i] - k->increment_weight[channel] * (into - out);
+        const real into = feed_forward[i] - (i < 2 ? p->fed_before[channel] : feed_forward[i - 2]);
+        const real out = i < inputs - 2 ? feed_forward[i + 2] - feed_forward[i] : R(0.0);
+        p->g[i] =
+            p->gradient[i] - k->command_weight[channel] * feed_forward[i] - k->increment_weight[channel] * (into - out);
     }
     /* The first increment is relative to the last sent command. */
     for (int channel = 0; channel < 2; channel++)
@@ -256,8 +257,8 @@ static void square_headings(ddmpc_controller *c)
 
 void ddmpc_problem_condense(ddmpc_controller *c)
 {
-    /* Before fill_rows, since it uses the stack as scratch memory. Without an extra delay the configured Hessian
-     * applies, and a stale one may remain. */
+    /* This step precedes fill_rows, since it uses the stack as scratch memory. Without an extra delay, the configured
+     * Hessian is used, so `late_hessian` may remain stale. */
     if (c->problem.is_stale && !ROWS(c) && ddmpc_rows(c).heading_hessian == c->problem.late_hessian)
         square_headings(c);
     fill_rows(c);

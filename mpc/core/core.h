@@ -1,8 +1,8 @@
 /* Public interface of the controller's tick, from measurement to command.
  *
- * There are no allocations and no globals: the caller provides constants, memory and functions. Python parses this
- * file, so names and layouts are declared here only. A bracket in the comment after a pointer is the shape of its array;
- * Python checks it against the sizes:
+ * The core has no allocations and no global variables: the caller provides constants, memory and functions. Python
+ * parses this file, so names and layouts are declared only here. The comment after a pointer states the shape of its
+ * array in brackets, which Python checks against the sizes:
  *
  *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, S slips, Q parameters of a nonlinear
  *     model, width = 2 N padded to a multiple of 8
@@ -14,21 +14,21 @@
 
 /* Sizes of one controller; an export also defines them as macros in ddmpc_sizes.h. */
 typedef struct {
-    int steps;                /* horizon N, at most DDMPC_MAX_STEPS */
-    int states;               /* order n of the velocity model, at most DDMPC_MAX_STATES */
+    int steps;                /* N, horizon, at most DDMPC_MAX_STEPS */
+    int states;               /* n, order of the velocity model, at most DDMPC_MAX_STATES */
     int delay_v, delay_omega; /* dead time of each channel in whole samples; 0 for a nonlinear model */
-    int window;               /* W, past commands that affect future motion */
+    int window;               /* W, number of past commands that affect future motion */
     int history;              /* H, number of past ticks that the estimator stores */
     int lag_v, lag_omega;     /* lead of the feed-forward in whole samples */
-    int residuals;            /* rows of the user's residuals at a sample */
-    int soft;                 /* K, kinds of soft limit: five built-in kinds, turn radii, then the user's */
+    int residuals;            /* rows of user-defined residuals at a sample */
+    int soft;                 /* K, kinds of soft limit: five built-in kinds, turn radii, then user-defined kinds */
     int terms;                /* number of user functions */
     int parameters;           /* P, stage parameters of all user functions */
     int nonlinear;            /* 1 if the velocity model is a function */
     int turns;                /* kinds of soft limit for the minimum turn radius: 2, or 0 if it is not configured */
     int slips;                /* S, number of estimated slips: 10, or 15 with curved slip */
     int model_parameters;     /* Q, parameters of a nonlinear model */
-    int work;                 /* reals of memory that a nonlinear model needs */
+    int work;                 /* number of reals of memory that a nonlinear model needs */
     int command_turns; /* kinds of soft limit for the minimum commanded radius: 2, or 0 if it is not configured */
     int spare;         /* maximum unknown delay that a linear model compensates [samples] */
     int max_active;    /* maximum number of active limits: one per command, and exceeded soft limits */
@@ -64,14 +64,14 @@ typedef struct {
     real evidence[4]; /* squared deviations up to which slides, omega gain, delay of v, delay of omega count as noise */
     real doubt[2];    /* prior variances of the model's omega gain, and of its lags [s^2] */
     real min_slip[15], max_slip[15]; /* bounds of the estimated slip */
-    real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
+    real wheel_yaw_ratio;            /* ratio of the yaw rate by encoders to that of the model */
     real surprise, patience;         /* limit of the squared innovation [-], and its maximum duration [samples] */
     real min_yaw_rate, min_speed;
     real stamp_history;         /* maximum age of an accepted stamp [s] */
     real pose_variance[3];      /* for a pose without covariance */
     real twist_variance[3];     /* wheel speed, wheel yaw rate, yaw rate */
     ddmpc_time sensor_delay[3]; /* by subject: age of a reading at its stamp [s] */
-    real sensor_scale[3];       /* reading over true value, with sign: wheel speed, wheel yaw rate, yaw rate */
+    real sensor_scale[3];       /* ratio of reading to true value, with sign: wheel speed, wheel yaw rate, yaw rate */
     real sensor_heading;        /* offset of the heading in poses from that of the robot [rad] */
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
@@ -82,8 +82,8 @@ typedef struct {
 
     /* monitor of the sensors */
     int monitor; /* 1 if the monitor is enabled */
-    real enough; /* evidence against a sensor beyond which it is not used, in squared deviations */
-    /* fields of mpc/config/sensor_test.yaml with these names: the test of the sensors */
+    real enough; /* evidence against a sensor above which the sensor is not used, in squared deviations */
+    /* fields of mpc/config/sensor_test.yaml with these names, for the sensor test */
     real windows[3], silence, pose_spacing, latest, lasting, often;
     real gyro[2], slip_turning[2], slip_driving[2], following[2], response_time, uneven, sliding[2], frozen[2], odds[2];
     real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held,
@@ -94,30 +94,30 @@ typedef struct {
     real smoothed, slowed, retry, regain[2];
     real on_spot, far_below;
     int wheel_limits;        /* 1 if the speed limit of the wheels is learned */
-    real monitor_turn_ratio; /* turn ratio beyond which the configured tracks count as wrong [-] */
+    real monitor_turn_ratio; /* turn ratio above which the configured tracks count as wrong [-] */
     real monitor_trust;      /* time for which a sensor must agree before it is used again [s] */
 
     /* prediction of a linear model: twists at the samples, from the current state and the pending commands */
     const real *from_state; /* [N+1][2][n] */
     const real *from_past;  /* [N+1][2][W][2] oldest command first */
     const real *response;   /* [2][2][N+1] of v, omega to v_ref, omega_ref: m samples after a unit command */
-    /* last rows of the matrices of twist, mean twist and heading, padded with zeros: other rows are shifted sections */
+    /* last rows of the matrices of twist, mean twist and heading, padded with zeros; all other rows are shifted copies */
     const real *twist_row;       /* [2][2*width] */
     const real *mean_row;        /* [2][2*width] */
     const real *heading_row;     /* [2*width] */
-    const real *heading_hessian; /* [2*N][2*N] of the heading errors, for a gain of 1 */
+    const real *heading_hessian; /* [2*N][2*N] of the heading errors, for a yaw gain of 1 */
 
     /* cost */
     const real *along;   /* [N] roots of the weights of the errors at the samples 1 to N */
     const real *across;  /* [N] */
     const real *heading; /* [N] weights */
     real command_weight[2], increment_weight[2];
-    real inverse_gain[4], lag_rest[2]; /* feed-forward: in column-major order; lag beyond whole samples [samples] */
+    real inverse_gain[4], lag_rest[2]; /* feed-forward: column-major; fractional part of the lag [samples] */
     real price, price_slope;           /* linear and quadratic penalty per unit of soft-limit violation */
 
     /* limits */
-    /* maximum commands forward, in reverse, left, right [m/s, rad/s]; slew per sample of an increasing and of a
-     * decreasing |v|, then of omega; braking ramp of v and omega per sample */
+    /* maximum commands forward, in reverse, left, right [m/s, rad/s]; slew per sample of increasing |v|, decreasing |v|,
+     * increasing |omega|, decreasing |omega|; braking ramp of v and omega per sample */
     real largest_command[4], slew[4], braking[2];
     const real *soft_upper;    /* [K] */
     const real *soft_lower;    /* [K] */
@@ -129,11 +129,11 @@ typedef struct {
     real slack;     /* excess over a limit that the active set tolerates */
     int active_set; /* maximum iterations of the active set at a tick; 0: backend only */
     int forced;     /* 1 if the backend solves every tick */
-    int max_missed; /* consecutive missed deadlines from which the robot brakes; 0: never */
+    int max_missed; /* number of consecutive missed deadlines after which the robot brakes; 0: never */
 
     /* ladder */
     real max_pose_age, dead_reckoning, max_position_error;
-    int fence, fence_at_start; /* 1 with a fence; 1 if its middle is relative to the start of the reference */
+    int fence, fence_at_start; /* 1 if there is a fence; 1 if its middle is relative to the start of the reference */
     real fence_middle[3];      /* [m, m, rad] */
     real fence_reach[2];       /* half of length and width, less the margin [m] */
     /* fields of mpc/config/core_thresholds.yaml with these names */
@@ -147,11 +147,11 @@ typedef struct {
     /* bounds within which the robot counts as on its path and on time; otherwise the caller provides the target */
     int reentry;
     real band, heading_band, wait, heading_wait;
-    real behind, ahead;     /* [m] a robot further behind or ahead was moved by someone */
+    real behind, ahead;     /* [m] a robot further behind or ahead counts as displaced */
     real standing, turning; /* speeds below which a reference counts as standing, or as not turning [m/s, rad/s] */
 } ddmpc_constants;
 
-/* User functions, in addition to the built-in ones. */
+/* User-defined functions. */
 typedef struct {
     /* Nonlinear model. step: (x, window, model parameters) to (x+, Jacobian by x, Jacobian by window), with `work` reals
        of memory; output: x to (twist, Jacobian). The pointer of an unused Jacobian is NULL. */
@@ -159,7 +159,7 @@ typedef struct {
     const ddmpc_term *terms;
 } ddmpc_functions;
 
-/* One message. Values that are not numbers are stored as NaN, and rejected. */
+/* Message of a sensor. Values that are not numbers are stored as NaN, which the core rejects. */
 typedef struct {
     ddmpc_time stamp;
     real value[3];
@@ -172,7 +172,7 @@ typedef struct {
    for ddmpc_start or ddmpc_resume. */
 typedef enum { DDMPC_DRIVE, DDMPC_PAUSE, DDMPC_STOP_AS_FAILURE, DDMPC_STOP_AND_WAIT } ddmpc_request;
 
-/* Input of one tick. `present` and `has_sent` are zero if no new value has arrived. */
+/* Input of a tick. `present` and `has_sent` are zero if no new value has arrived. */
 typedef struct {
     ddmpc_stamped pose;     /* x, y [m], theta [rad] */
     ddmpc_stamped wheels;   /* v [m/s], omega [rad/s] by encoders and geometric track */
@@ -183,8 +183,8 @@ typedef struct {
     /* clock of the reference: its time at this tick [s], and 1 if it equals that of the controller */
     ddmpc_time reference_time;
     int on_time;
-    /* bounds of this tick's active set: deadline by the clock of `solve_time` [s], 0: none; maximum iterations, 0: as
-     * configured */
+    /* bounds of this tick's active set: deadline on the clock of `solve_time` [s], 0: none; maximum number of
+     * iterations, 0: as configured */
     ddmpc_time deadline;
     int most_iterations;
     int is_late; /* 1: the tick counts as late, independent of the clock, as in a replay of a late tick */
@@ -201,7 +201,7 @@ typedef enum {
     DDMPC_TOO_OLD,        /* the age is a [s] */
     DDMPC_TOO_LARGE,      /* a exceeds b */
     DDMPC_JUMPS,          /* a reading jumps from a to b; a pose by a [m] and b [rad] */
-    DDMPC_TOO_MANY        /* more messages in one sample than the history holds */
+    DDMPC_TOO_MANY        /* more messages in a sample than the history can store */
 } ddmpc_fault;
 
 typedef enum { DDMPC_OF_WHEELS, DDMPC_OF_YAW_RATE, DDMPC_OF_POSE } ddmpc_subject;
@@ -212,46 +212,46 @@ typedef struct {
 } ddmpc_note;
 
 typedef enum {
-    DDMPC_TRACKING,    /* the command is the first of a fresh plan */
-    DDMPC_REUSED_PLAN, /* the solve failed: the rest of the last good plan */
-    DDMPC_BRAKING,     /* ramps to zero */
-    DDMPC_STOPPED,     /* zero */
-    DDMPC_FINISHED     /* the end of the reference is reached; ramps to zero and stays there */
+    DDMPC_TRACKING,    /* the command is the first command of a new plan */
+    DDMPC_REUSED_PLAN, /* the solve failed; the command is from the rest of the last valid plan */
+    DDMPC_BRAKING,     /* the command ramps to zero */
+    DDMPC_STOPPED,     /* the command is zero */
+    DDMPC_FINISHED     /* the end of the reference is reached; the command ramps to zero and stays zero */
 } ddmpc_mode;
 
 /* Reasons for the result, as bits. */
 enum {
     DDMPC_NO_REFERENCE = 1,
-    DDMPC_NO_POSE = 2,            /* no pose has arrived yet */
-    DDMPC_ELSEWHERE = 4,          /* several poses agree on a position away from the estimate */
-    DDMPC_LOST = 8,               /* the estimate is not finite; it restarts */
-    DDMPC_OLD_POSE = 16,          /* no pose was accepted for longer than max_pose_age */
-    DDMPC_LATCHED = 32,           /* stopped after a failure; call start or resume to continue */
-    DDMPC_TOO_FAR = 64,           /* distance from the reference beyond max_position_error, in `distance` */
-    DDMPC_SOLVE_FAILED = 128,     /* see the report for the reason */
-    DDMPC_NOT_AT_REST = 256,      /* finished by finish_timeout, at `distance` from the end */
-    DDMPC_SENT_REJECTED = 512,    /* `sent` is not finite or exceeds the limits */
-    DDMPC_HELD = 1024,            /* the application requested a stop */
-    DDMPC_TIME_FAULTY = 2048,     /* time is not finite, or runs backwards */
-    DDMPC_TIME_REPEATED = 4096,   /* too soon after the last tick; its command is repeated */
-    DDMPC_TIME_LEAPT = 8192,      /* no tick for too long: a pause, or a glitch of the clock */
-    DDMPC_TIME_PAUSED = 16384,    /* a pause after which the estimate restarts */
-    DDMPC_WHEELS_ACCUSED = 32768, /* the other sensors contradict this sensor, which is not used; see ddmpc_subject */
-    DDMPC_YAW_RATE_ACCUSED = 65536,
-    DDMPC_POSE_ACCUSED = 131072,
-    DDMPC_POSES_SCATTER = 262144,    /* poses scatter far more than stated, and get less weight */
+    DDMPC_NO_POSE = 2,             /* no pose has arrived yet */
+    DDMPC_ELSEWHERE = 4,           /* consecutive poses agree on a position away from the estimate */
+    DDMPC_LOST = 8,                /* the estimate is not finite; it restarts */
+    DDMPC_OLD_POSE = 16,           /* no pose was accepted for longer than max_pose_age */
+    DDMPC_LATCHED = 32,            /* stopped after a failure; call start or resume to continue */
+    DDMPC_TOO_FAR = 64,            /* `distance` from the reference exceeds max_position_error */
+    DDMPC_SOLVE_FAILED = 128,      /* see the report for the reason */
+    DDMPC_NOT_AT_REST = 256,       /* finished by finish_timeout, at `distance` from the end */
+    DDMPC_SENT_REJECTED = 512,     /* `sent` is not finite or exceeds the limits */
+    DDMPC_HELD = 1024,             /* the application requested a stop */
+    DDMPC_TIME_FAULTY = 2048,      /* time is not finite, or runs backwards */
+    DDMPC_TIME_REPEATED = 4096,    /* too soon after the last tick; its command is repeated */
+    DDMPC_TIME_LEAPT = 8192,       /* no tick for too long: a pause, or a glitch of the clock */
+    DDMPC_TIME_PAUSED = 16384,     /* a pause after which the estimate restarts */
+    DDMPC_WHEELS_EXCLUDED = 32768, /* the other sensors contradict this sensor, which is not used; see ddmpc_subject */
+    DDMPC_YAW_RATE_EXCLUDED = 65536,
+    DDMPC_POSE_EXCLUDED = 131072,
+    DDMPC_POSES_SCATTER = 262144,    /* poses scatter far more than their covariance states, and have a lower weight */
     DDMPC_POSES_LATE = 524288,       /* poses are older than their stamps */
     DDMPC_TURNS_OTHERWISE = 1048576, /* the turn ratio of the robot contradicts its configured tracks */
-    DDMPC_POSES_RARE = 2097152,      /* poses are too rare or late for max_pose_age; `pose_interval`, `pose_latency` */
-    DDMPC_POSES_TOO_OLD = 4194304,   /* all poses are older than the history and rejected; see `pose_latency` */
-    DDMPC_LEFT_FENCE = 8388608,      /* the stopping path left the fence; call start or reset to continue */
-    DDMPC_TURN_HELD = 16777216,      /* the minimum commanded radius limits the command; the path turns more tightly */
+    DDMPC_POSES_RARE = 2097152, /* poses are too rare or late for max_pose_age, see `pose_interval`, `pose_latency` */
+    DDMPC_POSES_TOO_OLD = 4194304,     /* all poses are older than the history and rejected; see `pose_latency` */
+    DDMPC_LEFT_FENCE = 8388608,        /* the stopping path left the fence; call start or reset to continue */
+    DDMPC_TURN_HELD = 16777216,        /* the path turns more tightly than the minimum commanded radius allows */
     DDMPC_DEADLINES_MISSED = 134217728 /* `max_missed` consecutive ticks, including this one, missed their deadline */
 };
 
 typedef enum {
     DDMPC_QP_SOLVED,
-    DDMPC_QP_SOLVED_INACCURATELY, /* only to a looser tolerance */
+    DDMPC_QP_SOLVED_INACCURATELY, /* solved with a looser tolerance */
     DDMPC_QP_MAX_ITERATIONS,
     DDMPC_QP_TIME_LIMIT,
     DDMPC_QP_INFEASIBLE,
@@ -259,8 +259,8 @@ typedef enum {
     DDMPC_QP_NOT_CONVEX,
     DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be plausible */
     DDMPC_QP_NOT_RUN,
-    DDMPC_QP_STOPPED,        /* active set out of iterations, operations or memory; ranges and slew hold */
-    DDMPC_QP_STOPPED_IN_TIME /* active set out of time; ranges and slew hold */
+    DDMPC_QP_STOPPED,        /* active set stopped at its bounds; only ranges and slew are certainly satisfied */
+    DDMPC_QP_STOPPED_IN_TIME /* active set stopped at its deadline; only ranges and slew are certainly satisfied */
 } ddmpc_solver_status;
 
 /* Method that produced the plan. */
@@ -272,7 +272,7 @@ typedef struct {
     int soft_limits; /* 1 if soft limits were active */
     long long operations; /* operations of the active set, counted as in ddmpc_limited_bound */
     real primal_residual, dual_residual;
-    int missed; /* consecutive ticks, including this one, whose solve was cut off or ended after the deadline */
+    int missed; /* consecutive ticks, including this one, whose solve was stopped by the deadline or ended after it */
 } ddmpc_report;
 
 enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
@@ -283,22 +283,22 @@ enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
 typedef struct {
     real *mean;            /* [n+S+6] */
     real *deviation;       /* [n+S+6] */
-    real *twist;           /* [2] of the body, slip included [m/s, rad/s] */
+    real *twist;           /* [2] of the body, including slip [m/s, rad/s] */
     real *twist_deviation; /* [2] */
-    real *innovations;     /* [4] newest squared innovation over its variance; NaN: none yet */
+    real *innovations;     /* [4] newest squared innovation over its variance, by sensor; NaN: none yet */
     real *pose_age;        /* [1] time since the stamp of the last accepted pose [s] */
     ddmpc_time time;
 } ddmpc_estimate;
 
 typedef struct {
-    real *command; /* [2] v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew */
+    real *command; /* [2] v_ref [m/s], omega_ref [rad/s]; finite and within range and slew */
     int mode;
     unsigned int reasons;
     int has_estimate, has_plan;
     int notes; /* number of rejected measurements */
     ddmpc_note note[DDMPC_NOTES];
-    int repeating;      /* accused sensors that repeat the same reading, as bits 1 << ddmpc_subject */
-    int unreal;         /* accused sensors with impossible readings, as bits */
+    int repeating;      /* excluded sensors that repeat the same reading, as bits 1 << ddmpc_subject */
+    int implausible;    /* excluded sensors with impossible readings, as bits */
     real pose_scatter;  /* scatter of poses relative to their stated deviation, see DDMPC_POSES_SCATTER [-] */
     real pose_delay;    /* age of poses at their stamps, see DDMPC_POSES_LATE [s] */
     real pose_interval; /* interval between the stamps of accepted poses, see DDMPC_POSES_RARE [s] */
@@ -315,7 +315,7 @@ typedef struct {
     /* Plan that contains the command. */
     real *planned_poses;    /* [N+1][3] */
     real *planned_commands; /* [N][2] */
-    real *aim;              /* [N+1][4] tracked poses, and the heading to hold */
+    real *aim;              /* [N+1][4] target poses, and target headings corrected for side-slip */
 } ddmpc_result;
 
 /* Deviation of the robot from a reference pose [m, m, rad]; its delay, in units of the lag at which the reference
@@ -325,14 +325,14 @@ typedef struct {
     int outside;
 } ddmpc_stray;
 
-/* A timed reference; samples pose, twist and arc length at `time`. */
+/* Timed reference, whose function returns pose, twist and arc length at `time`. */
 typedef struct {
     void (*sample)(const void *context, ddmpc_time time, real pose[3], real twist[2], real *arc_length);
     const void *context;
     ddmpc_time duration;
 } ddmpc_reference;
 
-/* A reference in closed form: (10, pieces) of arcs or (16, pieces) of cubics, with `pieces` or `pieces` + 1 breaks;
+/* Reference in closed form: table (10, pieces) of arcs or (16, pieces) of cubics, with `pieces` or `pieces` + 1 breaks;
    see mpc/trajectories. It is rotated and then translated by `motion`. */
 typedef struct {
     const ddmpc_time *breaks;
@@ -352,7 +352,7 @@ typedef struct ddmpc_controller ddmpc_controller;
 typedef enum {
     DDMPC_DONE,
     DDMPC_NEEDS_TARGET, /* off the path or late: call ddmpc_track or ddmpc_too_far */
-    DDMPC_NEEDS_BACKEND /* the active set has proven no solution: call ddmpc_answer */
+    DDMPC_NEEDS_BACKEND /* the active set has not proven a solution: call ddmpc_answer */
 } ddmpc_pending;
 
 /* Memory of a controller of these sizes in addition to `ddmpc_controller`: counts of real and int numbers, and the
@@ -362,47 +362,47 @@ long ddmpc_ints(const ddmpc_sizes *sizes);
 unsigned long ddmpc_node_bytes(void);
 unsigned long ddmpc_controller_bytes(void);
 
-/* Initialise a controller for a robot at rest, in memory of at least those sizes. Returns 0 if a size is out of
+/* Initialise a controller for a robot at rest, in memory of at least these sizes. Returns 0 if a size is out of
  * bounds. */
 int ddmpc_init(ddmpc_controller *controller, const ddmpc_sizes *sizes, const ddmpc_constants *constants,
                const ddmpc_functions *functions, real *reals, int *ints, void *nodes);
-/* Use other constants of the same sizes from now on. The sizes of an export are fixed. */
+/* Replace the constants by constants of the same sizes. The sizes of an export are fixed. */
 void ddmpc_configure(ddmpc_controller *controller, const ddmpc_constants *constants);
-/* Track `reference` from now on; its time 0 is `t0` [s]. The robot may be moving. Returns 0, and changes nothing, if
-   `t0` or the duration is not finite. */
+/* Start to track `reference`, whose time 0 is `t0` [s]. The robot may be moving. Returns 0, and changes nothing, if `t0`
+   or the duration is not finite. */
 int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
 /* Replace the current reference during a drive, for example by a moved copy. Time 0 of `reference` is `t0` [s].
- * Estimate, plan and fence stay. Returns 0, and changes nothing, if there is no current reference, or if `t0` or the
+ * Estimate, plan and fence are kept. Returns 0, and changes nothing, if there is no current reference, or if `t0` or the
  * duration is not finite. */
 int ddmpc_switch_reference(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
-/* Continue along the reference after a failure that has latched the robot. */
+/* Continue along the reference after a latched failure, see ddmpc_is_latched. */
 void ddmpc_resume(ddmpc_controller *controller);
 /* Return 1 while the robot waits for ddmpc_start or ddmpc_resume. */
 int ddmpc_is_latched(const ddmpc_controller *controller);
-/* Reset estimate, plan and commands, for a robot at rest. The reference stays. */
+/* Reset estimate, plan and commands, for a robot at rest. The reference is kept. */
 void ddmpc_reset(ddmpc_controller *controller);
-/* Reset the estimate and the plan; pending commands stay. */
+/* Reset the estimate and the plan; pending commands are kept. */
 void ddmpc_forget(ddmpc_controller *controller);
 
-/* Replace the last `count` commands by `commands` (count, 2), oldest first, which another node sent to the robot.
- * Estimate, pending commands and slew of the next tick then use these. Returns 0, and changes nothing, if a command is
- * not finite. */
+/* Replace the last `count` commands by `commands` (count, 2), oldest first, which another node sent to the robot. The
+ * estimate, the pending commands and the slew limit of the next tick use the new commands. Returns 0, and changes
+ * nothing, if a command is not finite. */
 int ddmpc_set_applied_commands(ddmpc_controller *controller, const real *commands, int count);
 
-/* Return 1 if a call at `t` would be a new tick: not too soon after the last one, not after a pause, not at a faulty
- * time. */
+/* Return 1 if a call at `t` would be a new tick: not too soon after the last tick, not after a pause, and not at an
+ * invalid time. */
 int ddmpc_is_new_tick(const ddmpc_controller *controller, ddmpc_time t);
 /* Compute the command for the tick at `t` [s]; returns the remaining work as a ddmpc_pending. */
 int ddmpc_step(ddmpc_controller *controller, ddmpc_time t, const ddmpc_input *input);
-/* Continue with a target: `samples` poses (3) and twists (2) from now on, and the share of the limits that may be
- * used. */
+/* Continue with a target: `samples` poses (3) and twists (2) from the current tick on, and the share of the limits that
+ * the command may use. */
 int ddmpc_track(ddmpc_controller *controller, const real *poses, const real *twists, real share);
 /* Continue with a robot that is `distance` [m] from its path, which is too far. */
 int ddmpc_too_far(ddmpc_controller *controller, real distance);
 /* Continue with a backend's solution: `plan` (2 N) and multipliers (4 + K, N) of the limits, positive at upper
  * bounds. */
 int ddmpc_answer(ddmpc_controller *controller, const real *plan, const real *multipliers, const ddmpc_report *report);
-/* Continue without a target or a solution: the solve counts as failed, and the failure ladder chooses the command. */
+/* Continue without a target or a solution: the solve counts as failed, and the failure ladder selects the command. */
 int ddmpc_give_up(ddmpc_controller *controller);
 
 /* Return the number of reference samples in a target. */
@@ -420,7 +420,7 @@ int ddmpc_newest_belief(const ddmpc_controller *controller, real *mean, real *co
  * sample. Arrays must not overlap. */
 void ddmpc_predict_belief(const ddmpc_controller *controller, const real *commands, real *mean, real *covariance,
                           real *mean_after, real *covariance_after);
-/* Return the last command sent, and the pending commands (W, 2), oldest first. */
+/* Return the last sent command, and the pending commands (W, 2), oldest first. */
 const real *ddmpc_last_command(const ddmpc_controller *controller);
 const real *ddmpc_commands(const ddmpc_controller *controller);
 
@@ -432,21 +432,21 @@ typedef struct {
     const real *upper;        /* [4+K][N] */
     const real *guess;        /* [2*N] */
     const real *multipliers;  /* [4+K][N] initial guess */
-    const int *active_kinds;  /* [4+K] 1: kind active at the last tick, or violated by the minimiser without limits */
+    const int *active_kinds;  /* [4+K] 1: kind active at the last tick, or violated by the unconstrained minimiser */
     const real *last_command; /* [2] */
     const real *aim;          /* [N+1][4] */
     const real *feed_forward; /* [N][2] */
-    const real *ahead;        /* [N] distance of the turning point ahead of the origin, by arc of the guess [m] */
-    const real *soft_value;   /* [K][N] values with soft limits for a plan of zeros, subtracted from bounds */
+    const real *ahead;        /* [N] distance of the turning point ahead of the origin on each arc of the guess [m] */
+    const real *soft_value;   /* [K][N] values with soft limits for a zero plan, subtracted from the bounds */
     const real *fed_before;   /* [2] feed-forward of the last tick */
     const real *late;         /* [2] delays of the commands in the prediction [samples] */
 } ddmpc_program;
-/* Return an upper bound of the active set's operations in a tick: multiplications in its loops, with incomplete blocks
- * counted as whole blocks; for a horizon, a number of kinds of limit (four are hard), and a maximum number of active
- * limits. */
+/* Return an upper bound of the active set's operations in a tick, from the horizon, the number of kinds of limit
+ * (including four hard kinds) and the maximum number of active limits. Operations are multiplications in loops;
+ * incomplete blocks count as complete. */
 long long ddmpc_operations_bound(int steps, int kinds, int max_active);
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
-/* Linearise the program of the last tick, which has a plan, again along `plan` [2*N]. The next tick is not affected. */
+/* Linearise the program of the last tick, which must have a plan, along `plan` [2*N]. The next tick is not affected. */
 void ddmpc_linearise_again(ddmpc_controller *controller, const real *plan);
 /* Compute the rows (N, 2 N) of one kind of soft limit, from kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);

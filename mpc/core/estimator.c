@@ -17,7 +17,7 @@ static real *sent(const ddmpc_controller *c, int ticks_ago)
     return c->estimator.commands + 2 * (COMMANDS(c) - 1 - ticks_ago);
 }
 
-/* Append a node to the history; a full history drops its oldest node. */
+/* Append a node to the history; the oldest node of a full history is discarded. */
 static ddmpc_node *append_node(ddmpc_controller *c, ddmpc_time time)
 {
     ddmpc_estimator *estimator = &c->estimator;
@@ -73,7 +73,7 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
     memcpy(sent(c, 0), command, 2 * sizeof(real));
 }
 
-void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
+void ddmpc_estimator_replace_commands(ddmpc_controller *c, const real *commands, int count)
 {
     const int stored = ddmpc_min_int(count, COMMANDS(c));
     memcpy(sent(c, stored - 1), commands + 2 * (count - stored), (size_t)(2 * stored) * sizeof(real));
@@ -99,7 +99,7 @@ void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t)
     const double elapsed = rint((t - newest(c)->time) / dt);
     const int steps = elapsed > 1.0 ? (int)elapsed : 1;
     for (int missing = steps - 1; missing >= 0; missing--) {
-        /* No command was computed for a missed sample: the base went on with the last one. */
+        /* No command was computed for a missed sample, so the base has continued with the last command. */
         if (missing < steps - 1)
             ddmpc_estimator_append(c, sent(c, 0));
         const ddmpc_belief *before = &newest(c)->posterior;
@@ -142,25 +142,25 @@ static void filter_from(ddmpc_controller *c, int first)
     }
 }
 
-/* Remove the measurements of faulty sensors (`accused`, bits by subject) from the history. */
-static void remove_measurements(ddmpc_controller *c, int accused)
+/* Remove the measurements of faulty sensors (`excluded`, bits by subject) from the history. */
+static void remove_measurements(ddmpc_controller *c, int excluded)
 {
     for (int index = 0; index < c->estimator.nodes; index++) {
         ddmpc_node *node = node_at(c, index);
         int count = 0;
         for (int i = 0; i < node->twists; i++) {
             const int subject = node->twist[i].sensor == YAW_RATE ? DDMPC_OF_YAW_RATE : DDMPC_OF_WHEELS;
-            if (!(accused & 1 << subject))
+            if (!(excluded & 1 << subject))
                 node->twist[count++] = node->twist[i];
         }
         node->twists = count;
-        if (accused & 1 << DDMPC_OF_POSE)
+        if (excluded & 1 << DDMPC_OF_POSE)
             node->poses = 0;
     }
 }
 
-/* Compute the belief of a robot that has followed the commands so far as predicted by the model, without a pose. The
-   standard deviation of the speed equals the speed, because the robot may be at rest; a speed of zero is certain. */
+/* Compute the belief without a pose of a robot that has responded to the commands as the model predicts. The standard
+   deviation of the speed is equal to the speed, because the robot may be at rest; a speed of zero is certain. */
 static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
 {
     const ddmpc_constants *constants = c->constants;
@@ -169,7 +169,7 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     for (int i = 0; i < n; i++) {
         state[i] = R(0.0);
         for (int channel = 0; channel < 2; channel++)
-            /* The command before the oldest one that acts in the first interval. */
+            /* The command before the oldest command that acts in the first interval. */
             state[i] += constants->settled[2 * i + channel] * sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
     }
     for (int ticks_ago = HISTORY(c); ticks_ago >= 0; ticks_ago--) {
@@ -195,8 +195,8 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     }
 }
 
-/* Remove poses with a delay that was wrong by `change` [s], and reset the slip and delays learned from them. */
-static void relearn(ddmpc_controller *c, real change)
+/* Remove poses whose delay was wrong by `change` [s], and reset the slip and the delays that were learned from them. */
+static void reset_slip(ddmpc_controller *c, real change)
 {
     const int n = STATES(c), Z = BELIEF(c);
     ddmpc_belief *oldest = &node_at(c, 0)->prior, *initial = &newest(c)->posterior;
@@ -212,10 +212,10 @@ static void relearn(ddmpc_controller *c, real change)
             ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
 }
 
-/* Restart the history with one node at `pose`; all other states come from `motion`. */
+/* Restart the history with one node at `pose`; all other states are those of `motion`. */
 static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *pose, const ddmpc_belief *motion)
 {
-    /* `motion` may be in the history, so copy it to the first node before the other nodes are dropped. */
+    /* `motion` may be in the history, so copy it to the first node before the other nodes are discarded. */
     if (motion != &c->estimator.node[0].prior)
         ddmpc_copy_belief(c, &c->estimator.node[0].prior, motion);
     c->estimator.first = c->estimator.nodes = 0;
@@ -245,29 +245,29 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
      * before the sensor test may change it. */
     const ddmpc_time delay = ddmpc_monitor_delay(c);
     ddmpc_monitor_move(c, t, twist, wheels, twists);
-    const int newly_accused = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
+    const int newly_excluded = has_pose ? ddmpc_monitor_check_pose(c, &pose) : 0;
     const real change = (real)(ddmpc_monitor_delay(c) - delay);
-    const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
+    const int unused = c->monitor.excluded | ddmpc_monitor_doubtful_sensors(c, t);
     if (has_pose) {
-        ddmpc_monitor_widen(c, &pose);
+        ddmpc_monitor_enlarge_covariance(c, &pose);
         /* The pose is older than its stamp by the delay that the monitor has estimated from the motion. */
         pose.stamp -= ddmpc_monitor_delay(c);
     }
-    /* Readings of a sensor that is accused now have already affected the whole history. */
-    if (newly_accused) {
-        remove_measurements(c, newly_accused);
+    /* Earlier readings of a newly excluded sensor have affected the whole history. */
+    if (newly_excluded) {
+        remove_measurements(c, newly_excluded);
         first = 0;
     }
     if (ddmpc_fabs(change) > c->constants->delay_fit[4]) {
-        relearn(c, change);
+        reset_slip(c, change);
         first = 0;
     }
     for (int i = 0; i < twists; i++) {
         if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;
         const ddmpc_time half = 0.5 * c->constants->sample_time;
-        /* A twist enters at the nearest tick, to which it is extrapolated by the rate; a pose enters at the last
-         * tick before it, from which the filter moves forward. */
+        /* A twist is inserted at the nearest tick, to which it is extrapolated by the rate. A pose is inserted at the
+         * last tick before it, from which the filter predicts forward. */
         const int index = node_before(c, twist[i].stamp + half);
         ddmpc_node *node = node_at(c, index);
         /* Skip measurements from before the history. */
@@ -300,15 +300,15 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
 {
     if (!(ddmpc_estimator_state(c) & MOVED))
         return 0;
-    const ddmpc_checked_pose pose = c->estimator.jumped[c->estimator.jumps - 1];
+    const ddmpc_checked_pose pose = c->estimator.jump_poses[c->estimator.jumps - 1];
     const ddmpc_node *last = newest(c);
     start(c, last->time, &pose, &last->posterior);
     return 1;
 }
 
-/* Reduce the part of `mean` that is due to the difference of the states `group` from their prior: completely if the
-   difference is at most `noise` squared deviations, and less with more evidence. `doubt` is an additional variance of a
-   single state that is not part of the filter. The filter itself is not changed. */
+/* Reduce the part of `mean` that is due to the difference of the states `group` from their prior. The part is removed
+   completely if the difference is at most `noise` squared deviations, and less with more evidence. `doubt` is an
+   additional variance of a single state that is not part of the filter. The filter is not changed. */
 static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, const int *group, int count, real noise,
                      real doubt, real *mean)
 {
@@ -339,7 +339,7 @@ static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, cons
         squared *= L[0][0] * L[0][0] / ddmpc_max(L[0][0] * L[0][0] + doubt, R(1e-12));
     real share = squared > noise ? noise / squared : R(1.0);
     if (*group == OMEGA_GAIN)
-        /* Squared, because otherwise a part of the error of a wrong track ratio would remain. */
+        /* The share is squared, since otherwise a part of the error of a wrong track ratio would remain. */
         share *= share;
     for (int j = 0; j < count; j++)
         for (int i = 0; i < Z; i++)
@@ -388,7 +388,7 @@ int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance,
 void ddmpc_predict_belief(const ddmpc_controller *c, const real *commands, real *mean, real *covariance,
                           real *mean_after, real *covariance_after)
 {
-    const ddmpc_belief before = {mean, covariance, {R(0.0)}, {0}};
-    ddmpc_belief after = {mean_after, covariance_after, {R(0.0)}, {0}};
-    ddmpc_filter_predict(c, &before, commands + 2 * WINDOW(c), &after);
+    const ddmpc_belief belief = {mean, covariance, {R(0.0)}, {0}};
+    ddmpc_belief prediction = {mean_after, covariance_after, {R(0.0)}, {0}};
+    ddmpc_filter_predict(c, &belief, commands + 2 * WINDOW(c), &prediction);
 }

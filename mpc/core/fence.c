@@ -52,8 +52,8 @@ static void brake_command(const ddmpc_constants *k, real command[2])
     }
 }
 
-/* Maximum number of simulated braking samples, unless braking from the maximum command takes longer: the duration of a
- * tick must be bounded even if another node has sent an arbitrarily large command. */
+/* Maximum number of simulated braking samples, unless braking from the maximum command takes longer. It bounds the
+ * duration of a tick if another node has sent an arbitrarily large command. */
 #define MAX_RAMP R(1000.0)
 
 /* Number of samples in which braking reduces a command to zero. */
@@ -68,38 +68,38 @@ static real stopping_distance_outside(const ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     const int window = WINDOW(c) + 1, Z = BELIEF(c);
     real commands[2 * (DDMPC_MAX_WINDOW + 1)], means[2][MAX_BELIEF], y[2];
-    real *now = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
-    real farthest = distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c));
-    const real fastest[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
-    const real ramps = ddmpc_min(braking_samples(k, c->last), ddmpc_max(braking_samples(k, fastest), MAX_RAMP));
-    /* After the ramp, the pending commands still act, and then the robot rolls out. */
-    const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
+    real *mean = means[0], *next_mean = means[1], *newest = commands + 2 * (window - 1);
+    real max_distance = distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c));
+    const real max_command[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
+    const real ramps = ddmpc_min(braking_samples(k, c->last), ddmpc_max(braking_samples(k, max_command), MAX_RAMP));
+    /* After the ramp, the pending commands still act, and the robot then coasts to a standstill. */
+    const int max_samples = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
-    memcpy(now, c->result.estimate.mean, sizeof(real) * (size_t)Z);
+    memcpy(mean, c->result.estimate.mean, sizeof(real) * (size_t)Z);
     real command[2] = {c->last[0], c->last[1]};
-    for (int i = 0; i < longest; i++) {
+    for (int i = 0; i < max_samples; i++) {
         memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
         memcpy(newest, command, sizeof command);
-        ddmpc_filter_carry(c, now, newest, next);
-        const real out = distance_outside(c, next + STATES(c) + POSE(c));
-        if (!(out <= farthest)) /* also true for NaN */
-            farthest = out;
-        ddmpc_velocity_output(c, next, y, 0);
+        ddmpc_filter_carry(c, mean, newest, next_mean);
+        const real out = distance_outside(c, next_mean + STATES(c) + POSE(c));
+        if (!(out <= max_distance)) /* also true for NaN */
+            max_distance = out;
+        ddmpc_velocity_output(c, next_mean, y, 0);
         if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < k->fence_rest)
             break;
-        real *swapped = now;
-        now = next;
-        next = swapped;
+        real *swapped = mean;
+        mean = next_mean;
+        next_mean = swapped;
         brake_command(k, command);
     }
-    return farthest;
+    return max_distance;
 }
 
-int ddmpc_fence_holds(ddmpc_controller *c)
+int ddmpc_fence_is_respected(ddmpc_controller *c)
 {
     if (!c->constants->fence)
         return 1;
-    /* A robot that starts outside may drive back inside, but must not move further out. */
+    /* A robot that starts outside the fence may return to the inside, but must not move further away. */
     const real outside = ddmpc_max(distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
     c->allowed = ddmpc_min(c->allowed, outside);
     const real limit = c->allowed > R(0.0) ? c->allowed + c->constants->fence_play : R(0.0);

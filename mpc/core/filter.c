@@ -1,17 +1,16 @@
-/* The steps of the extended Kalman filter over one sample. The state is z = (x, slip, gyro bias, delays, pose): the n
- * states of the velocity model, the parameters of the difference between the model's twist and the true one, the
- * gyro's bias, the unknown delays of both commands, and x, y, theta. This file holds algebra only: motion, sensors
+/* Steps of the extended Kalman filter over one sample. The state is z = (x, slip, gyro bias, delays, pose): the n states
+ * of the velocity model, the parameters of the difference between the model's twist and the actual twist, the gyro's
+ * bias, the unknown delays of both commands, and x, y, theta. This file contains only algebra: the motion, the sensors
  * and their gradients are generated from mpc/problem/formulas.py.
  *
  *     predict   z = f(z, u),  P = F P F' + Q          F the gradient of f, Q the noise of a sample
  *     correct   S = H P H' + R,  K = P H' / S,  z += K (measured - h(z)),  P -= K S K'
  *
- * Slip and bias are constant in f: they change through corrections only. They are observable because they couple to
- * the pose through F and to the sensors through H, so a pose also corrects slip. Readings with independent noise are
- * entered one after the other, which needs no matrix inverse; a pose is entered as a whole, since its covariance is
- * full.
+ * Slip and bias are constant in f, so only corrections change them. They are observable because they couple to the pose
+ * through F and to the sensors through H, so a pose also corrects slip. Readings with independent noise are processed
+ * sequentially, which needs no matrix inverse; a pose is processed as a whole, since its covariance is full.
  *
- * estimator.c calls these steps, and repeats them from the stamp of a late measurement on. */
+ * estimator.c calls these steps, and repeats them from the stamp of a delayed measurement on. */
 #include <string.h>
 
 #include "internal.h"
@@ -55,7 +54,7 @@ static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2]
 
 void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]) { twist_now(c, mean, twist, 0); }
 
-/* Compute P h. P is symmetric, so its rows serve as columns, and most entries of h are zero. */
+/* Compute P h. P is symmetric, so its rows are used as columns; most entries of h are zero. */
 static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const real *h, real *out)
 {
     const int Z = BELIEF(c);
@@ -101,7 +100,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
         for (int j = 0; by_delay && j < 2; j++)
             moved->by[i][n + DELAYS(c) + j] = J[i] * by_delay[j] + J[i + 3] * by_delay[2 + j];
-        /* The displacement depends on the heading at the start, the new pose also on the pose itself. */
+        /* The displacement depends on the heading at the start; the new pose also depends on the start pose. */
         moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
         moved->by[i][pose + i] += R(1.0);
         moved->pose[i] = start[i] + displacement[i];
@@ -122,11 +121,11 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
     memcpy(pose, moved.pose, sizeof moved.pose);
 }
 
-/* Compute F P F' for F = (A D 0; 0 1 0; G), with the rows of states, of slip, bias and delays, and of the pose. Only
- * the blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by the
- * delays. */
+/* Compute F P F' for F = (A D 0; 0 1 0; G), whose block rows are those of the states, of slip, bias and delays, and of
+ * the pose. Only blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by
+ * the delays. */
 static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D,
-                      const real *before, real *out)
+                      const real *covariance, real *out)
 {
     const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c), delays = n + DELAYS(c);
     real top[DDMPC_MAX_STATES][MAX_BELIEF], bottom[3][MAX_BELIEF];
@@ -134,18 +133,18 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
         memset(top[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < n; k++)
             for (int j = 0; j < Z; j++)
-                top[i][j] += A[i * n + k] * before[k * Z + j];
+                top[i][j] += A[i * n + k] * covariance[k * Z + j];
         for (int k = 0; k < 2; k++)
             for (int j = 0; j < Z; j++)
-                top[i][j] += D[2 * i + k] * before[(delays + k) * Z + j];
+                top[i][j] += D[2 * i + k] * covariance[(delays + k) * Z + j];
     }
     for (int i = 0; i < 3; i++) {
         memset(bottom[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < Z; k++)
             for (int j = 0; j < Z; j++)
-                bottom[i][j] += moved->by[i][k] * before[k * Z + j];
+                bottom[i][j] += moved->by[i][k] * covariance[k * Z + j];
     }
-    memcpy(out, before, (size_t)(Z * Z) * sizeof(real));
+    memcpy(out, covariance, (size_t)(Z * Z) * sizeof(real));
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)
             out[i * Z + j] = out[j * Z + i] = dot(A + j * n, top[i], n) + dot(D + 2 * j, top[i] + delays, 2);
@@ -163,38 +162,38 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* Compute the mean output of the model over the sample from z to the states x+, with its gradient by the states (2,
- * n), its rate, and the body's mean twist. The pose follows the arc of the mean, which is more accurate than that of
- * the output at the start. Returns the body's forward acceleration. Derivatives by acceleration and rate are
- * neglected, since their effect is small. */
-static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
+/* Compute the mean output of the model over the sample from z to the states x+, with its gradient by the states (2, n),
+ * its rate, and the body's mean twist. The arc of the mean twist is more accurate than the arc of the twist at the start.
+ * Returns the body's forward acceleration. Derivatives by acceleration and rate are neglected, since their effect is
+ * small. */
+static real mean_output(const ddmpc_controller *c, const real *z, const real *next_state, const real *A, real y[2],
                         real *rows, real rate[2], real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MAX_STATES], start[2], end[2];
+    real next_output[2], next_rows[2 * DDMPC_MAX_STATES], start[2], end[2];
     ddmpc_velocity_output(c, z, y, rows);
-    ddmpc_velocity_output(c, after, next, next_rows);
-    const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
+    ddmpc_velocity_output(c, next_state, next_output, next_rows);
+    const real *arguments[2][2] = {{y, z + n}, {next_output, z + n}};
     real *results[2][2] = {{start, 0}, {end, 0}};
     for (int i = 0; i < 2; i++)
         WITH_SLIP(c, twist)(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
-        rate[i] = (next[i] - y[i]) / (real)c->constants->sample_time;
-        y[i] = R(0.5) * (y[i] + next[i]);
+        rate[i] = (next_output[i] - y[i]) / (real)c->constants->sample_time;
+        y[i] = R(0.5) * (y[i] + next_output[i]);
         twist[i] = R(0.5) * (start[i] + end[i]);
         for (int j = 0; j < n; j++) {
             /* The output at the end depends on the states at the start through the model's step, by the chain rule. */
-            real through = R(0.0);
+            real by_start = R(0.0);
             for (int k = 0; NONLINEAR(c) && k < n; k++)
-                through += next_rows[i * n + k] * A[k * n + j];
+                by_start += next_rows[i * n + k] * A[k * n + j];
             rows[i * n + j] =
-                NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
+                NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + by_start) : c->constants->mean_output[i * n + j];
         }
     }
     return (end[0] - start[0]) / (real)c->constants->sample_time;
 }
 
-void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
+void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *next_mean)
 {
     const int n = STATES(c), pose = n + POSE(c);
     real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], rate[2], twist[2];
@@ -203,42 +202,42 @@ void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real 
     ddmpc_velocity_step(c, mean, newest, mean + n + DELAYS(c), state, NONLINEAR(c) ? by_state : 0, 0);
     const real acceleration = mean_output(c, mean, state, by_state, y, rows, rate, twist);
     move(c, mean, y, rows, 0, acceleration, (real)c->constants->sample_time, &moved);
-    memcpy(after, state, (size_t)n * sizeof(real));
-    memcpy(after + n, mean + n, (size_t)POSE(c) * sizeof(real));
-    memcpy(after + pose, moved.pose, sizeof moved.pose);
+    memcpy(next_mean, state, (size_t)n * sizeof(real));
+    memcpy(next_mean + n, mean + n, (size_t)POSE(c) * sizeof(real));
+    memcpy(next_mean + pose, moved.pose, sizeof moved.pose);
 }
 
-void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
-                          ddmpc_belief *after)
+void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *belief, const real *newest,
+                          ddmpc_belief *prediction)
 {
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), Z = BELIEF(c), S = SLIPS(c), pose = n + POSE(c);
-    const real *z = before->mean, *late = z + n + DELAYS(c);
+    const real *z = belief->mean, *delays = z + n + DELAYS(c);
     real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], twist[2];
     real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], D[2 * DDMPC_MAX_STATES] = {R(0.0)}, by_delay[4] = {R(0.0)};
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
-    ddmpc_velocity_step(c, z, newest, late, state, NONLINEAR(c) ? by_state : 0, 0);
-    const real acceleration = mean_output(c, z, state, A, y, rows, after->rate, twist);
+    ddmpc_velocity_step(c, z, newest, delays, state, NONLINEAR(c) ? by_state : 0, 0);
+    const real acceleration = mean_output(c, z, state, A, y, rows, prediction->rate, twist);
     if (SPARE(c) > 0) {
-        ddmpc_velocity_by_delay(c, newest, late, D);
-        /* Half, because y is the mean of the outputs at both ends, and delays affect the end only. */
+        ddmpc_velocity_by_delay(c, newest, delays, D);
+        /* The factor 1/2, since y is the mean of the outputs at both ends, and delays affect only the end. */
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < n; j++)
                 by_delay[i] += R(0.5) * k->C[i / 2 * n + j] * D[2 * j + i % 2];
     }
     move(c, z, y, rows, by_delay, acceleration, (real)k->sample_time, &moved);
-    propagate(c, &moved, A, D, before->covariance, after->covariance);
+    propagate(c, &moved, A, D, belief->covariance, prediction->covariance);
 
-    /* Add Q. Noise enters at the input of the model, and reaches the states through B0 + B1
+    /* Add Q. Noise acts on the input of the model, and thereby on the states through B0 + B1
      * (mpc/problem/constants.py). */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
-            after->covariance[i * Z + j] += k->noise[i * n + j];
+            prediction->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
-        after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
-    /* A parameter is observable in some motions only: a gain while its channel moves, side-slip in curves. In other
-     * motions its uncertainty must not grow, or measurement noise would make its estimate drift. */
+        prediction->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
+    /* A parameter is observable only in some motions: a gain while its channel moves, side-slip in curves. In other
+     * motions its uncertainty must not increase, since measurement noise would then make its estimate drift. */
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
@@ -247,23 +246,23 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
                                           turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
         if (observable[i])
-            after->covariance[(n + i) * (Z + 1)] += k->drift[i];
-    after->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
+            prediction->covariance[(n + i) * (Z + 1)] += k->drift[i];
+    prediction->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
     for (int i = 0; i < 2; i++)
         if (i ? turning : driving)
-            after->covariance[(n + DELAYS(c) + i) * (Z + 1)] += k->drift[CURVED_SLIPS + 1 + i];
+            prediction->covariance[(n + DELAYS(c) + i) * (Z + 1)] += k->drift[CURVED_SLIPS + 1 + i];
 
-    memcpy(after->mean + n, z + n, (size_t)POSE(c) * sizeof(real));
-    memcpy(after->mean, state, (size_t)n * sizeof(real));
-    memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
+    memcpy(prediction->mean + n, z + n, (size_t)POSE(c) * sizeof(real));
+    memcpy(prediction->mean, state, (size_t)n * sizeof(real));
+    memcpy(prediction->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
-        /* Counted in samples, not in readings: `patience` is a duration, whatever the rate of the sensor. */
-        after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
+        /* The count is in samples, not in readings, since `patience` is a duration that is valid at any sensor rate. */
+        prediction->surprised[i] = belief->surprised[i] + (belief->surprised[i] > 0);
 }
 
-/* Count consecutive large innovations of a sensor; return 1 while they count as a push of the robot. A push ends soon,
- * whereas a wrong parameter causes large innovations until it is corrected: after `patience` samples large innovations
- * therefore correct the parameters. */
+/* Count consecutive large innovations of a sensor; return 1 while they are treated as an external disturbance. A
+ * disturbance ends soon, whereas a wrong parameter causes large innovations until it is corrected. After `patience`
+ * samples, large innovations therefore correct the parameters. */
 static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
 {
     if (!(normalised > c->constants->surprise)) {
@@ -276,12 +275,12 @@ static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int s
 }
 
 /* Set the filter gain to zero for states that the measurement must not change. */
-static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *gain, int columns)
+static void freeze(const ddmpc_controller *c, const real *z, int is_disturbed, real *gain, int columns)
 {
     const int n = STATES(c);
     real twist[2];
-    if (pushed) {
-        /* The robot is pushed: the innovation corrects velocity and pose, but not slip and delays. */
+    if (is_disturbed) {
+        /* During a disturbance, the innovation corrects velocity and pose, but not slip and delays. */
         memset(gain + n * columns, 0, (size_t)(POSE(c) * columns) * sizeof(real));
         return;
     }
@@ -302,31 +301,31 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
     const real *min_slip = c->constants->min_slip, *max_slip = c->constants->max_slip;
     real *slip = z + STATES(c);
     for (int i = 0; i < SLIPS(c); i++) {
-        /* Without min and max, since NaN must stay NaN: an invalid estimate has to be detected and reset. */
+        /* Comparisons preserve NaN, in contrast to min and max, so that an invalid estimate is detected and reset. */
         if (slip[i] < min_slip[i])
             slip[i] = min_slip[i];
         if (slip[i] > max_slip[i])
             slip[i] = max_slip[i];
     }
     for (int i = 0; i < 2; i++) {
-        real *late = slip + DELAYS(c) + i;
-        if (*late < R(0.0))
-            *late = R(0.0);
-        if (*late > (real)SPARE(c) * (real)c->constants->sample_time)
-            *late = (real)SPARE(c) * (real)c->constants->sample_time;
+        real *delay = slip + DELAYS(c) + i;
+        if (*delay < R(0.0))
+            *delay = R(0.0);
+        if (*delay > (real)SPARE(c) * (real)c->constants->sample_time)
+            *delay = (real)SPARE(c) * (real)c->constants->sample_time;
     }
 }
 
-/* Correct a belief by one reading with gradient `h`, `innovation` and `variance`; PHt is P h. */
+/* Correct a belief by a reading with the gradient `h`, the `innovation` and the `variance`; PHt is P h. */
 static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, const real *h, real innovation,
-                           real variance, int pushed, const real *PHt)
+                           real variance, int is_disturbed, const real *PHt)
 {
     const int Z = BELIEF(c);
     const real S = dot(h, PHt, Z) + variance;
     real gain[MAX_BELIEF], half[MAX_BELIEF], *row = belief->covariance;
     for (int i = 0; i < Z; i++)
         gain[i] = PHt[i] / S;
-    freeze(c, belief->mean, pushed, gain, 1);
+    freeze(c, belief->mean, is_disturbed, gain, 1);
     for (int i = 0; i < Z; i++) {
         belief->mean[i] += gain[i] * innovation;
         half[i] = PHt[i] - R(0.5) * S * gain[i];
@@ -347,7 +346,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     real y[2], rows[2 * DDMPC_MAX_STATES], reading[3], J[3 * (3 + DDMPC_MAX_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
     for (int i = 0; i < 2; i++)
-        /* Extrapolate to the time of the reading. The rate counts as known, so the gradient does not include it. */
+        /* Extrapolate to the time of the reading. The gradient treats the rate as constant. */
         y[i] += ahead * belief->rate[i];
     const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS(c), &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};
@@ -355,7 +354,7 @@ static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *beli
     memset(h, 0, (size_t)BELIEF(c) * sizeof(real));
     for (int j = 0; j < n; j++)
         h[j] = J[sensor] * rows[j] + J[sensor + 3] * rows[n + j];
-    /* Up to S: the gyro bias follows the slips. */
+    /* The loop includes S, the index of the gyro bias after the slips. */
     for (int j = 0; j <= S; j++)
         h[n + j] = J[sensor + 3 * (2 + j)];
     return reading[sensor];
@@ -370,10 +369,10 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
     const real innovation = measured->value - expected_reading(c, belief, measured->sensor, ahead, h);
     times(c, belief, h, PHt);
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
-    const int pushed = count_surprise(c, belief, measured->sensor, normalised);
-    if (pushed) {
-        /* The velocity is uncertain by the innovation: add the covariance of a constant disturbance of the command with
-         * the size of the innovation, so that the states follow the reading. */
+    const int is_disturbed = count_surprise(c, belief, measured->sensor, normalised);
+    if (is_disturbed) {
+        /* Add the covariance of a constant disturbance of the command that is as large as the innovation, so that the
+         * states follow the reading. */
         const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
@@ -381,7 +380,7 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
                     innovation * innovation * (settled[2 * i + channel] * settled[2 * j + channel]);
         times(c, belief, h, PHt);
     }
-    correct_scalar(c, belief, h, innovation, measured->variance, pushed, PHt);
+    correct_scalar(c, belief, h, innovation, measured->variance, is_disturbed, PHt);
     return normalised;
 }
 
@@ -451,23 +450,23 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     move_from(c, belief->mean, ahead, &moved);
     for (int i = 0; i < 3; i++)
         innovation[i] = pose->value[i] - moved.pose[i];
-    /* Headings are unwrapped; only the angle between them counts. */
+    /* Headings are unwrapped, so their difference is wrapped. */
     innovation[2] = ddmpc_wrap(innovation[2]);
     expect(c, belief, &moved, pose, &f);
     divide(&f, innovation, solved);
     /* Mean over the three values, so that the limit for single readings applies. */
     const real normalised = dot(innovation, solved, 3) / R(3.0);
-    /* A pose that is inconsistent with the belief means that the robot was moved by an external force: the estimate then
-     * follows the pose and slip stays constant, unless the inconsistency persists. */
-    const int pushed = count_surprise(c, belief, POSE_SENSOR, normalised);
-    if (pushed) {
+    /* A pose that is inconsistent with the belief indicates that an external force has moved the robot. The estimate then
+     * follows the pose, and slip stays constant unless the inconsistency persists. */
+    const int is_disturbed = count_surprise(c, belief, POSE_SENSOR, normalised);
+    if (is_disturbed) {
         for (int i = 0; i < 3; i++)
             belief->covariance[(n + POSE(c) + i) * (Z + 1)] += innovation[i] * innovation[i];
         expect(c, belief, &moved, pose, &f);
     }
     for (int i = 0; i < Z; i++)
         divide(&f, f.PHt[i], gain[i]);
-    freeze(c, belief->mean, pushed, gain[0], 3);
+    freeze(c, belief->mean, is_disturbed, gain[0], 3);
     for (int i = 0; i < Z; i++)
         for (int k = 0; k < 3; k++) {
             belief->mean[i] += gain[i][k] * innovation[k];
@@ -483,7 +482,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
 
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
 {
-    /* The new pose is independent of the estimate, so its correlations vanish; velocity and slip keep their estimates. */
+    /* The new pose is independent of the estimate, so its correlations are zero; velocity and slip are kept. */
     const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < first; j++)

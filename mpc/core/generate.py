@@ -1,7 +1,8 @@
-"""Generate C from CasADi functions: plain C99 for double and single precision, without allocated memory.
+"""Generation of C code from CasADi functions: C99 for double and single precision, without allocated memory.
 
 CasADi generates the statements. Its macros, query functions and reference counts are omitted. Each constant and
-function of math.h is wrapped, so that one text serves both precisions, and single precision uses no double arithmetic.
+function of math.h is wrapped, so that the same text is valid for both precisions, and single precision does not use
+double arithmetic.
 """
 
 from __future__ import annotations
@@ -140,8 +141,8 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     for name in names:
         signature = _SIGNATURE.format(name=name)
         parts.append(f"{signature}\n{{\n  (void)iw, (void)w, (void)mem;\n{bodies[name]}}}\n")
-    declared = "\n".join(_declaration(function) for function in functions)
-    header = _HEADER.format(origin=origin, guard=f"{stem.upper()}_H", declarations=declared)
+    declarations = "\n".join(_declaration(function) for function in functions)
+    header = _HEADER.format(origin=origin, guard=f"{stem.upper()}_H", declarations=declarations)
     return GeneratedC(stem, "\n".join(parts), header, names)
 
 
@@ -183,7 +184,7 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
 
 
 def _helpers(bodies: Mapping[str, str]) -> list[str]:
-    """Return definitions of functions that the statements call and C99 lacks."""
+    """Return definitions of functions that the statements call and that are missing in C99."""
     return [f"{line}\n" for name, line in _HELPERS.items() if _HELPER_NAMES[name] in "".join(bodies.values())]
 
 
@@ -198,7 +199,7 @@ def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
     """Convert CasADi's statements to the precision of `real`, including numbers and functions of math.h."""
 
     def replacement(token: re.Match[str]) -> str:
-        # A bare constant would be of type double in single precision too.
+        # A constant without this macro would have the type double, also in single precision.
         if token["number"]:
             return f"R({token['number']})"
         word = token["rest"] or token["call"]
@@ -236,9 +237,6 @@ def _shapes(name: str, shape: tuple[int, int]) -> str:
     return f"{name} {rows}" if columns == 1 else f"{name} {rows} x {columns}"
 
 
-# User functions in C: terms and nonlinear models, generated and compiled like the built-in formulas.
-
-
 CompiledTerm = tuple[Any, int, bool, int]
 """Address of the function, rows of its value, True if it is soft, and index of its first parameter."""
 
@@ -273,7 +271,7 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
 def compile_functions(
     model: VelocityModel | NonlinearModel, terms: Sequence[Term]
 ) -> tuple[tuple[Any, Any] | None, list[CompiledTerm]]:
-    """Return the addresses of a nonlinear model's step and output, if it has one, and of the terms.
+    """Return the addresses of a nonlinear model's step and output (None for a linear model), and the compiled terms.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-/* The failure ladder, which selects the command of a tick. The command comes from a fresh plan; if the solve fails, from
- * the rest of the last good plan for a few ticks; then from braking to a stop. Every command is within range and slew,
- * and respects the minimum commanded radius. */
+/* The failure ladder, which selects the command of a tick. The command is the first command of a new plan. If the solve
+ * fails, the rest of the last valid plan is used for a few ticks; then the robot brakes to a standstill. All commands
+ * are within range and slew, and respect the minimum commanded radius. */
 /* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include <limits.h>
@@ -9,18 +9,18 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Clip `wanted` to `share` of the range and to the interval that is reachable from the last command; `step` holds, per
- * channel, the slew of a growing and of a falling command. */
-static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[4], real command[2])
+/* Clip `requested` to `share` of the range and to the interval that is reachable from the last command; `step` contains
+ * the slew of an increasing and of a decreasing command of each channel. */
+static void clip(const ddmpc_controller *c, const real requested[2], real share, const real step[4], real command[2])
 {
     for (int i = 0; i < 2; i++) {
-        const real *largest = c->constants->largest_command + 2 * i;
+        const real *max_command = c->constants->largest_command + 2 * i;
         real reach[2];
         ddmpc_reach(c->last[i], step + 2 * i, reach);
-        /* Slew has priority over range: after the range was tightened, the last command may lie outside it. */
-        const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * largest[0]));
-        const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * largest[1]));
-        command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
+        /* Slew has priority over range, since the last command may be outside a range that was tightened. */
+        const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * max_command[0]));
+        const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * max_command[1]));
+        command[i] = ddmpc_min(ddmpc_max(requested[i], lower), upper);
     }
 }
 
@@ -34,18 +34,18 @@ static void enforce_min_radius(ddmpc_controller *c, real share, real command[2])
     if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
         return;
     ddmpc_reach(last, c->constants->slew + 2, turns);
-    const real widest = v / radius, requested = command[1];
-    const real lower = ddmpc_max(turns[0], -widest), upper = ddmpc_min(turns[1], widest);
+    const real max_yaw_rate = v / radius, requested = command[1];
+    const real lower = ddmpc_max(turns[0], -max_yaw_rate), upper = ddmpc_min(turns[1], max_yaw_rate);
     if (lower <= upper) {
         command[1] = ddmpc_min(ddmpc_max(requested, lower), upper);
     } else {
         const int backwards = c->last[0] < R(0.0);
         command[1] = last < R(0.0) ? turns[1] : turns[0];
         ddmpc_reach(c->last[0], c->constants->slew, speeds);
-        const real before = ddmpc_fabs(c->last[0]), needed = radius * ddmpc_fabs(command[1]);
-        const real slowest = backwards ? -speeds[1] : speeds[0];
-        const real largest = ddmpc_max(slowest, share * c->constants->largest_command[backwards]);
-        const real speed = ddmpc_min(needed, ddmpc_min(before, largest));
+        const real last_speed = ddmpc_fabs(c->last[0]), required_speed = radius * ddmpc_fabs(command[1]);
+        const real min_speed = backwards ? -speeds[1] : speeds[0];
+        const real max_speed = ddmpc_max(min_speed, share * c->constants->largest_command[backwards]);
+        const real speed = ddmpc_min(required_speed, ddmpc_min(last_speed, max_speed));
         if (speed > v || (command[0] < R(0.0)) != backwards)
             command[0] = backwards ? -speed : speed;
     }
@@ -53,7 +53,7 @@ static void enforce_min_radius(ddmpc_controller *c, real share, real command[2])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 
-/* Report a path, or a path back to the reference, that turns more tightly than commands may. */
+/* Report a path, or a path back to the reference, that turns more tightly than commands are allowed to. */
 static void report_turn(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -69,7 +69,7 @@ void ddmpc_ramp(ddmpc_controller *c)
     const real zero[2] = {R(0.0), R(0.0)};
     const real *rates = c->constants->braking, braking[4] = {rates[0], rates[0], rates[1], rates[1]};
     clip(c, zero, R(1.0), braking, c->result.command);
-    /* A rounding residue of the last step is not a motion command. */
+    /* A rounding error at the end of the ramp is not a motion command. */
     for (int i = 0; i < 2; i++)
         if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
             c->result.command[i] = R(0.0);
@@ -81,13 +81,13 @@ int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop)
     result->reasons |= reason;
     result->has_plan = 0;
     c->plan_age = -1;
-    /* A solve that was only too slow continues from its last iterate. */
+    /* After a missed deadline, the next solve continues from the last iterate. */
     if (reason != DDMPC_DEADLINES_MISSED)
         ddmpc_solver_reset(c);
     c->is_outage = stop == DDMPC_OUTAGE;
     const int lasting = c->is_outage && c->last_tick - c->sound_tick > c->constants->resume_within;
-    /* A person may be next to a robot that has been stopped for a long time. Before the first drive, and after the end
-       of the reference, there is no drive to resume. */
+    /* After a long stop a person may be next to the robot, which must not start by itself. Before the first drive and
+       after the end of the reference, there is no drive to resume. */
     if (c->has_driven && !c->finished && (stop == DDMPC_WAITS || lasting || (stop && !c->constants->resume)))
         c->latched = 1;
     if (c->latched)
@@ -103,7 +103,7 @@ void ddmpc_stand(ddmpc_controller *c)
     c->result.mode = DDMPC_STOPPED;
 }
 
-/* Store a plan; the next solve starts from the rest of it, with the last command repeated. */
+/* Store a plan; the guess of the next solve is the shifted plan, with the last command repeated. */
 static void store_plan(ddmpc_controller *c)
 {
     const int inputs = INPUTS(c);
@@ -114,7 +114,7 @@ static void store_plan(ddmpc_controller *c)
     c->problem.has_guess = 1;
 }
 
-/* Accept a plan and send its first command. */
+/* Accept a plan and use its first command. */
 static int accept(ddmpc_controller *c)
 {
     ddmpc_result *result = &c->result;
@@ -132,7 +132,7 @@ static int accept(ddmpc_controller *c)
     return DDMPC_DONE;
 }
 
-/* Send the next command of the last good plan, for a few ticks at most; then brake. */
+/* Use the next command of the last valid plan for at most a few ticks; then brake. */
 int ddmpc_reuse(ddmpc_controller *c)
 {
     const int usable = c->constants->max_reused_ticks < STEPS(c) - 1 ? c->constants->max_reused_ticks : STEPS(c) - 1;
@@ -153,7 +153,7 @@ static int is_usable(int status)
            status == DDMPC_QP_STOPPED_IN_TIME;
 }
 
-/* Count consecutive ticks that miss their deadline; a plan in time resets the count. Without a clock no tick counts. */
+/* Count consecutive ticks that miss their deadline; return 1 if there are too many. A plan in time resets the count. */
 static int misses_too_many(ddmpc_controller *c)
 {
     const int is_late = c->result.solver.status == DDMPC_QP_TIME_LIMIT || c->is_late || ddmpc_now() > c->deadline;
@@ -171,7 +171,7 @@ int ddmpc_use_plan(ddmpc_controller *c)
     const int is_good = is_usable(c->result.solver.status) && isfinite(sum);
     if (!misses_too_many(c))
         return is_good ? accept(c) : ddmpc_reuse(c);
-    /* The next solve continues from this plan, although the robot brakes. */
+    /* The robot brakes, but the next solve continues from this plan. */
     if (is_good)
         store_plan(c);
     return ddmpc_brake(c, DDMPC_DEADLINES_MISSED, DDMPC_FAILURE);

@@ -1,8 +1,8 @@
-"""Load the compiled core and compiled user functions through cffi.
+"""Loading of the compiled core and of compiled user functions through cffi.
 
-The core is loaded from the wheel if the wheel contains it. Otherwise it is compiled at first use for this processor,
-and cached for the user (`models/compiled/cache.py`). cffi parses the text of the core's header, so Python and C use the
-same names.
+The core is loaded from the wheel if the wheel contains it. Otherwise it is compiled for this processor at first use,
+and stored in the user's cache (`models/compiled/cache.py`). cffi parses the text of the core's header, so Python and C
+use the same names.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
 
 @cache
 def load_core() -> tuple[cffi.FFI, Any]:
-    """Load the core: cffi's declarations of `mpc/core/core.h`, and the library.
+    """Load the core; return cffi's declarations of `mpc/core/core.h`, and the library.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def load_core() -> tuple[cffi.FFI, Any]:
 
 @cache
 def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no type for a library
-    """Load the library of generated functions; each is an attribute of the result and uses the core's types.
+    """Load the library of generated functions, which are attributes of the result and use the types of the core.
 
     Raises
     ------
@@ -79,8 +79,8 @@ def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no 
 def load_with_core(packaged: Packaged, texts: Callable[[], Mapping[str, str]], header: str) -> Any:  # noqa: ANN401 - as above
     """Load a library of additional C code together with the core, with the types of `load_core`.
 
-    The library comes from the wheel of its package, or is compiled at first use. The additional functions may use the
-    core's internal headers, and take the structs of a running controller.
+    The library is loaded from the wheel of its package, or compiled at first use. The additional functions may include
+    the core's internal headers and take the structs of a running controller as arguments.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def load_with_core(packaged: Packaged, texts: Callable[[], Mapping[str, str]], h
 
 def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: ANN401 - as above
     ffi, _ = load_core()
-    # User functions of several controllers have the same names.
+    # `override`, since user functions of several controllers have the same names.
     ffi.cdef(declared, override=True)
 
     def build(folder: Path) -> Path:
@@ -117,15 +117,13 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     return load_cached(stem, build_digest(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
-# Structs of core.h by field name: shapes of arrays, and checked values.
-
-
+# Pointer fields of core.h with the shapes in their comments, and structs of core.h.
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
 _STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
 
 
 def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that a struct of core.h points to, by field name, for a controller's sizes."""
+    """Return the shapes of the arrays that a struct of core.h points to, by field name, for given sizes."""
     N, n = sizes["steps"], sizes["states"]
     symbols = {
         "N": N,
@@ -145,7 +143,7 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
 
 @cache
 def _pointers(struct: str) -> dict[str, list[str]]:
-    """Return the expressions of the sizes of each array that a struct of core.h points to, by field name."""
+    """Return the expressions for the sizes of the arrays that a struct of core.h points to, by field name."""
     (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
     return {name: re.findall(r"\[([^\]]+)\]", brackets) for name, brackets in _POINTER.findall(body)}
 
@@ -162,11 +160,11 @@ def _value(expression: str, symbols: Mapping[str, int]) -> int:
 
 
 class Field(NamedTuple):
-    """One field of `ddmpc_constants` with its value."""
+    """Field of `ddmpc_constants` with its value."""
 
     name: str
     value: FloatArray | list[float] | float | int
-    """Array behind a pointer, list of the numbers of an embedded array, or one number."""
+    """Array for a pointer, list for an embedded array, or number."""
 
 
 def constant_fields(sizes: Mapping[str, int], values: Constants) -> Iterator[Field]:

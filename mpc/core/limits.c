@@ -1,20 +1,20 @@
-/* Limits of the quadratic program, one row per kind and sample, in the order of `lower` and `upper`. Hard limits:
- * range of v and omega, slew of v and omega. Soft limits: predicted twist, wheels, corridor, minimum turn radius, and
- * user terms. Soft limits are linearised along the guess, like the rest of the problem. */
+/* Limits of the quadratic program, one row per kind and sample, in the order of `lower` and `upper`. Hard limits: range
+ * of v and omega, slew of v and omega. Soft limits: predicted twist, wheels, corridor, turn radii, and user-defined
+ * terms. Soft limits are linearised along the guess, like the rest of the problem. */
 #include <string.h>
 
 #include "problem.h"
 
 void ddmpc_reach(real last, const real step[2], real interval[2])
 {
-    const real grows = step[0], falls = step[1];
-    interval[0] = last > R(0.0) ? last - falls : last - grows;
-    interval[1] = last < R(0.0) ? last + falls : last + grows;
-    /* Beyond zero the absolute command grows, so the rest of the sample has the other rate. */
+    const real rise = step[0], fall = step[1];
+    interval[0] = last > R(0.0) ? last - fall : last - rise;
+    interval[1] = last < R(0.0) ? last + fall : last + rise;
+    /* After the command has passed zero, its absolute value increases, so the other rate applies. */
     if (last > R(0.0) && interval[0] < R(0.0))
-        interval[0] *= grows / falls;
+        interval[0] *= rise / fall;
     if (last < R(0.0) && interval[1] > R(0.0))
-        interval[1] *= grows / falls;
+        interval[1] *= rise / fall;
 }
 
 real ddmpc_fastest(const ddmpc_constants *k, int channel)
@@ -24,7 +24,7 @@ real ddmpc_fastest(const ddmpc_constants *k, int channel)
 
 real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel, int side)
 {
-    /* If a limit was tightened below the last command, it is reached gradually, at a slew that all rows allow. */
+    /* If a limit was tightened below the last command, the bound approaches it at a slew that all rows permit. */
     const real *slew = c->constants->slew + 2 * channel;
     const real last = side ? -c->problem.last[channel] : c->problem.last[channel];
     const real reachable = last - (real)(step + 1) * ddmpc_min(slew[0], slew[1]);
@@ -39,7 +39,7 @@ static void bound_commands(ddmpc_controller *c)
         const real *slew = c->constants->slew + 2 * channel;
         real reach[2], *lower = p->lower + (2 + channel) * N, *upper = p->upper + (2 + channel) * N;
         ddmpc_reach(p->last[channel], slew, reach);
-        /* The first increment counts from zero (see ddmpc_limit_values), so its bounds are those of the command. */
+        /* The first increment is relative to zero (see ddmpc_limit_values), so its bounds are those of the command. */
         lower[0] = reach[0];
         upper[0] = reach[1];
         for (int k = 1; k < N; k++) {
@@ -55,13 +55,13 @@ static void bound_commands(ddmpc_controller *c)
     }
 }
 
-/* Direction of the reference at sample k: 1 forwards, -1 backwards. While it stands, the next direction up to sample
-   `end`; if there is none, the previous direction. */
+/* Direction of the reference at sample k: 1 forwards, -1 backwards. At standstill it is the next direction up to the
+   sample `end`, or the previous direction if there is none. */
 static real direction_at(const ddmpc_controller *c, int k, int end)
 {
     const real *v = c->reference_twist;
     int moving = k;
-    /* Each loop takes at most as many rounds as there are samples. */
+    /* Each loop has at most as many iterations as there are samples. */
     while (moving < end && ddmpc_fabs(v[2 * moving]) <= c->constants->standing)
         moving++;
     while (moving > 0 && ddmpc_fabs(v[2 * moving]) <= c->constants->standing)
@@ -96,20 +96,20 @@ typedef struct {
 static void evaluate_group(const ddmpc_controller *c, const soft_group *group, int k)
 {
     const ddmpc_problem *p = &c->problem;
-    real shipped[DDMPC_MAX_SLIPS + 1];
+    real parameters[DDMPC_MAX_SLIPS + 1];
     if (group->radius > R(0.0)) {
-        shipped[0] = group->radius;
-        /* The direction of the last command is that of its sign. */
+        parameters[0] = group->radius;
+        /* At the current state, the sign of the last command defines the direction. */
         if (group->commanded)
-            shipped[1] = k >= 0 ? commanded_direction(c, k) : p->last[0] < R(0.0) ? R(-1.0) : R(1.0);
+            parameters[1] = k >= 0 ? commanded_direction(c, k) : p->last[0] < R(0.0) ? R(-1.0) : R(1.0);
         else
-            shipped[1] = direction_at(c, k + 1, STEPS(c));
+            parameters[1] = direction_at(c, k + 1, STEPS(c));
     } else {
-        memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
-        shipped[SLIPS(c)] = c->constants->half_track;
+        memcpy(parameters, p->slip, (size_t)SLIPS(c) * sizeof(real));
+        parameters[SLIPS(c)] = c->constants->half_track;
     }
     ddmpc_call_term(c, group->function, k, group->rows, k < 0 ? p->last : p->guess + 2 * k,
-                    group->term ? ddmpc_parameters_at(c, k + 1, group->term) : shipped, p->term);
+                    group->term ? ddmpc_parameters_at(c, k + 1, group->term) : parameters, p->term);
 }
 
 /* Contribution of a plan at sample k + 1 to a quantity whose gradient is from `ddmpc_through_slip`. */
@@ -122,9 +122,9 @@ static real value_of(const real *gradient, int k, int N, const real *moves, cons
 }
 
 /* Compute the bounds of the soft limits of one function. If the robot already exceeds a built-in limit, the current
-   value becomes the limit: the reference leads the robot back inside. A limit of the user always applies unchanged,
-   since possibly nothing else leads the robot back inside. */
-static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
+   value becomes the limit, since tracking the reference reduces the excess. A user-defined limit is never changed, since
+   it may be the only reason for the robot to reduce the excess. */
+static void set_soft_bounds(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), rows = group->rows;
@@ -141,9 +141,9 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         const int wheel = !group->term && (r == 2 || r == 3);
         const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
-        const real now = ddmpc_fabs(p->term[r]);
-        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, now);
-        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -now);
+        const real magnitude = ddmpc_fabs(p->term[r]);
+        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, magnitude);
+        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -magnitude);
     }
     for (int k = 0; k < N; k++) {
         evaluate_group(c, group, k);
@@ -158,7 +158,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
         real *upper = p->upper + (HARD + kind) * N, *lower = p->lower + (HARD + kind) * N;
-        /* Backwards, since entry 0 holds the common bound until the last round. */
+        /* The loop is backwards, since entry 0 contains the common bound until the last iteration. */
         for (int k = N - 1; k >= 0; k--) {
             upper[k] = upper[0] - p->soft_value[kind * N + k];
             lower[k] = lower[0] - p->soft_value[kind * N + k];
@@ -166,20 +166,20 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
     }
 }
 
-static void bound_softly(ddmpc_controller *c)
+static void bound_soft_values(ddmpc_controller *c)
 {
     real moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
-    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, R(0.0), 0, 0};
+    soft_group group = {WITH_SLIP(c, soft), BUILT_IN_SOFT, 0, R(0.0), 0, 0};
     ddmpc_linear_moves(c, c->problem.by_plan, moves, headings);
-    limit_softly(c, &group, moves, headings);
+    set_soft_bounds(c, &group, moves, headings);
     if (TURNS(c)) {
-        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->min_turn_radius, 0, 0};
-        limit_softly(c, &group, moves, headings);
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, BUILT_IN_SOFT, c->constants->min_turn_radius, 0, 0};
+        set_soft_bounds(c, &group, moves, headings);
     }
     if (COMMAND_TURNS(c)) {
         const int first = group.first + group.rows;
         group = (soft_group){ddmpc_f_command_turn, TURN_ROWS, first, c->constants->min_commanded_radius, 1, 0};
-        limit_softly(c, &group, moves, headings);
+        set_soft_bounds(c, &group, moves, headings);
     }
     group.radius = R(0.0);
     for (int t = 0; t < TERMS(c); t++) {
@@ -190,14 +190,14 @@ static void bound_softly(ddmpc_controller *c)
         group.rows = term->rows;
         group.function = term->function;
         group.term = term;
-        limit_softly(c, &group, moves, headings);
+        set_soft_bounds(c, &group, moves, headings);
     }
 }
 
 void ddmpc_problem_limit(ddmpc_controller *c)
 {
     bound_commands(c);
-    bound_softly(c);
+    bound_soft_values(c);
 }
 
 /* The values are comparable with `lower` and `upper`, which exclude the constant part of the limited quantities. */
@@ -210,12 +210,12 @@ void ddmpc_limit_values(const void *context, const real *plan, real *values)
     ddmpc_add_plan(c, plan, by_plan);
     ddmpc_linear_moves(c, by_plan, moves, headings);
     for (int channel = 0; channel < 2; channel++) {
-        real before = R(0.0);
+        real previous = R(0.0);
         for (int k = 0; k < N; k++) {
-            const real now = plan[2 * k + channel];
-            values[channel * N + k] = now;
-            values[(2 + channel) * N + k] = now - before;
-            before = now;
+            const real command = plan[2 * k + channel];
+            values[channel * N + k] = command;
+            values[(2 + channel) * N + k] = command - previous;
+            previous = command;
         }
     }
     for (int kind = 0; kind < SOFT(c); kind++) {

@@ -1,23 +1,23 @@
-/* The tracking problem linearised along a guess: how twists, headings and poses of the robot respond to the commands
- * U = (v_ref[0], omega_ref[0], v_ref[1], ...).
+/* Linearisation of the tracking problem along a guess: response of twists, headings and poses of the robot to the
+ * commands U = (v_ref[0], omega_ref[0], v_ref[1], ...).
  *
  * Twists and headings of a linear model respond as a linear time-invariant system. Their matrices are Toeplitz, so one
  * row represents all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], where x includes the commands in the dead
  * time. A nonlinear model is linearised along the guess and has a row for each sample. Curved slip is treated in the
- * same way: outputs and rows are then those of the body's twist, and the gains are 1. Poses follow from exact arcs.
- * Motion, slip and aim, with their gradients, are generated from mpc/problem/formulas.py. */
+ * same way: outputs and rows are then those of the body's twist, and the gains are 1. Poses are computed by exact arcs.
+ * Motion, slip and target headings, with their gradients, are generated from mpc/problem/formulas.py. */
 #include <string.h>
 
 #include "problem.h"
 
-/* Replace `command`, which was computed with the gain at rest, by the command for which a nonlinear model has the
-   body's twist `wanted` in steady state, if it exists. The search starts from `last`, the solution at the previous
+/* Replace `command`, which was computed with the gain at rest, by the command for which the steady state of a nonlinear
+   model has the body's twist `target`, if it exists. The search starts from `last`, the solution at the previous
    sample, which is usually close. */
-static void settle_command(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
+static void find_steady_command(const ddmpc_controller *c, const real target[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
-    const real *arguments[3] = {wanted, c->problem.slip, no_gain};
+    const real *arguments[3] = {target, c->problem.slip, no_gain};
     real *results[1] = {y};
     WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
     const int same = last->exists && y[0] == last->output[0] && y[1] == last->output[1];
@@ -25,8 +25,8 @@ static void settle_command(const ddmpc_controller *c, const real wanted[2], ddmp
         memcpy(command, last->command, sizeof last->command);
 }
 
-/* Compute the target poses, and the feed-forward from the last tick on: the commands that would keep the reference's
- * twist, one lag ahead. */
+/* Compute the target poses, and the feed-forward from the last tick on: the commands for the reference's twist one lag
+ * later. */
 static void compute_targets(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -36,37 +36,37 @@ static void compute_targets(ddmpc_controller *c)
     const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i, *twist = c->reference_twist + 2 * i;
-        const real turned[3] = {pose[0], pose[1], pose[2] + turns};
+        const real unwrapped[3] = {pose[0], pose[1], pose[2] + turns};
         /* The last sample has the acceleration of the previous sample. */
         const real *from = i < SAMPLES(c) - 1 ? twist : twist - 2;
         const real acceleration = (from[2] - from[0]) / (real)k->sample_time;
-        const real *arguments[4] = {turned, twist, p->slip, &acceleration};
+        const real *arguments[4] = {unwrapped, twist, p->slip, &acceleration};
         real *results[1] = {p->aim + 4 * i};
         WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
     }
     ddmpc_settled last;
     last.exists = 0;
-    /* Step -1 gives the feed-forward of the last command, relative to which the first increment is penalised. */
+    /* Step -1 is the feed-forward of the last command, which is the base of the first increment in the cost. */
     for (int i = -1; i < STEPS(c); i++) {
-        real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
+        real target[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
             const real ahead = (real)(i + LAG(c, channel)) + k->lag_rest[channel] + p->late[channel];
             const real sample = ddmpc_max(ahead, R(0.0));
             const int whole = ddmpc_min_int((int)sample, SAMPLES(c) - 2);
-            const real *now = c->reference_twist + 2 * whole + channel;
-            wanted[channel] = now[0] + (sample - (real)whole) * (now[2] - now[0]);
+            const real *current = c->reference_twist + 2 * whole + channel;
+            target[channel] = current[0] + (sample - (real)whole) * (current[2] - current[0]);
         }
-        const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
+        const real *arguments[3] = {target, p->slip, k->inverse_gain};
         real *results[1] = {command};
         WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            settle_command(c, wanted, &last, command);
+            find_steady_command(c, target, &last, command);
     }
 }
 
-/* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's, which are
-   constant for flat slip. With curved slip the outputs are already those of the body. */
-static void free_twists(ddmpc_controller *c)
+/* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's twist, which
+   are constant for flat slip. With curved slip, the outputs are already those of the body. */
+static void compute_free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     real J[2 * (2 + FLAT_SLIPS)];
@@ -87,9 +87,9 @@ static void free_twists(ddmpc_controller *c)
     p->turn_gain = J[2];
 }
 
-/* Compute the turning points of the robot along the guess. The solver treats them as constant, since their dependence
-   on the acceleration is small. */
-static void find_turning_points(ddmpc_controller *c)
+/* Compute the turning points of the robot along the guess. The solver treats them as constant, since they depend only
+   slightly on the acceleration. */
+static void compute_turning_points(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int k = 0; k < STEPS(c); k++) {
@@ -101,7 +101,7 @@ static void find_turning_points(ddmpc_controller *c)
     }
 }
 
-/* Convolve the first `count` commands of a plan with the response of a linear model: their effect on the twists. */
+/* Compute the effect of the first `count` commands of a plan on the twists of a linear model, by a convolution. */
 static void convolve(const real *response, const real *plan, int count, int N, real *by_plan)
 {
     memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
@@ -116,54 +116,54 @@ static void convolve(const real *response, const real *plan, int count, int N, r
     }
 }
 
-/* Delay a row by `late` samples with linear interpolation: `count` entries of a row with `known` entries and zeros
-   beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
-static void delay(const real *row, int known, int stride, int step, real late, int count, real *out)
+/* Delay a row by `late` samples with linear interpolation. The result has `count` entries; the row has `known` entries
+   and is zero beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
+static void delay(const real *row, int known, int stride, int step, real samples, int count, real *out)
 {
-    const int whole = (int)late;
-    const real rest = late - (real)whole;
+    const int whole = (int)samples;
+    const real fraction = samples - (real)whole;
     for (int j = 0; j < count; j++) {
-        const int near = j + step * whole, far = near + step;
-        const real now = near >= 0 && near < known ? row[stride * near] : R(0.0);
-        const real next = far >= 0 && far < known ? row[stride * far] : R(0.0);
-        out[stride * j] = now + rest * (next - now);
+        const int first = j + step * whole, second = first + step;
+        const real value = first >= 0 && first < known ? row[stride * first] : R(0.0);
+        const real second_value = second >= 0 && second < known ? row[stride * second] : R(0.0);
+        out[stride * j] = value + fraction * (second_value - value);
     }
 }
 
-/* Compute the model's response to plans whose commands are delayed by the estimated delays. Delays are rounded to whole
-   milliseconds, so that the response seldom changes. */
+/* Compute the model's response to plans whose commands have the estimated delays. Delays are rounded to milliseconds, so
+   that the response rarely changes. */
 static void update_delayed_response(ddmpc_controller *c, const real *delays)
 {
     ddmpc_problem *p = &c->problem;
     const ddmpc_constants *k = c->constants;
     const int N = STEPS(c), row = 2 * WIDTH(c);
-    real late[2];
+    real samples[2];
     for (int i = 0; i < 2; i++)
-        late[i] = R(1e-3) * ddmpc_rint(R(1e3) * delays[i]) / (real)k->sample_time;
-    if (late[0] == p->late[0] && late[1] == p->late[1])
+        samples[i] = R(1e-3) * ddmpc_rint(R(1e3) * delays[i]) / (real)k->sample_time;
+    if (samples[0] == p->late[0] && samples[1] == p->late[1])
         return;
-    memcpy(p->late, late, sizeof late);
+    memcpy(p->late, samples, sizeof samples);
     p->is_stale = 1;
     for (int i = 0; i < 2; i++) {
         for (int output = 0; output < 2; output++) {
             const int response = (2 * output + i) * (N + 1), first = output * row + i;
-            delay(k->response + response, N + 1, 1, -1, late[i], N + 1, p->late_response + response);
-            delay(k->twist_row + first, N, 2, 1, late[i], N, p->late_twist + first);
-            delay(k->mean_row + first, N, 2, 1, late[i], N, p->late_mean + first);
+            delay(k->response + response, N + 1, 1, -1, samples[i], N + 1, p->late_response + response);
+            delay(k->twist_row + first, N, 2, 1, samples[i], N, p->late_twist + first);
+            delay(k->mean_row + first, N, 2, 1, samples[i], N, p->late_mean + first);
         }
-        delay(k->heading_row + i, N, 2, 1, late[i], N, p->late_heading + i);
+        delay(k->heading_row + i, N, 2, 1, samples[i], N, p->late_heading + i);
     }
 }
 
-/* Delay the past commands (W + N, 2) by the estimated delays, from the first of the window to the last that acts during
-   the plan. Returns the number of past commands that act during the plan. */
+/* Delay the past commands (W + N, 2) by the estimated delays, from the first command of the window to the last command
+   that acts during the plan. Returns the number of past commands that act during the plan. */
 static int delay_commands(const ddmpc_controller *c, real *line)
 {
-    const real *late = c->problem.late;
-    const int W = WINDOW(c), beyond = ddmpc_min_int(STEPS(c), 1 + (int)ddmpc_max(late[0], late[1]));
+    const real *samples = c->problem.late;
+    const int W = WINDOW(c), active_count = ddmpc_min_int(STEPS(c), 1 + (int)ddmpc_max(samples[0], samples[1]));
     for (int i = 0; i < 2; i++)
-        delay(ddmpc_commands(c) + i, W, 2, -1, late[i], W + beyond, line + i);
-    return beyond;
+        delay(ddmpc_commands(c) + i, W, 2, -1, samples[i], W + active_count, line + i);
+    return active_count;
 }
 
 void ddmpc_problem_begin(ddmpc_controller *c)
@@ -171,7 +171,7 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), past = 2 * WINDOW(c), N = STEPS(c);
     const real *z = c->result.estimate.mean;
-    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], arriving[2 * (DDMPC_MAX_STEPS + 1)];
+    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], past_response[2 * (DDMPC_MAX_STEPS + 1)];
     ddmpc_problem *p = &c->problem;
     if (SPARE(c))
         update_delayed_response(c, z + n + DELAYS(c));
@@ -182,9 +182,9 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     if (NONLINEAR(c))
         return;
     real *free_output = CURVED(c) ? p->model_output : p->free_output;
-    const int beyond = delay_commands(c, line);
+    const int active_count = delay_commands(c, line);
     /* Past commands that act only during the plan have the same response as commands of the plan. */
-    convolve(k->response, line + past, beyond, N, arriving);
+    convolve(k->response, line + past, active_count, N, past_response);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
         real free = R(0.0);
@@ -192,10 +192,10 @@ void ddmpc_problem_begin(ddmpc_controller *c)
             free += from_state[j] * z[j];
         for (int j = 0; j < past; j++)
             free += from_past[j] * line[j];
-        free_output[i] = free + arriving[(i % 2) * (N + 1) + i / 2];
+        free_output[i] = free + past_response[(i % 2) * (N + 1) + i / 2];
     }
     if (!CURVED(c))
-        free_twists(c);
+        compute_free_twists(c);
 }
 
 void ddmpc_problem_guess(ddmpc_controller *c)
@@ -231,18 +231,18 @@ void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
         convolve(ddmpc_rows(c).response, plan, STEPS(c), STEPS(c), by_plan);
 }
 
-/* Run a nonlinear model under `plan`: its outputs (2) at the samples, and its rows if `rows`. */
-static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+/* Simulate a nonlinear model under `plan`: compute its outputs (2) at the samples and, if `rows`, its Jacobian rows. */
+static void simulate_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
     const int n = STATES(c), N = STEPS(c), W = WINDOW(c), width = WIDTH(c);
     real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], state[DDMPC_MAX_STATES], next[DDMPC_MAX_STATES];
     real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], by_output[2 * DDMPC_MAX_STATES];
-    real *now = p->sensitivity, *after = p->sensitivity + n * width;
+    real *sensitivity = p->sensitivity, *next_sensitivity = p->sensitivity + n * width;
     memcpy(line, ddmpc_commands(c), (size_t)(2 * W) * sizeof(real));
     memcpy(line + 2 * W, plan, (size_t)(2 * N) * sizeof(real));
     memcpy(state, c->result.estimate.mean, (size_t)n * sizeof(real));
-    memset(now, 0, (size_t)(n * width) * sizeof(real));
+    memset(sensitivity, 0, (size_t)(n * width) * sizeof(real));
     for (int k = 0; k <= N; k++) {
         ddmpc_velocity_output(c, state, outputs + 2 * k, by_output);
         for (int channel = 0; rows && channel < 2; channel++) {
@@ -250,7 +250,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
             memset(row, 0, (size_t)width * sizeof(real));
             for (int i = 0; i < n; i++)
                 for (int j = 0; j < 2 * k; j++)
-                    row[j] += by_output[channel * n + i] * now[i * width + j];
+                    row[j] += by_output[channel * n + i] * sensitivity[i * width + j];
         }
         if (k == N)
             break;
@@ -258,31 +258,31 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
         memcpy(state, next, (size_t)n * sizeof(real));
         if (!rows)
             continue;
-        memset(after, 0, (size_t)(n * width) * sizeof(real));
+        memset(next_sensitivity, 0, (size_t)(n * width) * sizeof(real));
         for (int i = 0; i < n; i++) {
             for (int m = 0; m < n; m++)
                 for (int j = 0; j < 2 * k; j++)
-                    after[i * width + j] += by_state[i * n + m] * now[m * width + j];
-            /* Commands of the window that belong to the plan. */
+                    next_sensitivity[i * width + j] += by_state[i * n + m] * sensitivity[m * width + j];
+            /* Add the effect of the commands of the window that belong to the plan. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
-                    after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
+                    next_sensitivity[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
         }
-        real *swapped = now;
-        now = after;
-        after = swapped;
+        real *swapped = sensitivity;
+        sensitivity = next_sensitivity;
+        next_sensitivity = swapped;
     }
 }
 
-/* Run a linear model under `plan`: its outputs, and on request its rows. */
-static void run_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+/* Simulate a linear model under `plan`: compute its outputs and, if `rows`, its Jacobian rows. */
+static void simulate_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
-    real added[2 * (DDMPC_MAX_STEPS + 1)];
-    convolve(ddmpc_rows(c).response, plan, N, N, added);
+    real by_plan[2 * (DDMPC_MAX_STEPS + 1)];
+    convolve(ddmpc_rows(c).response, plan, N, N, by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
-        outputs[i] = p->model_output[i] + added[(i % 2) * (N + 1) + i / 2];
+        outputs[i] = p->model_output[i] + by_plan[(i % 2) * (N + 1) + i / 2];
     for (int k = 0; rows && k <= N; k++)
         for (int channel = 0; channel < 2; channel++) {
             real *row = p->twist_rows + (2 * k + channel) * width;
@@ -291,7 +291,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
         }
 }
 
-/* Convert the model's outputs and rows to those of the body's twist. */
+/* Convert the outputs and rows of the model to outputs and rows of the body's twist. */
 static void apply_curved_slip(ddmpc_controller *c, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
@@ -311,24 +311,24 @@ static void apply_curved_slip(ddmpc_controller *c, real *outputs, int rows)
     }
 }
 
-static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+static void simulate(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     if (NONLINEAR(c))
-        run_model(c, plan, outputs, rows);
+        simulate_model(c, plan, outputs, rows);
     else
-        run_linear_model(c, plan, outputs, rows);
+        simulate_linear_model(c, plan, outputs, rows);
     if (CURVED(c))
         apply_curved_slip(c, outputs, rows);
 }
 
-/* Compute the rows along the guess, and the output for a plan of zeros. */
+/* Compute the rows along the guess, and the linearised output for a zero plan. */
 static void linearise_rows(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     const real dt = (real)c->constants->sample_time;
-    run(c, p->guess, p->free_output, 1);
-    /* Without the linear effect of the guess, the free output plus the rows gives the exact output at the guess. */
+    simulate(c, p->guess, p->free_output, 1);
+    /* Subtract the linear effect of the guess, so that the linearised output is exact at the guess. */
     add_rows(c, p->guess, p->by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
         p->free_output[i] -= p->by_plan[(i % 2) * (N + 1) + i / 2];
@@ -341,10 +341,10 @@ static void linearise_rows(ddmpc_controller *c)
             p->heading_rows[(k + 1) * width + j] =
                 p->heading_rows[k * width + j] + dt * p->mean_rows[(2 * k + 1) * width + j];
         }
-    free_twists(c);
+    compute_free_twists(c);
 }
 
-/* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also their gradients. */
+/* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also compute gradients. */
 static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs, real *poses)
 {
     const ddmpc_problem *p = &c->problem;
@@ -354,22 +354,22 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
     memcpy(poses, p->pose, sizeof p->pose);
     for (int k = 0; k < N; k++) {
         const real *free = p->free_twist + 2 * k, *pose = poses + 3 * k;
-        const real *omega = by_plan + N + 1 + k, next = ddmpc_speed_at(c, by_plan, k + 1);
-        const real mean_v = R(0.5) * (speed + next);
+        const real *omega = by_plan + N + 1 + k, next_speed = ddmpc_speed_at(c, by_plan, k + 1);
+        const real mean_v = R(0.5) * (speed + next_speed);
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
-        real move[2], J[2 * 3];
+        real displacement[2], J[2 * 3];
         const real *arguments[6] = {pose + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
-        real *results[2] = {move, arcs ? J : 0};
+        real *results[2] = {displacement, arcs ? J : 0};
         WITH_SLIP(c, arc)(arguments, results, 0, 0, 0);
-        speed = next;
-        poses[3 * k + 3] = pose[0] + move[0];
-        poses[3 * k + 4] = pose[1] + move[1];
+        speed = next_speed;
+        poses[3 * k + 3] = pose[0] + displacement[0];
+        poses[3 * k + 4] = pose[1] + displacement[1];
         poses[3 * k + 5] = pose[2] + dt * mean_omega;
         for (int i = 0; arcs && i < 2; i++) {
-            arcs[i * N + k] = move[i];
+            arcs[i * N + k] = displacement[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
             arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
-            /* ddmpc_linear_moves integrates headings without this gain, so the derivative contains it. */
+            /* ddmpc_linear_moves integrates headings without this gain, so the derivative must include it. */
             arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
         }
     }
@@ -382,8 +382,8 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
     ddmpc_add_plan(c, plan, p->by_plan);
     if (ROWS(c)) {
         real outputs[2 * (DDMPC_MAX_STEPS + 1)];
-        run(c, plan, outputs, 0);
-        /* Use the exact effect of the plan instead of the linearised one. */
+        simulate(c, plan, outputs, 0);
+        /* Use the exact effect of the plan instead of the linearised effect. */
         for (int i = 0; i < 2 * (N + 1); i++)
             p->by_plan[(i % 2) * (N + 1) + i / 2] = outputs[i] - p->free_output[i];
     }
@@ -415,6 +415,6 @@ void ddmpc_problem_linearise(ddmpc_controller *c)
         linearise_rows(c);
     else
         ddmpc_add_plan(c, p->guess, p->by_plan);
-    find_turning_points(c);
+    compute_turning_points(c);
     roll_out(c, p->by_plan, p->arc, p->poses);
 }

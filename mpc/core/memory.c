@@ -1,16 +1,16 @@
-/* Memory layout of a controller in memory provided by the caller: its size, and the start of each array. The core
- * never allocates memory. */
+/* Layout of a controller in memory that the caller provides: sizes, and the start of each array. The core does not
+ * allocate memory. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Tests leave gaps between arrays to detect access out of bounds. */
+/* Tests add gaps between arrays to detect access out of bounds. */
 #ifndef DDMPC_GAP
 #define DDMPC_GAP 0
 #define DDMPC_GUARD(address, bytes) ((void)(address))
 #endif
 
-/* Memory that is distributed from its start; if the pointers are NULL, sizes are only counted. */
+/* Memory that is assigned to arrays in sequence; if the pointers are NULL, only the sizes are counted. */
 typedef struct {
     real *reals;
     int *ints;
@@ -33,7 +33,7 @@ static int *ints(memory *m, long count)
     return array;
 }
 
-static void lay_estimator(ddmpc_controller *c, memory *m)
+static void assign_estimator(ddmpc_controller *c, memory *m)
 {
     const long Z = BELIEF(c);
     c->estimator.commands = reals(m, 2 * COMMANDS(c));
@@ -50,7 +50,7 @@ static void lay_estimator(ddmpc_controller *c, memory *m)
     }
 }
 
-static void lay_problem(ddmpc_controller *c, memory *m)
+static void assign_problem(ddmpc_controller *c, memory *m)
 {
     ddmpc_problem *p = &c->problem;
     const long N = STEPS(c), n = STATES(c), inputs = INPUTS(c), width = WIDTH(c), soft = SOFT(c), kinds = KINDS(c);
@@ -105,12 +105,12 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     p->active_kinds = ints(m, kinds);
 }
 
-static void lay(ddmpc_controller *c, memory *m)
+static void assign_memory(ddmpc_controller *c, memory *m)
 {
     const long N = STEPS(c);
     ddmpc_result *result = &c->result;
-    lay_estimator(c, m);
-    lay_problem(c, m);
+    assign_estimator(c, m);
+    assign_problem(c, m);
     c->last_plan = reals(m, 2 * N);
     c->parameters = reals(m, (N + 1) * PARAMETERS(c));
     c->reference_pose = reals(m, 3 * SAMPLES(c));
@@ -139,7 +139,7 @@ static int fits(const ddmpc_sizes *s)
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
            (s->turns == 0 || s->turns == TURN_ROWS) && (s->command_turns == 0 || s->command_turns == TURN_ROWS) &&
            (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
-           s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MAX_KINDS &&
+           s->soft >= BUILT_IN_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MAX_KINDS &&
            s->residuals >= 0 && s->max_active >= 2 * s->steps && s->terms >= 0 && s->parameters >= 0 &&
            s->model_parameters >= 0 && s->work >= 0;
 }
@@ -151,7 +151,7 @@ static memory count_memory(const ddmpc_sizes *sizes)
     memset(&c, 0, sizeof c);
     c.sizes = *sizes;
     if (fits(sizes))
-        lay(&c, &m);
+        assign_memory(&c, &m);
     return m;
 }
 
@@ -177,7 +177,7 @@ int ddmpc_init(ddmpc_controller *controller, const ddmpc_sizes *sizes, const ddm
     if (functions)
         controller->functions = *functions;
     controller->estimator.node = (ddmpc_node *)nodes;
-    lay(controller, &m);
+    assign_memory(controller, &m);
     ddmpc_reset(controller);
     return 1;
 }

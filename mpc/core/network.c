@@ -1,6 +1,6 @@
 /* A network on past commands as velocity model: forward pass over the window, and backward pass for the gradient.
  *
- * This file holds algebra only; the equations of the units and their derivatives are generated from
+ * This file contains only algebra; the equations of the units and their derivatives are generated from
  * models/lstm_cell.py. Inner loops run over units, which are adjacent in memory. */
 #include "network.h"
 
@@ -10,8 +10,8 @@
 #include "ddmpc_network_formulas.h"
 
 enum { ENTER, KEEP, CANDIDATE, LEAVE, GATES };
-/* Derivatives of a unit at a sample: of its cell by its gates and previous cell, and of its output by its gate and
- * cell. */
+/* Derivatives of a unit at a sample: derivatives of the cell by the gates and by the previous cell, and derivatives of
+ * the output by the output gate and by the cell. */
 enum { BY_ENTER, BY_KEEP, BY_CANDIDATE, BY_CELL, OUT_BY_LEAVE, OUT_BY_CELL };
 
 typedef struct {
@@ -66,8 +66,8 @@ static inline void add_product(const real *restrict left, const real *restrict m
     }
 }
 
-/* Advance cells and outputs of all units by one sample, from the sums of their gates; on request store their
- * derivatives for the gradient in `stored`. */
+/* Advance cells and outputs of all units by one sample, from the sums of their gates; if `gradient`, write their
+ * derivatives to `stored`. */
 static inline void advance_units(int row, const real *restrict sums, real *restrict cell, real *restrict output,
                                  real *restrict stored, int gradient)
 {
@@ -110,8 +110,8 @@ static inline void activate(int row, real *restrict sums, real *restrict slope)
 }
 
 /* Propagate derivatives of an output back through one sample, to the sums of the gates and to the previous cell. */
-static inline void retreat_units(int row, const real *restrict stored, const real *restrict by_output,
-                                 real *restrict by_cell, real *restrict by_sums)
+static inline void propagate_back(int row, const real *restrict stored, const real *restrict by_output,
+                                  real *restrict by_cell, real *restrict by_sums)
 {
     for (int j = 0; j < row; j++) {
         const real cell = by_cell[j] + by_output[j] * stored[OUT_BY_CELL * row + j];
@@ -125,7 +125,8 @@ static inline void retreat_units(int row, const real *restrict stored, const rea
 
 /* Compute row `output` of the gradient by the window, which is stored column by column; `stored` and `slope` come
  * from the forward pass. */
-static void go_back(const network *n, int output, const real *stored, const real *slope, real *memory, real *gradient)
+static void compute_gradient_row(const network *n, int output, const real *stored, const real *slope, real *memory,
+                                 real *gradient)
 {
     const int P = n->unit_row, Z = n->in_row;
     real *by_sums = memory, *by_cell = by_sums + GATES * P, *by_in = by_cell + P, *by_layer = by_in + Z;
@@ -134,7 +135,7 @@ static void go_back(const network *n, int output, const real *stored, const real
     memset(by_cell, 0, (size_t)(P + Z) * sizeof(real));
     add_product(by_layer, n->layer_transposed, n->dense, P, by_in);
     for (int t = n->samples - 1; t >= 0; t--) {
-        retreat_units(P, stored + t * DDMPC_STORED * P, by_in, by_cell, by_sums);
+        propagate_back(P, stored + t * DDMPC_STORED * P, by_in, by_cell, by_sums);
         memset(by_in, 0, (size_t)Z * sizeof(real));
         add_product(by_sums, n->gates_transposed, GATES * P, Z, by_in);
         for (int channel = 0; channel < 2; channel++) {
@@ -171,9 +172,9 @@ int ddmpc_network_step(const real **arguments, real **results, long long *iw, re
             sum += n.outputs[output * n.dense_row + j] * layer[j];
         results[0][output] = sum;
         if (gradient)
-            go_back(&n, output, stored, slope, rest, results[2]);
+            compute_gradient_row(&n, output, stored, slope, rest, results[2]);
     }
-    /* The model has no states: its output depends on the window only. */
+    /* The output depends only on the window, so the derivatives by the state are zero. */
     if (results[1])
         memset(results[1], 0, 4 * sizeof(real));
     return 0;

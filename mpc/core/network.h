@@ -1,7 +1,7 @@
-/* A network on past commands as velocity model: its functions, and the layout of its parameters.
+/* Network on past commands as velocity model: layout of its parameters.
  *
  * One layer of long short-term memory with H units, a dense layer of D units with tanh, and two outputs. P, Q and Z are
- * H, D and H + 2 (the units and the two commands) padded to whole blocks. The parameters lie one after the other:
+ * H, D and H + 2 (the units and the two commands) padded to whole blocks. The parameters are consecutive numbers:
  *
  *     3            number of samples of the window, H, D
  *     [H+2][4][P]  weights of the gates enter, keep, candidate and leave, for previous outputs and the command

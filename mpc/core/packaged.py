@@ -1,8 +1,8 @@
-"""The compiled core inside a wheel: one library for each level of x86-64.
+"""Compiled core in a wheel: one library for each level of x86-64.
 
-The processor on which a wheel runs is not known when the wheel is built. On x86-64 the core is therefore compiled for
-the baseline and for the levels 3 (AVX2) and 4 (AVX-512) of the architecture. The highest level that the processor
-supports is loaded.
+The processor of the user is unknown when a wheel is built. On x86-64 the core is therefore compiled for the baseline
+and for the levels 3 (AVX2) and 4 (AVX-512) of the architecture, and the highest level that the processor supports is
+loaded.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def packaged_libraries() -> Iterator[Path]:
 
 
 def packaged_with_core(name: str, folder: Path, sources: Sequence[str]) -> Packaged:
-    """Return the library of another package whose C code is compiled together with the core, at the levels of the core.
+    """Return the library of another package whose C code is compiled together with the core, for the same levels.
 
     Parameters
     ----------

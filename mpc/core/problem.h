@@ -4,7 +4,7 @@
 
 #include "internal.h"
 
-/* Response of a linear model to a plan, with the estimated extra delays of the commands if there are any. */
+/* Response of a linear model to a plan, including the estimated extra delays of the commands. */
 static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -14,7 +14,7 @@ static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
     return p->late[0] > R(0.0) || p->late[1] > R(0.0) ? late : configured;
 }
 
-/* Row of a linear model's output. All rows are shifted copies of the last row, so this points into the last row. */
+/* Row of a linear model's output. All rows are shifted copies of the last row, so the result points into this row. */
 static inline const real *ddmpc_model_row(const ddmpc_controller *c, int k, int channel)
 {
     return ddmpc_rows(c).twist + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);

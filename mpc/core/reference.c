@@ -4,7 +4,7 @@
 
 static ddmpc_time clamp(ddmpc_time t, ddmpc_time duration)
 {
-    /* Without min and max, since NaN must stay NaN. */
+    /* Comparisons preserve NaN, in contrast to min and max. */
     return t < 0.0 ? 0.0 : t > duration ? duration : t;
 }
 
@@ -12,7 +12,7 @@ static ddmpc_time clamp(ddmpc_time t, ddmpc_time duration)
 static int piece_at(const ddmpc_time *breaks, int count, ddmpc_time t)
 {
     int low = 0, high = count;
-    /* Each round halves the range, so there are as many rounds as `count` has binary digits. */
+    /* Bisection: the number of iterations is the number of binary digits of `count`. */
     while (high - low > 1) {
         const int middle = (low + high) / 2;
         if (breaks[middle] <= t)

@@ -1,8 +1,8 @@
-/* The sensor test distinguishes a faulty sensor from an unusual motion without a fault. With each pose it compares, over
- * windows of time, the motions according to poses, wheels, gyro and commands with hypotheses. Without a fault: all sensors
- * agree within the effects of slip, slopes and loads; the wheels slip; the robot is held. With a fault of one sensor: all
- * others agree. A sensor is no longer used after its fault has been more likely than all hypotheses without a fault, with
- * odds that follow from the permitted rate of false alarms. */
+/* The sensor test distinguishes a faulty sensor from an unusual motion without a fault. At each pose, it compares the
+ * motions by poses, wheels, gyro and commands over several windows with hypotheses. Hypotheses without a fault: all sensors
+ * agree within the effects of slip, slopes and loads; the wheels slip; the robot is blocked. Hypotheses with a fault of one
+ * sensor: all other sensors agree. A sensor is excluded if its fault is more likely than all hypotheses without a fault; the
+ * required odds follow from the permitted rate of false alarms. */
 #include <string.h>
 
 #include "internal.h"
@@ -16,7 +16,7 @@ static real square(real x) { return x * x; }
 /* Compute a gain from two sums, with a minimum below the gain of any robot. */
 static real quotient(const real sums[2]) { return ddmpc_max(sums[0] / sums[1], R(0.1)); }
 
-/* Compute the variance of a difference that has an absolute part and a part proportional to `size`. */
+/* Compute the variance of a difference with an absolute part and a part proportional to `size`. */
 static real variance(const real deviation[2], real size)
 {
     return square(deviation[ABSOLUTE]) + square(deviation[SHARE] * size);
@@ -26,16 +26,19 @@ void ddmpc_monitor_clear(ddmpc_controller *c)
 {
     ddmpc_monitor *m = &c->monitor;
     memset(m, 0, sizeof *m);
-    m->wheels.heard = m->gyro.heard = m->slipped = m->stood = -HUGE_VAL;
+    m->wheels.arrival = m->gyro.arrival = m->slipped_at = m->blocked_at = -HUGE_VAL;
     m->body_by_wheels[1] = m->body_by_model[1] = m->wheels_by_model[1] = c->constants->gains[0];
     m->body_by_wheels[0] = c->constants->gains[0] / c->constants->wheel_yaw_ratio;
     m->body_by_model[0] = c->constants->gains[0];
     m->wheels_by_model[0] = c->constants->gains[0] * c->constants->wheel_yaw_ratio;
-    m->widest[0] = m->widest[1] = R(1.0);
+    m->max_scatter[0] = m->max_scatter[1] = R(1.0);
 }
 
 /* Return the stored motion that is `age` entries older than the newest. */
-static ddmpc_motion *past(ddmpc_monitor *m, int age) { return &m->path[(m->newest + MONITORED - age) % MONITORED]; }
+static ddmpc_motion *stored_motion(ddmpc_monitor *m, int age)
+{
+    return &m->path[(m->newest + MONITORED - age) % MONITORED];
+}
 
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
 {
@@ -48,22 +51,22 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
     ddmpc_velocity_step(c, m->state, newest, 0, state, 0, 0);
     memcpy(m->state, state, (size_t)STATES(c) * sizeof(real));
     ddmpc_velocity_output(c, state, after, 0);
-    m->now.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);
-    m->now.sum[MODEL_TURN] += half * (before[1] + after[1]);
+    m->current.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);
+    m->current.sum[MODEL_TURN] += half * (before[1] + after[1]);
 }
 
 /* Store a new reading of `count` values; a pause longer than `silence` [s] restarts the uninterrupted arrival. */
-static void store_reading(ddmpc_hearing *reading, ddmpc_time silence, ddmpc_time t, const real *value, int count)
+static void store_reading(ddmpc_last_reading *reading, ddmpc_time silence, ddmpc_time t, const real *value, int count)
 {
-    const int has_pause = t - reading->heard > silence;
+    const int has_pause = t - reading->arrival > silence;
     int is_equal = 1;
     for (int i = 0; i < count; i++)
         is_equal = is_equal && value[i] == reading->value[i];
     if (has_pause)
-        reading->since = t;
+        reading->first_arrival = t;
     if (!is_equal || has_pause)
-        reading->changed = t;
-    reading->heard = t;
+        reading->last_change = t;
+    reading->arrival = t;
     memcpy(reading->value, value, (size_t)count * sizeof(real));
 }
 
@@ -79,27 +82,27 @@ void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible)
     *count = c->constants->impossible[1] * *count + (real)impossible;
 }
 
-/* Return 1 if a sensor has recently produced physically impossible readings, so that its other readings are unreliable. */
+/* Return 1 if a sensor has recently had so many physically impossible readings that its other readings are unreliable. */
 static int is_impossible(const ddmpc_controller *c, int subject)
 {
     return c->monitor.impossible[subject] > c->constants->impossible[0];
 }
 
-int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
+int ddmpc_monitor_doubtful_sensors(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
     const ddmpc_monitor *m = &c->monitor;
     const ddmpc_time silence = (ddmpc_time)k->silence;
     real model[2];
-    if (!k->monitor || t - m->stood <= R(2.0) * (ddmpc_time)k->windows[SHORT])
+    if (!k->monitor || t - m->blocked_at <= R(2.0) * (ddmpc_time)k->windows[SHORT])
         return 0;
     ddmpc_velocity_output(c, m->state, model, 0);
     const real wheel_turn = quotient(m->wheels_by_model) * model[1], body_turn = quotient(m->body_by_model) * model[1];
     const int wheels = is_doubtful(k, m->wheels.value[0], model[0]) || is_doubtful(k, m->wheels.value[1], wheel_turn);
     const int gyro = is_doubtful(k, m->gyro.value[0], body_turn);
-    const int wheels_repeat = t - m->wheels.heard <= silence && t - m->wheels.changed > silence;
-    const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
-    /* The wheels turn as commanded, and the gyro has had the opposite sign throughout. */
+    const int wheels_repeat = t - m->wheels.arrival <= silence && t - m->wheels.last_change > silence;
+    const int gyro_repeats = t - m->gyro.arrival <= silence && t - m->gyro.last_change > silence;
+    /* The wheels turn as commanded, but the gyro has consistently had the opposite sign. */
     const int gyro_opposes = m->turning[1] > k->gyro[ABSOLUTE] && m->turning[0] < R(-0.5) * m->turning[1];
     return ((wheels && wheels_repeat) || is_impossible(c, DDMPC_OF_WHEELS) ? BY_WHEELS : 0) |
            ((gyro && gyro_repeats) || gyro_opposes || is_impossible(c, DDMPC_OF_YAW_RATE) ? BY_GYRO : 0);
@@ -108,26 +111,26 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
 /* Subtract the current value of a sum from all its copies, to maintain accuracy in single precision. */
 static void rebase(ddmpc_monitor *m, int i)
 {
-    if (!isfinite(m->now.sum[i])) {
-        /* The sums are invalid, and so are all quantities learned from them. */
-        m->now.sum[i] = R(0.0);
-        m->moves = m->poses = m->residuals = m->has_last = m->anchored = 0;
-        m->apart = m->witness = m->settled = m->fits = m->turning[0] = m->turning[1] = R(0.0);
+    if (!isfinite(m->current.sum[i])) {
+        /* The sums are invalid, as are all quantities that were learned from them. */
+        m->current.sum[i] = R(0.0);
+        m->moves = m->poses = m->residuals = m->has_last = m->has_anchor = 0;
+        m->turn_difference = m->course_evidence = m->anchor_evidence = m->fits = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
-        memset(m->spread, 0, sizeof m->spread);
-        memset(m->went, 0, sizeof m->went);
+        memset(m->gyro_sums, 0, sizeof m->gyro_sums);
+        memset(m->wheel_sums, 0, sizeof m->wheel_sums);
         return;
     }
     /* Subtract only whole turns from the heading, because positions were integrated along it. */
     const real turn = R(2.0) * DDMPC_PI,
-               offset = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
-    m->now.sum[i] -= offset;
+               offset = i == HEADING ? turn * ddmpc_rint(m->current.sum[i] / turn) : m->current.sum[i];
+    m->current.sum[i] -= offset;
     m->frozen.sum[i] -= offset;
     m->last_motion.sum[i] -= offset;
     for (int k = 0; k < MONITORED; k++)
         m->path[k].sum[i] -= offset;
     for (int k = 0; k < MONITORED_POSES; k++)
-        m->pose[k].then.sum[i] -= offset;
+        m->pose[k].motion.sum[i] -= offset;
 }
 
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists)
@@ -145,8 +148,8 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     if (twists > wheels)
         store_reading(&m->gyro, silence, t, &twist[wheels].value, 1);
     if (m->moves == 0)
-        m->now.time = t;
-    const real dt = (real)(t - m->now.time);
+        m->current.time = t;
+    const real dt = (real)(t - m->current.time);
     if (m->moves > 0 && !(dt > R(0.0)))
         return;
     const real *newest = ddmpc_estimator_slip(c);
@@ -157,11 +160,11 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     const real wheel_turn = R(0.5) * dt * (before[1] + m->wheels.value[1]);
     const real gyro_turn = R(0.5) * dt * (before[2] + m->gyro.value[0]);
     /* The heading is integrated from the gyro or, without a gyro, from the wheels. */
-    const int no_gyro = t - m->gyro.heard > silence || (m->accused & BY_GYRO);
+    const int no_gyro = t - m->gyro.arrival > silence || (m->excluded & BY_GYRO);
     const real turn = no_gyro ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
-    real *sum = m->now.sum;
+    real *sum = m->current.sum;
     if (dt > R(0.0)) {
-        /* The slide of the surface is estimated in the frame of the poses: compute the motion there, then rotate it into the
+        /* The slide is estimated in the frame of the poses, so the motion is computed in this frame, and then rotated into the
          * frame of the sums. */
         const real theta = newest[POSE(c) + 2], zero = R(0.0), rotation = sum[HEADING] - theta;
         const real model[2] = {speed - slip[V_OFFSET], turn / (dt * slip[OMEGA_GAIN] * slip[YAW_GAIN])};
@@ -184,15 +187,15 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     sum[WHEEL_TURN] += wheel_turn;
     sum[GYRO_TURN] += gyro_turn;
     sum[TURNED] += ddmpc_fabs(turn);
-    m->now.time = t;
+    m->current.time = t;
     const ddmpc_time span = (ddmpc_time)(k->windows[LONG] + k->pose_spacing + k->latest + k->stamp_history);
-    if (m->moves == 0 || t - past(m, 0)->time >= span / (MONITORED - 2)) {
+    if (m->moves == 0 || t - stored_motion(m, 0)->time >= span / (MONITORED - 2)) {
         m->newest = (m->newest + 1) % MONITORED;
         m->moves += m->moves < MONITORED;
-        *past(m, 0) = m->now;
+        *stored_motion(m, 0) = m->current;
     }
     for (int i = 0; i < MOTIONS; i++)
-        /* The negated comparison is also true for NaN, which is then removed. */
+        /* The comparison is negated so that `rebase` also removes NaN. */
         if (!(ddmpc_fabs(sum[i]) <= k->far))
             rebase(m, i);
 }
@@ -204,21 +207,21 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
     int low = 0, high = m->moves - 1;
     if (high < 0)
         return 0;
-    if (past(m, high)->time > time) {
+    if (stored_motion(m, high)->time > time) {
         /* The robot was at rest before the first entry. */
-        *motion = *past(m, high);
+        *motion = *stored_motion(m, high);
         motion->time = time;
         return m->moves < MONITORED;
     }
     /* Bisection: seven iterations for MONITORED entries. */
     while (low < high) {
         const int middle = (low + high) / 2;
-        if (past(m, middle)->time <= time)
+        if (stored_motion(m, middle)->time <= time)
             high = middle;
         else
             low = middle + 1;
     }
-    const ddmpc_motion *before = past(m, low), *after = low > 0 ? past(m, low - 1) : &m->now;
+    const ddmpc_motion *before = stored_motion(m, low), *after = low > 0 ? stored_motion(m, low - 1) : &m->current;
     const ddmpc_time length = after->time - before->time;
     const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
     motion->time = time;
@@ -235,44 +238,45 @@ typedef struct {
     real total_turn;                                   /* sum of absolute turns [rad] */
     real chord, path; /* chord over distance travelled [-]; distance travelled by the wheels [m] */
     real heading;     /* mean heading of the pose [rad] */
-    real late[2];     /* change of the commanded motion for a later response of the wheels [m, rad] */
+    real late[2];     /* change of the commanded motion if the wheels respond later [m, rad] */
 } motions;
 
-static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
-                       const real after[3])
+static motions compare_motions(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to,
+                               const real before[3], const real after[3])
 {
-    motions by;
+    motions motion;
     real sum[MOTIONS];
-    by.late[0] = by.late[1] = R(0.0);
+    motion.late[0] = motion.late[1] = R(0.0);
     for (int i = 0; i < MOTIONS; i++)
         sum[i] = to->sum[i] - from->sum[i];
-    /* A robot may make whole turns within a window; dead reckoning determines their number. */
-    by.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
-    by.gyro_turn = sum[GYRO_TURN];
-    by.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
-    by.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
-    by.total_turn = ddmpc_max(sum[TURNED], ddmpc_max(ddmpc_fabs(by.gyro_turn), ddmpc_fabs(by.model_turn)));
-    by.heading = before[2] + R(0.5) * by.pose_turn;
+    /* A robot may make full turns within a window; dead reckoning determines their number. */
+    motion.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
+    motion.gyro_turn = sum[GYRO_TURN];
+    motion.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
+    motion.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
+    motion.total_turn = ddmpc_max(sum[TURNED], ddmpc_max(ddmpc_fabs(motion.gyro_turn), ddmpc_fabs(motion.model_turn)));
+    motion.heading = before[2] + R(0.5) * motion.pose_turn;
     const real wheel_heading = from->sum[HEADING] + R(0.5) * sum[HEADING];
-    const real cosine[2] = {ddmpc_cos(by.heading), ddmpc_cos(wheel_heading)};
-    const real sine[2] = {ddmpc_sin(by.heading), ddmpc_sin(wheel_heading)};
+    const real cosine[2] = {ddmpc_cos(motion.heading), ddmpc_cos(wheel_heading)};
+    const real sine[2] = {ddmpc_sin(motion.heading), ddmpc_sin(wheel_heading)};
     const real dx = after[0] - before[0], dy = after[1] - before[1];
-    by.pose = cosine[0] * dx + sine[0] * dy;
-    by.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
-    by.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
-    by.chord =
-        ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]) ? ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]) : R(1.0);
-    by.path = sum[WHEEL_DISTANCE];
-    by.model = by.wheels + by.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
-    return by;
+    motion.pose = cosine[0] * dx + sine[0] * dy;
+    motion.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
+    motion.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
+    motion.chord = ddmpc_fabs(motion.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE])
+                       ? ddmpc_fabs(motion.wheels / sum[WHEEL_DISTANCE])
+                       : R(1.0);
+    motion.path = sum[WHEEL_DISTANCE];
+    motion.model = motion.wheels + motion.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
+    return motion;
 }
 
 /* Squared residuals of one window. */
 typedef struct {
     real fault[SENSES]; /* with a fault of each sensor */
-    int slips;          /* 1 if the best hypothesis without a fault is slip or a held robot */
+    int slips;          /* 1 if the best hypothesis without a fault is slip or a blocked robot */
     real no_fault;      /* with the best hypothesis without a fault */
-} verdict;
+} evaluation;
 
 /* Squared residuals of each hypothesis for one kind of motion, turning or driving. */
 typedef struct {
@@ -280,9 +284,9 @@ typedef struct {
 } residuals;
 
 /* Evaluate the hypotheses for one kind of motion: body by pose `P` and gyro `G`, wheels by encoders `W` and commands `M`. A
-   negative variance marks a silent sensor. `body_variance` is the variance between body and wheels, `wheel_variance` that
-   between wheels and commands. */
-static residuals explain(const real value[4], const real noise[4], real body_variance, real wheel_variance)
+   negative variance marks a sensor without readings. `body_variance` is the variance between body and wheels,
+   `wheel_variance` the variance between wheels and commands. */
+static residuals evaluate_hypotheses(const real value[4], const real noise[4], real body_variance, real wheel_variance)
 {
     enum { P, G, W, M };
     const int pose = noise[P] >= R(0.0), gyro = noise[G] >= R(0.0), wheels = noise[W] >= R(0.0);
@@ -308,34 +312,35 @@ static residuals explain(const real value[4], const real noise[4], real body_var
 }
 
 /* Evaluate the hypotheses in a window of `duration` [s] with the pose and the sensors in `available`. */
-static verdict evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *by, int available,
-                        const real noise[2], real duration)
+static evaluation evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *motion, int available,
+                           const real noise[2], real duration)
 {
     const int wheels = available & BY_WHEELS, gyro = available & BY_GYRO;
-    const real net_turn = ddmpc_max(ddmpc_fabs(by->gyro_turn), ddmpc_fabs(by->model_turn));
-    const real distance = ddmpc_max(ddmpc_fabs(by->pose), ddmpc_fabs(by->model));
-    const real gyro_noise = square(k->gyro[ABSOLUTE] * duration) + square(k->gyro[SHARE] * by->gyro_turn);
-    const real turn[4] = {by->pose_turn, by->gyro_turn, by->wheel_turn, by->model_turn};
+    const real net_turn = ddmpc_max(ddmpc_fabs(motion->gyro_turn), ddmpc_fabs(motion->model_turn));
+    const real distance = ddmpc_max(ddmpc_fabs(motion->pose), ddmpc_fabs(motion->model));
+    const real gyro_noise = square(k->gyro[ABSOLUTE] * duration) + square(k->gyro[SHARE] * motion->gyro_turn);
+    const real turn[4] = {motion->pose_turn, motion->gyro_turn, motion->wheel_turn, motion->model_turn};
     const real turn_noise[4] = {square(noise[1]), gyro ? gyro_noise : R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
-    const real forward[4] = {by->pose, R(0.0), by->wheels, by->model};
+    const real forward[4] = {motion->pose, R(0.0), motion->wheels, motion->model};
     const real forward_noise[4] = {square(noise[0]), R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
     /* The uncertainty of the gains decreases with the turns of the robot so far. */
     const real gain_variance = square(k->gains[3] * net_turn) * k->gains[0];
-    /* The two turns of an S do not cancel if one side slips more than the other. */
-    const real uneven_variance = square(k->uneven * (by->total_turn - net_turn));
+    /* The errors of opposite turns do not cancel if one side slips more than the other. */
+    const real uneven_variance = square(k->uneven * (motion->total_turn - net_turn));
     const real body_turn = variance(k->slip_turning, net_turn) + gain_variance / m->body_by_wheels[1] + uneven_variance;
     const real wheel_turn = variance(k->following, net_turn) + gain_variance / m->wheels_by_model[1] +
-                            square(by->late[1]) + uneven_variance;
+                            square(motion->late[1]) + uneven_variance;
     const real body_forward = variance(k->slip_driving, distance);
-    const real wheel_forward = variance(k->following, distance) + square(by->late[0]);
-    const residuals turning = explain(turn, turn_noise, body_turn, wheel_turn);
-    const residuals driving = explain(forward, forward_noise, body_forward, wheel_forward);
-    /* Without the gyro the time of the turn is unknown: before, after or during the drive. */
-    const real chord = by->path * ddmpc_cos(R(0.5) * by->pose_turn);
-    const real fitted = ddmpc_max(ddmpc_min(by->pose, ddmpc_max(chord, by->path)), ddmpc_min(chord, by->path));
-    const real free_forward[4] = {by->pose, R(0.0), fitted, by->model + fitted - by->wheels};
-    const residuals free_driving = explain(free_forward, forward_noise, body_forward, wheel_forward);
-    verdict result;
+    const real wheel_forward = variance(k->following, distance) + square(motion->late[0]);
+    const residuals turning = evaluate_hypotheses(turn, turn_noise, body_turn, wheel_turn);
+    const residuals driving = evaluate_hypotheses(forward, forward_noise, body_forward, wheel_forward);
+    /* Without the gyro, the turn may have occurred before, during or after the drive. */
+    const real chord = motion->path * ddmpc_cos(R(0.5) * motion->pose_turn);
+    const real fitted =
+        ddmpc_max(ddmpc_min(motion->pose, ddmpc_max(chord, motion->path)), ddmpc_min(chord, motion->path));
+    const real free_forward[4] = {motion->pose, R(0.0), fitted, motion->model + fitted - motion->wheels};
+    const residuals free_driving = evaluate_hypotheses(free_forward, forward_noise, body_forward, wheel_forward);
+    evaluation result;
     result.no_fault = ddmpc_min(turning.normal + driving.normal, ddmpc_min(turning.slip + driving.slip + k->odds[0],
                                                                            turning.held + driving.held + k->odds[1]));
     for (int i = 0; i < SENSES; i++)
@@ -348,11 +353,11 @@ static verdict evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const 
 }
 
 /* Compute the squared deviation of poses with a steady drift from dead reckoning that slopes and slip do not explain. */
-static real drift(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
+static real drift_evidence(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
     const real spread = R(0.5) * square(noise) + square(R(0.5) * k->sliding[0] * whole->wheels) +
                         square(R(0.5) * k->sliding[1] * whole->total_turn) + square(k->slip_driving[ABSOLUTE]);
-    /* A push or a correction is sudden, so use the half of the window with the smaller drift. */
+    /* A push or a correction of the localisation is sudden, so use the half of the window with the smaller drift. */
     const real half_error = half->pose - half->wheels, error = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
     const real size = ddmpc_hypot(error, whole->left);
@@ -363,10 +368,11 @@ static real drift(const ddmpc_constants *k, const motions *half, const motions *
 }
 
 /* Learn the variance of poses relative to their stated covariance from second differences, which exclude steady slip. */
-static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_checked_pose *pose, const motions *by)
+static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_checked_pose *pose,
+                          const motions *motion)
 {
     const real stated[2] = {R(0.5) * (pose->covariance[0][0] + pose->covariance[1][1]), pose->covariance[2][2]};
-    const real error[3] = {by->pose - by->wheels, by->left, by->pose_turn - by->gyro_turn};
+    const real error[3] = {motion->pose - motion->wheels, motion->left, motion->pose_turn - motion->gyro_turn};
     real observed[2] = {R(0.0), R(0.0)};
     for (int i = 0; i < 3; i++) {
         /* Each second difference contains 1 + 4 + 1 variances; the first two are averaged as the position. */
@@ -380,7 +386,7 @@ static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     const real share = ddmpc_max(k->scatter[0], R(1.0) / (real)m->residuals);
     for (int i = 0; i < 2; i++) {
         const real limit = k->scatter[2] * ddmpc_max(m->scatter[i], R(1.0)), ratio = observed[i] / stated[i];
-        /* In contrast to `min`, this comparison removes NaN. */
+        /* In contrast to ddmpc_min, this comparison removes NaN. */
         m->scatter[i] += share * ((ratio < limit ? ratio : limit) - m->scatter[i]);
     }
 }
@@ -402,30 +408,31 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
 }
 
 /* Compare the motions between two times shifted back by a delay; return 0 if these times are no longer stored. */
-static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
-                           const ddmpc_motion *to, ddmpc_time delay, const real pose[3], motions *by)
+static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
+                           const ddmpc_motion *to, ddmpc_time delay, const real pose[3], motions *motion)
 {
     ddmpc_motion first, last;
-    if (!motion_at(m, from->then.time - delay, &first) || !motion_at(m, to->time - delay, &last))
+    if (!motion_at(m, from->motion.time - delay, &first) || !motion_at(m, to->time - delay, &last))
         return 0;
-    *by = compare(m, &first, &last, from->value, pose);
+    *motion = compare_motions(m, &first, &last, from->value, pose);
     const ddmpc_time response = (ddmpc_time)k->response_time;
     ddmpc_motion before, after;
     if (motion_at(m, first.time - response, &before) && motion_at(m, last.time - response, &after)) {
-        by->late[0] = by->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] +
-                                   before.sum[MODEL_DISTANCE]);
-        by->late[1] = by->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
+        motion->late[0] = motion->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] -
+                                           after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
+        motion->late[1] =
+            motion->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
     }
     return 1;
 }
 
 /* Learn the ratios between the turns of wheels, body and commands. */
-static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by)
+static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *motion)
 {
-    const real turn = R(0.5) * (by->pose_turn + by->gyro_turn);
-    const real wheels = by->wheel_turn / quotient(m->body_by_wheels);
-    const real model = by->model_turn / quotient(m->body_by_model);
-    /* A held robot provides no information about its body. */
+    const real turn = R(0.5) * (motion->pose_turn + motion->gyro_turn);
+    const real wheels = motion->wheel_turn / quotient(m->body_by_wheels);
+    const real model = motion->model_turn / quotient(m->body_by_model);
+    /* A blocked robot provides no information about the turn of its body. */
     if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
         learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
         learn_gain(m->body_by_model, k->gains[2], model, turn);
@@ -434,25 +441,25 @@ static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motion
 }
 
 /* Learn the scale of the gyro from windows that are consistent with a single scale. */
-static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by, real noise)
+static void learn_gyro_scale(const ddmpc_constants *k, ddmpc_monitor *m, const motions *motion, real noise)
 {
     const real turn_noise = k->gyro[ABSOLUTE] + noise, weight = R(1.0) / square(turn_noise);
-    const real pose = by->pose_turn, gyro = by->gyro_turn,
-               scale = m->spread[4] > R(0.0) ? m->spread[5] / m->spread[4] : R(1.0);
-    if (m->spread[3] > k->late[2] &&
+    const real pose = motion->pose_turn, gyro = motion->gyro_turn,
+               scale = m->gyro_sums[4] > R(0.0) ? m->gyro_sums[5] / m->gyro_sums[4] : R(1.0);
+    if (m->gyro_sums[3] > k->late[2] &&
         ddmpc_fabs(pose - scale * gyro) > R(1.5) * turn_noise + k->uneven * ddmpc_fabs(pose))
         return;
     const real terms[6] = {R(1.0), pose, gyro, square(pose), square(gyro), pose * gyro};
     for (int i = 0; i < 6; i++)
-        m->spread[i] = k->late[1] * m->spread[i] + weight * terms[i];
+        m->gyro_sums[i] = k->late[1] * m->gyro_sums[i] + weight * terms[i];
 }
 
 /* Return 1 if turns come from the wheels because no gyro is available. */
 static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
-    return (m->now.time - m->gyro.heard > silence || m->unreal & BY_GYRO) && m->now.time - m->wheels.heard <= silence &&
-           !(m->accused & BY_WHEELS);
+    return (m->current.time - m->gyro.arrival > silence || m->implausible & BY_GYRO) &&
+           m->current.time - m->wheels.arrival <= silence && !(m->excluded & BY_WHEELS);
 }
 
 /* Compute the turn between two times by the gyro or, without a gyro, by the wheels. */
@@ -463,21 +470,22 @@ static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const
                                  : to->sum[GYRO_TURN] - from->sum[GYRO_TURN];
 }
 
-/* Learn the delay of poses. For each candidate delay a Kalman filter fits the heading of the poses minus that of the gyro by an
- * offset, a drifting bias and a share of the turn, so that neither bias nor scale appears as a delay; all candidates share one
- * covariance. Forward motion does not determine the delay, because tyres make the body follow its wheels late. For the same
- * reason the wheels can replace the gyro for long delays only. */
-static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+/* Learn the delay of poses. For each candidate delay, a Kalman filter fits the heading of the poses minus that of the gyro by
+ * an offset, a drifting bias and a share of the turn, so that neither bias nor scale appears as a delay; all candidates share
+ * one covariance. Forward motion does not determine the delay, because the elasticity of the tyres delays the body relative to
+ * the wheels. For the same reason, the wheels can replace the gyro only for long delays. */
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
                         real noise)
 {
-    const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
+    const real dt = (real)(current->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
     const real decay = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)),
                reading = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real error[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
-    ddmpc_motion then;
+    ddmpc_motion earlier;
     const int wheels = turns_by_wheels(k, m);
-    const int no_turns = !wheels && (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || m->unreal & BY_GYRO);
-    if (no_turns || (m->accused & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &then))
+    const int no_turns =
+        !wheels && (m->current.time - m->gyro.last_change > (ddmpc_time)k->silence || m->implausible & BY_GYRO);
+    if (no_turns || (m->excluded & BY_POSE) || !motion_at(m, current->time - (ddmpc_time)k->latest, &earlier))
         return;
     /* P = F P F', as the offset grows by the bias and by a share of the turn. */
     for (int j = 0; j < 3; j++)
@@ -488,20 +496,20 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     P[1][1] += dt * square(k->delay_fit[1]);
     const real total = P[0][0] + reading, gain[3] = {P[0][0] / total, P[1][0] / total, P[2][0] / total};
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        motion_at(m, now->time - delay_of(k, i), &then);
+        motion_at(m, current->time - delay_of(k, i), &earlier);
         m->fit[i][0] += dt * m->fit[i][1] + turn * m->fit[i][2];
-        error[i] = turn_between(k, m, &then, now) - m->apart - m->fit[i][0];
+        error[i] = turn_between(k, m, &earlier, current) - m->turn_difference - m->fit[i][0];
         low = ddmpc_min(low, error[i]);
         high = ddmpc_max(high, error[i]);
     }
-    /* Restart after a jump, which no delay explains. An accused gyro may have any scale. */
+    /* Restart after a jump, which no delay explains. An excluded gyro may have any scale. */
     const real initial[3] = {reading, square(k->delay_fit[2]),
-                             square(wheels                 ? k->by_wheels[1]
-                                    : m->accused & BY_GYRO ? k->delay_fit[7]
-                                                           : k->gyro[SHARE])};
+                             square(wheels                  ? k->by_wheels[1]
+                                    : m->excluded & BY_GYRO ? k->delay_fit[7]
+                                                            : k->gyro[SHARE])};
     const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(total);
     m->fits = restart ? R(1.0) : decay * m->fits + R(1.0);
-    /* The ends are no candidates, since the parabola below needs both neighbours. */
+    /* The first and last delay are not candidates, since the parabola below needs both neighbours. */
     int best = 1;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         m->misfit[i] = restart ? R(0.0) : decay * m->misfit[i] + square(error[i]) / total;
@@ -521,17 +529,17 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)),
                deviation = step * ddmpc_sqrt(R(2.0) * scatter / curvature);
     const int is_certain = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
-                           deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
-    /* Require lasting certainty: the turns of a failing sensor may appear late for a moment, and a new delay changes the whole
-     * estimate. */
+                           deviation < ddmpc_max(k->delay_fit[4], m->excluded & BY_GYRO ? R(0.0) : k->late[3] * delay);
+    /* The delay must be certain for some time: the turns of a failing sensor may briefly appear delayed, and a new delay changes
+     * the whole estimate. */
     if (!is_certain || restart || (wheels && delay < k->by_wheels[2]))
-        m->unsure = now->time;
+        m->uncertain_at = current->time;
     const int is_different = ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation;
     const int is_more_precise = m->delay > 0.0 && deviation < m->delay_deviation;
-    if (now->time - m->unsure >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
+    if (current->time - m->uncertain_at >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
         /* The scale of the gyro was learned from windows at the previous delay. */
         if (is_different)
-            memset(m->spread, 0, sizeof m->spread);
+            memset(m->gyro_sums, 0, sizeof m->gyro_sums);
         m->delay = (ddmpc_time)delay;
         m->delay_deviation = deviation;
     }
@@ -541,13 +549,13 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
 static int available_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddmpc_time time)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
-    const int wheels = m->wheels.since <= time && m->now.time - m->wheels.heard <= silence;
-    const int gyro = m->gyro.since <= time && m->now.time - m->gyro.heard <= silence;
+    const int wheels = m->wheels.first_arrival <= time && m->current.time - m->wheels.arrival <= silence;
+    const int gyro = m->gyro.first_arrival <= time && m->current.time - m->gyro.arrival <= silence;
     return (wheels ? BY_WHEELS : 0) | (gyro ? BY_GYRO : 0);
 }
 
 /* Return 1 if poses repeat while two other sources report motion. */
-static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now, const real noise[2])
+static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *current, const real noise[2])
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
@@ -556,49 +564,49 @@ static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion
         if (pose[i] != m->last.value[i])
             m->same = 0;
     if (m->same == 0)
-        m->frozen = *now;
+        m->frozen = *current;
     if (m->same < (int)k->often - 1)
         return 0;
-    const motions by = compare(m, &m->frozen, now, pose, pose);
-    const int available = available_since(k, m, m->frozen.time) & ~m->accused;
+    const motions motion = compare_motions(m, &m->frozen, current, pose, pose);
+    const int available = available_since(k, m, m->frozen.time) & ~m->excluded;
     const real min_distance = k->frozen[0] + R(3.0) * noise[0], min_turn = k->frozen[1] + R(3.0) * noise[1];
-    const int model = ddmpc_fabs(now->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
-                      ddmpc_fabs(by.model_turn) > min_turn;
-    const int wheels = ddmpc_fabs(now->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
-                       ddmpc_fabs(by.wheel_turn) > min_turn;
-    const int gyro = ddmpc_fabs(by.gyro_turn) > min_turn;
+    const int model = ddmpc_fabs(current->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
+                      ddmpc_fabs(motion.model_turn) > min_turn;
+    const int wheels = ddmpc_fabs(current->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
+                       ddmpc_fabs(motion.wheel_turn) > min_turn;
+    const int gyro = ddmpc_fabs(motion.gyro_turn) > min_turn;
     return model + (wheels && (available & BY_WHEELS)) + (gyro && (available & BY_GYRO)) >= 2;
 }
 
-/* Return the newest stored pose that is at least `length` [s] older than `stamp`; 0 if there is none below twice that age. */
-static const ddmpc_seen_pose *pose_before(const ddmpc_monitor *m, ddmpc_time stamp, ddmpc_time length)
+/* Return the newest stored pose that is at least `length` [s] older than `stamp`; 0 if it is older than twice `length`. */
+static const ddmpc_stored_pose *pose_before(const ddmpc_monitor *m, ddmpc_time stamp, ddmpc_time length)
 {
     for (int age = 0; age < m->poses; age++) {
-        const ddmpc_seen_pose *stored = &m->pose[(m->newest_pose + MONITORED_POSES - age) % MONITORED_POSES];
-        if (stamp - stored->then.time >= length - 1e-9)
-            return stamp - stored->then.time < 2.0 * length ? stored : 0;
+        const ddmpc_stored_pose *stored = &m->pose[(m->newest_pose + MONITORED_POSES - age) % MONITORED_POSES];
+        if (stamp - stored->motion.time >= length - 1e-9)
+            return stamp - stored->motion.time < 2.0 * length ? stored : 0;
     }
     return 0;
 }
 
 /* Evaluate each hypothesis at its best delay of poses, because late poses are not a fault. For a faulty pose the delay has no
  * meaning, so the other sensors must agree at all delays. */
-static verdict evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
-                               const ddmpc_motion *now, const real *pose, int available, const real noise[2],
-                               int window)
+static evaluation evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
+                                  const ddmpc_motion *current, const real *pose, int available, const real noise[2],
+                                  int window)
 {
-    verdict minimum;
+    evaluation minimum;
     int first = 1;
     real best = m->misfit[0];
     memset(&minimum, 0, sizeof minimum);
     for (int i = 1; i < MONITORED_DELAYS; i++)
         best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        motions by;
+        motions motion;
         /* Skip delays that are already excluded. */
-        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, now, delay_of(k, i), pose, &by))
+        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, current, delay_of(k, i), pose, &motion))
             continue;
-        const verdict result = evaluate(k, m, &by, available, noise, k->windows[window]);
+        const evaluation result = evaluate(k, m, &motion, available, noise, k->windows[window]);
         if (first)
             minimum = result;
         for (int j = 0; j < SENSES; j++)
@@ -612,71 +620,73 @@ static verdict evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const
 }
 
 /* Compute the course between two poses relative to their mean heading, and its variance; return 0 if they are too close. */
-static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const ddmpc_motion *to, const real pose[3],
-                  real noise, real *direction, real *spread)
+static int compute_course(const ddmpc_constants *k, const ddmpc_stored_pose *from, const ddmpc_motion *to,
+                          const real pose[3], real noise, real *direction, real *spread)
 {
     const real dx = pose[0] - from->value[0], dy = pose[1] - from->value[1], length = ddmpc_hypot(dx, dy);
-    const real distance = to->sum[WHEEL_DISTANCE] - from->then.sum[WHEEL_DISTANCE];
+    const real distance = to->sum[WHEEL_DISTANCE] - from->motion.sum[WHEEL_DISTANCE];
     if (!(length > R(4.0) * noise) || !(length > k->frozen[0]))
         return 0;
     const real turn = ddmpc_wrap(pose[2] - from->value[2]), heading = from->value[2] + R(0.5) * turn;
     *direction = ddmpc_wrap(ddmpc_atan2(dy, dx) - heading - (distance < R(0.0) ? DDMPC_PI : R(0.0)));
-    /* Unless the path is an arc, its chord may have any direction between both headings. */
+    /* If the path is not an arc, its chord may have any direction between both headings. */
     *spread = square(k->course[0]) + square(noise / length) + square(k->course[3] * turn) + square(R(0.5) * *direction);
     return ddmpc_fabs(turn) < k->course[4];
 }
 
-/* If gyro and poses have diverged, find the correct heading by the course, which turns with the correct one. */
-static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3],
+/* If gyro and poses have diverged, the course of the poses shows which heading is correct, since it turns with the robot. */
+static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
                           real noise)
 {
-    const ddmpc_seen_pose *from = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
+    const ddmpc_stored_pose *from = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
     real direction, spread;
-    if (!from || !course(k, from, now, pose, noise, &direction, &spread))
+    if (!from || !compute_course(k, from, current, pose, noise, &direction, &spread))
         return;
-    m->directed = k->late[1] * m->directed + R(1.0) / spread;
-    m->direction = ddmpc_wrap(m->direction + ddmpc_wrap(direction - m->direction) / (spread * m->directed));
-    if (now->time >= m->next_pose) {
-        m->witness *= k->late[1];
-        m->settled *= k->late[1];
+    m->direction_weight = k->late[1] * m->direction_weight + R(1.0) / spread;
+    m->direction = ddmpc_wrap(m->direction + ddmpc_wrap(direction - m->direction) / (spread * m->direction_weight));
+    if (current->time >= m->next_pose) {
+        m->course_evidence *= k->late[1];
+        m->anchor_evidence *= k->late[1];
     }
-    const real difference = m->apart - m->anchor[2], change = ddmpc_wrap(direction - m->anchor[0]),
+    const real difference = m->turn_difference - m->anchor[2], change = ddmpc_wrap(direction - m->anchor[0]),
                total = spread + m->anchor[1];
-    if (m->anchored && ddmpc_fabs(difference) > k->course[1]) {
+    if (m->has_anchor && ddmpc_fabs(difference) > k->course[1]) {
         const real evidence = (square(ddmpc_wrap(change - difference)) - square(change)) / total, limit = k->course[2];
-        m->witness = ddmpc_max(ddmpc_min(m->settled + evidence, limit), -limit);
+        m->course_evidence = ddmpc_max(ddmpc_min(m->anchor_evidence + evidence, limit), -limit);
     }
-    if (!m->anchored || ddmpc_fabs(difference) > R(3.0) * k->course[1]) {
-        m->settled = R(0.5) * m->witness;
-        m->anchored = 1;
+    if (!m->has_anchor || ddmpc_fabs(difference) > R(3.0) * k->course[1]) {
+        m->anchor_evidence = R(0.5) * m->course_evidence;
+        m->has_anchor = 1;
         m->anchor[0] = direction;
         m->anchor[1] = spread;
-        m->anchor[2] = m->apart;
+        m->anchor[2] = m->turn_difference;
     }
 }
 
-/* Compute the squared deviation of poses that move sideways in two consecutive windows, in contrast to a single push. */
-static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now,
-                     const real pose[3], real noise)
+/* Compute the squared deviation of poses that move sideways in two consecutive windows; a push affects only one of them. */
+static real sideways_evidence(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
+                              const ddmpc_motion *current, const real pose[3], real noise)
 {
-    const ddmpc_seen_pose *middle = pose_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
-    motions by[2];
-    if (!middle || middle == from || !compare_delayed(k, m, from, &middle->then, m->delay, middle->value, &by[0]) ||
-        !compare_delayed(k, m, middle, now, m->delay, pose, &by[1]) ||
-        !(by[0].left * by[1].left + by[0].pose * by[1].pose > R(0.0)))
+    const ddmpc_stored_pose *middle = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
+    motions motion[2];
+    if (!middle || middle == from ||
+        !compare_delayed(k, m, from, &middle->motion, m->delay, middle->value, &motion[0]) ||
+        !compare_delayed(k, m, middle, current, m->delay, pose, &motion[1]) ||
+        !(motion[0].left * motion[1].left + motion[0].pose * motion[1].pose > R(0.0)))
         return R(0.0);
     real minimum = HUGE_VAL;
     for (int i = 0; i < 2; i++) {
         /* No surface moves a robot in the opposite direction of its wheels and its commands. */
-        const real reverse =
-            by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
-        const real length = ddmpc_hypot(by[i].pose, by[i].left), distance = ddmpc_fabs(by[i].wheels);
+        const real reverse = motion[i].pose * motion[i].wheels < R(0.0) && motion[i].model * motion[i].wheels > R(0.0)
+                                 ? square(motion[i].pose)
+                                 : R(0.0);
+        const real length = ddmpc_hypot(motion[i].pose, motion[i].left), distance = ddmpc_fabs(motion[i].wheels);
         /* On a sliding surface the distances of poses and wheels differ. */
         if (!(ddmpc_fabs(length - distance) < R(2.0) * (noise + k->slip_driving[SHARE] * distance)))
             return R(0.0);
-        minimum =
-            ddmpc_min(minimum, (square(by[i].left) + reverse) / (square(noise) + variance(k->sideways, by[i].wheels) +
-                                                                 square(k->sliding[1] * by[i].total_turn)));
+        minimum = ddmpc_min(minimum, (square(motion[i].left) + reverse) /
+                                         (square(noise) + variance(k->sideways, motion[i].wheels) +
+                                          square(k->sliding[1] * motion[i].total_turn)));
     }
     return R(2.0) * minimum;
 }
@@ -684,7 +694,7 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
 /* Return 1 if the gyro differs from poses by a constant scale, which neither a bias nor a faulty pose causes. */
 static int gyro_has_scale(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
-    const real *sum = m->spread, weights = ddmpc_max(sum[0], R(1e-9));
+    const real *sum = m->gyro_sums, weights = ddmpc_max(sum[0], R(1e-9));
     const real pose = sum[3] - square(sum[1]) / weights, gyro = sum[4] - square(sum[2]) / weights;
     const real product = sum[5] - sum[1] * sum[2] / weights;
     return pose > k->late[2] && product > k->scaled[0] * gyro && ddmpc_fabs(product - gyro) > k->scaled[1] * gyro &&
@@ -694,149 +704,158 @@ static int gyro_has_scale(const ddmpc_constants *k, const ddmpc_monitor *m)
 /* Compute the evidence that the distance of the wheels differs from that of poses and commands over recent motion. */
 static real wheel_scale_evidence(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
-    if (!(m->went[3] > k->scales[0]))
+    if (!(m->wheel_sums[3] > k->scales[0]))
         return R(0.0);
-    const real wheels = m->went[1] / m->went[0], body = m->went[2] / m->went[0];
+    const real wheels = m->wheel_sums[1] / m->wheel_sums[0], body = m->wheel_sums[2] / m->wheel_sums[0];
     const real wheel_error = square((wheels - R(1.0)) / k->scales[2]),
                body_error = square((body - R(1.0)) / k->scales[3]);
     return ddmpc_min(wheel_error, square((wheels - body) / k->scales[1]) + body_error) - body_error;
 }
 
-/* Compute the evidence against each sensor from the motion up to this pose, and in `agreeing` the moving sensors that agree
- * with the others. */
-static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
-                  real evidence[SENSES], int *agreeing)
+/* Compute the evidence against each sensor from the motion up to this pose; set `agreeing` to the sensors, as bits, that
+ * agree with the others during motion. */
+static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *current,
+                             const real noise[2], real evidence[SENSES], int *agreeing)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const int accused = m->accused, both = BY_WHEELS | BY_GYRO;
+    const int excluded = m->excluded, both = BY_WHEELS | BY_GYRO;
     motions half, whole;
-    if (available_since(k, m, now->time) & BY_GYRO)
-        follow_course(k, m, now, pose->value, noise[0]);
-    learn_delay(k, m, now, pose->value, noise[1]);
+    if (available_since(k, m, current->time) & BY_GYRO)
+        follow_course(k, m, current, pose->value, noise[0]);
+    learn_delay(k, m, current, pose->value, noise[1]);
     for (int window = SHORT; window < WINDOWS; window++) {
-        const ddmpc_seen_pose *from = pose_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
-        motions *by = window == LONG ? &whole : &half;
-        if (!from || !compare_delayed(k, m, from, now, m->delay, pose->value, by))
+        const ddmpc_stored_pose *from = pose_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
+        motions *motion = window == LONG ? &whole : &half;
+        if (!from || !compare_delayed(k, m, from, current, m->delay, pose->value, motion))
             break;
-        const int available = available_since(k, m, from->then.time - m->delay), used = available & ~accused;
+        const int available = available_since(k, m, from->motion.time - m->delay), used = available & ~excluded;
         if (window == MIDDLE) {
-            const ddmpc_seen_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
+            const ddmpc_stored_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && used & BY_WHEELS)
                 evidence[DDMPC_OF_POSE] =
-                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways(k, m, oldest, now, pose->value, noise[0]));
+                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways_evidence(k, m, oldest, current, pose->value, noise[0]));
             continue;
         }
-        verdict result = evaluate_delays(k, m, from, now, pose->value, used, noise, window);
-        result.fault[DDMPC_OF_POSE] += ddmpc_max(m->witness, R(0.0));
-        result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->witness, R(0.0));
+        evaluation result = evaluate_delays(k, m, from, current, pose->value, used, noise, window);
+        result.fault[DDMPC_OF_POSE] += ddmpc_max(m->course_evidence, R(0.0));
+        result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->course_evidence, R(0.0));
         result.fault[DDMPC_OF_POSE] += gyro_has_scale(k, m) ? k->scaled[3] : R(0.0);
         for (int i = 0; i < SENSES; i++)
             if ((used | BY_POSE) & 1 << i)
                 evidence[i] = ddmpc_max(evidence[i], result.no_fault - result.fault[i]);
         if (window == SHORT && pose->stamp >= m->next_pose) {
-            const real model = by->model, decay = R(1.0) - k->pose_spacing / k->memory;
-            const real terms[6] = {model * model,         model * by->wheels,
-                                   model * by->pose,      k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
-                                   square(by->pose_turn), by->pose_turn * by->wheel_turn / quotient(m->body_by_wheels)};
+            const real model = motion->model, decay = R(1.0) - k->pose_spacing / k->memory;
+            const real terms[6] = {model * model,
+                                   model * motion->wheels,
+                                   model * motion->pose,
+                                   k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
+                                   square(motion->pose_turn),
+                                   motion->pose_turn * motion->wheel_turn / quotient(m->body_by_wheels)};
             for (int i = 0; i < 6; i++)
-                m->went[i] = decay * m->went[i] + terms[i];
+                m->wheel_sums[i] = decay * m->wheel_sums[i] + terms[i];
         }
         if (window == SHORT && used & BY_WHEELS)
             evidence[DDMPC_OF_WHEELS] = ddmpc_max(evidence[DDMPC_OF_WHEELS], wheel_scale_evidence(k, m));
         if (window == LONG) {
-            m->creeping =
-                square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
-            /* Dead reckoning uses wheels and gyro, so it indicates a drift only if both agree with all other data. */
-            if (used == both && result.no_fault < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
-                evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], drift(k, &half, &whole, noise[0]));
+            m->is_diverging = square(motion->pose_turn - motion->gyro_turn) >
+                              square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
+            /* Dead reckoning uses wheels and gyro, so it shows a drift of the poses only if both agree with all other data. */
+            if (used == both && result.no_fault < k->plausible && pose->stamp - m->slipped_at > (ddmpc_time)k->memory)
+                evidence[DDMPC_OF_POSE] =
+                    ddmpc_max(evidence[DDMPC_OF_POSE], drift_evidence(k, &half, &whole, noise[0]));
             continue;
         }
-        const verdict with_accused = accused ? evaluate(k, m, by, available, noise, k->windows[window]) : result;
-        const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
-        const int wheels_agree = square(by->wheels - by->pose) < square(noise[0]) + variance(k->slip_driving, by->pose);
-        const int turns = ddmpc_max(ddmpc_fabs(by->pose_turn), ddmpc_fabs(by->gyro_turn)) > k->frozen[1];
+        const evaluation with_excluded =
+            excluded ? evaluate(k, m, motion, available, noise, k->windows[window]) : result;
+        const int moves = ddmpc_fabs(motion->pose) > k->frozen[0] || ddmpc_fabs(motion->pose_turn) > k->frozen[1];
+        const int wheels_agree =
+            square(motion->wheels - motion->pose) < square(noise[0]) + variance(k->slip_driving, motion->pose);
+        const int turns = ddmpc_max(ddmpc_fabs(motion->pose_turn), ddmpc_fabs(motion->gyro_turn)) > k->frozen[1];
         const real min_distance = k->frozen[0] + R(2.0) * noise[0], min_turn = k->frozen[1] + R(2.0) * noise[1];
-        const real distance = ddmpc_fabs(by->pose), turn = ddmpc_fabs(by->pose_turn);
-        const int has_command = ddmpc_fabs(by->model) - distance > k->frozen[0] ||
-                                ddmpc_fabs(by->model_turn) - turn > R(2.0) * k->frozen[1];
+        const real distance = ddmpc_fabs(motion->pose), turn = ddmpc_fabs(motion->pose_turn);
+        const int has_command = ddmpc_fabs(motion->model) - distance > k->frozen[0] ||
+                                ddmpc_fabs(motion->model_turn) - turn > R(2.0) * k->frozen[1];
         if (has_command && !(distance > min_distance || turn > min_turn))
-            m->stood = pose->stamp;
-        if (with_accused.no_fault < k->plausible)
+            m->blocked_at = pose->stamp;
+        if (with_excluded.no_fault < k->plausible)
             *agreeing = (moves ? available & ~(turns ? 0 : BY_GYRO) & ~(wheels_agree ? 0 : BY_WHEELS) : 0) | BY_POSE;
         if (result.slips)
-            m->slipped = pose->stamp;
-        const ddmpc_time changed = m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed;
-        const int both_change = m->now.time - changed <= (ddmpc_time)k->silence;
+            m->slipped_at = pose->stamp;
+        const ddmpc_time changed =
+            m->wheels.last_change < m->gyro.last_change ? m->wheels.last_change : m->gyro.last_change;
+        const int both_change = m->current.time - changed <= (ddmpc_time)k->silence;
         if (pose->stamp < m->next_pose)
             continue;
         const int turns_agree =
-            square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
-        if (!accused && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
-            !m->creeping)
-            learn_gains(k, m, by);
-        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && available & BY_GYRO &&
-            m->now.time - m->gyro.changed <= (ddmpc_time)k->silence &&
+            square(motion->pose_turn - motion->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
+        if (!excluded && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
+            !m->is_diverging)
+            learn_gains(k, m, motion);
+        if (!((excluded & BY_POSE) | (m->implausible & BY_GYRO)) && available & BY_GYRO &&
+            m->current.time - m->gyro.last_change <= (ddmpc_time)k->silence &&
             ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
-            learn_spread(k, m, by, noise[1]);
+            learn_gyro_scale(k, m, motion, noise[1]);
     }
-    /* A reading that repeats despite the commands, or at the end of its range, is not evidence against poses. */
-    const int gyro_repeats =
-        m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
-    if ((ddmpc_monitor_doubts(c, m->now.time) | (gyro_repeats ? BY_GYRO : 0)) & ~accused)
+    /* Readings that repeat despite the commands, or at the end of their range, are not evidence against poses. */
+    const int gyro_repeats = m->current.time - m->gyro.last_change > (ddmpc_time)k->silence &&
+                             ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
+    if ((ddmpc_monitor_doubtful_sensors(c, m->current.time) | (gyro_repeats ? BY_GYRO : 0)) & ~excluded)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* Poses that are not used are not evidence against other sensors. */
-    if (accused & BY_POSE)
+    if (excluded & BY_POSE)
         evidence[DDMPC_OF_WHEELS] = evidence[DDMPC_OF_YAW_RATE] = R(0.0);
 }
 
-/* Accuse sensors after a sufficient time of contradiction, and clear them after a sufficient time of agreement. */
-static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreeing, ddmpc_time stamp, ddmpc_time elapsed)
+/* Exclude sensors after a sufficient time of contradiction, and use them again after a sufficient time of agreement. */
+static void update_exclusions(ddmpc_controller *c, const real evidence[SENSES], int agreeing, ddmpc_time stamp,
+                              ddmpc_time elapsed)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const ddmpc_time now = m->now.time, silence = (ddmpc_time)k->silence;
-    const int repeats[SENSES] = {now - m->wheels.changed > silence, now - m->gyro.changed > silence, m->same > 0};
+    const ddmpc_time time = m->current.time, silence = (ddmpc_time)k->silence;
+    const int repeats[SENSES] = {time - m->wheels.last_change > silence, time - m->gyro.last_change > silence,
+                                 m->same > 0};
     for (int i = 0; i < SENSES; i++) {
         const int bit = 1 << i;
         real second = R(0.0);
         for (int j = 0; j < SENSES; j++)
             second = j == i ? second : ddmpc_max(second, evidence[j]);
-        /* The required margin increases with the contradiction, because the gains of a third sensor were learned from one of
-         * the two that contradict each other. */
+        /* The required margin increases with the contradiction, since the gains of the third sensor were learned from one of
+         * the two contradictory sensors. */
         if (evidence[i] > k->enough &&
             evidence[i] > second + k->margin + ddmpc_min(k->share[0] * second, k->share[1])) {
             if (m->contradictions[i]++ == 0)
-                m->since[i] = stamp;
-            const ddmpc_time duration = stamp - m->since[i];
-            m->agreed[i] = 0.0;
+                m->contradiction_start[i] = stamp;
+            const ddmpc_time duration = stamp - m->contradiction_start[i];
+            m->agreement_time[i] = 0.0;
             if ((m->contradictions[i] < (int)k->often || duration < (ddmpc_time)k->lasting) &&
                 duration < (ddmpc_time)k->windows[SHORT])
                 continue;
-            if (!(m->accused & bit))
+            if (!(m->excluded & bit))
                 m->repeating = repeats[i] ? m->repeating | bit : m->repeating & ~bit;
-            m->accused |= bit;
+            m->excluded |= bit;
         } else {
             m->contradictions[i] = 0;
-            if ((m->accused & agreeing & bit) && !repeats[i] && !is_impossible(c, i))
-                m->agreed[i] += elapsed;
-            if (m->agreed[i] >= (ddmpc_time)k->monitor_trust) {
-                m->accused &= ~bit;
-                m->unreal &= ~bit;
-                m->agreed[i] = 0.0;
+            if ((m->excluded & agreeing & bit) && !repeats[i] && !is_impossible(c, i))
+                m->agreement_time[i] += elapsed;
+            if (m->agreement_time[i] >= (ddmpc_time)k->monitor_trust) {
+                m->excluded &= ~bit;
+                m->implausible &= ~bit;
+                m->agreement_time[i] = 0.0;
             }
         }
     }
 }
 
-int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
+int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    ddmpc_motion now;
-    if (!k->monitor || !motion_at(m, pose->stamp, &now))
+    ddmpc_motion current;
+    if (!k->monitor || !motion_at(m, pose->stamp, &current))
         return 0;
-    const int before = m->accused;
+    const int before = m->excluded;
     const real noise[2] = {
         ddmpc_sqrt((pose->covariance[0][0] + pose->covariance[1][1]) * ddmpc_max(m->scatter[0], R(1.0))),
         ddmpc_sqrt(R(2.0) * pose->covariance[2][2] * ddmpc_max(m->scatter[1], R(1.0)))};
@@ -844,35 +863,36 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     real evidence[SENSES] = {R(0.0), R(0.0), R(0.0)};
     if (m->has_last) {
         const ddmpc_time elapsed = pose->stamp - m->last.stamp;
-        const motions by = compare(m, &m->last_motion, &now, m->last.value, pose->value);
-        frozen = is_frozen(c, pose->value, &now, noise);
-        /* A pose that moves further than a faulty sensor can explain has jumped; the estimator handles jumps. */
+        const motions motion = compare_motions(m, &m->last_motion, &current, m->last.value, pose->value);
+        frozen = is_frozen(c, pose->value, &current, noise);
+        /* A pose that moves further than a faulty sensor can explain is a jump, which the estimator handles. */
         const real max_distance = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)elapsed;
         const real max_turn = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)elapsed;
-        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= max_distance &&
-              ddmpc_fabs(by.pose_turn - by.gyro_turn) <= max_turn))
-            m->poses = m->residuals = m->anchored = 0;
+        if (!(ddmpc_hypot(motion.pose - motion.wheels, motion.left) <= max_distance &&
+              ddmpc_fabs(motion.pose_turn - motion.gyro_turn) <= max_turn))
+            m->poses = m->residuals = m->has_anchor = 0;
         else if (elapsed <= R(0.25) && m->same == 0)
-            learn_scatter(k, m, pose, &by);
-        m->apart += turn_between(k, m, &m->last_motion, &now) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
-        judge(c, pose, &now, noise, evidence, &agreeing);
-        decide(c, evidence, agreeing, pose->stamp, elapsed < 0.25 ? elapsed : 0.25);
+            learn_scatter(k, m, pose, &motion);
+        m->turn_difference +=
+            turn_between(k, m, &m->last_motion, &current) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
+        collect_evidence(c, pose, &current, noise, evidence, &agreeing);
+        update_exclusions(c, evidence, agreeing, pose->stamp, elapsed < 0.25 ? elapsed : 0.25);
     } else {
-        m->frozen = now;
+        m->frozen = current;
     }
     for (int i = 0; i < DDMPC_OF_POSE; i++)
         if (is_impossible(c, i))
-            m->unreal |= 1 << i;
-    m->accused |= m->unreal;
+            m->implausible |= 1 << i;
+    m->excluded |= m->implausible;
     if (frozen) {
-        m->accused |= BY_POSE;
+        m->excluded |= BY_POSE;
         m->repeating |= BY_POSE;
-        m->agreed[DDMPC_OF_POSE] = 0.0;
+        m->agreement_time[DDMPC_OF_POSE] = 0.0;
     }
-    if (m->accused & ~before) {
-        /* Discard the delay, which was learned from a faulty sensor. */
+    if (m->excluded & ~before) {
+        /* Discard the delay, since it was learned from a faulty sensor. */
         memset(m->misfit, 0, sizeof m->misfit);
-        memset(m->spread, 0, sizeof m->spread);
+        memset(m->gyro_sums, 0, sizeof m->gyro_sums);
         m->fits = R(0.0);
         m->delay = 0.0;
     }
@@ -880,30 +900,30 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;
         m->poses += m->poses < MONITORED_POSES;
         memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
-        m->pose[m->newest_pose].then = now;
+        m->pose[m->newest_pose].motion = current;
         m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-6;
     }
     m->last = *pose;
-    m->last_motion = now;
+    m->last_motion = current;
     m->has_last = 1;
-    return m->accused & ~before;
+    return m->excluded & ~before;
 }
 
-/* Return the factor of the variance of poses for their observed scatter. */
+/* Return the factor by which the variance of poses is multiplied, from their observed scatter. */
 static real variance_factor(const ddmpc_constants *k, real scatter)
 {
     return scatter > k->scatter[3] ? ddmpc_min(scatter, k->scatter[4]) : R(1.0);
 }
 
-void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
+void ddmpc_monitor_enlarge_covariance(ddmpc_controller *c, ddmpc_checked_pose *pose)
 {
     ddmpc_monitor *m = &c->monitor;
     real scale[2];
     for (int i = 0; i < 2; i++) {
         const real factor = variance_factor(c->constants, m->scatter[i]);
-        /* The current estimate is based on poses with a variance that was too small. */
-        pose->doubt[i] = factor > m->widest[i] ? ddmpc_sqrt(factor / m->widest[i]) : R(1.0);
-        m->widest[i] = ddmpc_max(factor, m->widest[i]);
+        /* The current estimate is overconfident, since the variance of earlier poses was too small. */
+        pose->doubt[i] = factor > m->max_scatter[i] ? ddmpc_sqrt(factor / m->max_scatter[i]) : R(1.0);
+        m->max_scatter[i] = ddmpc_max(factor, m->max_scatter[i]);
         scale[i] = ddmpc_sqrt(factor);
     }
     for (int i = 0; i < 3; i++)
@@ -919,14 +939,14 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     ddmpc_result *result = &c->result;
     const real ratio = c->constants->wheel_yaw_ratio, limit = c->constants->monitor_turn_ratio;
     const real wheels = quotient(m->wheels_by_model) / ratio, body = quotient(m->body_by_wheels) * ratio;
-    result->reasons |= (unsigned int)m->accused * DDMPC_WHEELS_ACCUSED;
-    result->repeating = m->repeating & m->accused;
-    result->unreal = m->unreal;
+    result->reasons |= (unsigned int)m->excluded * DDMPC_WHEELS_EXCLUDED;
+    result->repeating = m->repeating & m->excluded;
+    result->implausible = m->implausible;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
     result->pose_delay = (real)m->delay;
-    result->reads[0] = m->spread[3] > R(0.0) ? m->spread[5] / m->spread[3] : R(0.0);
-    result->reads[1] = ddmpc_fabs(m->went[2]) > R(0.0) ? m->went[1] / m->went[2] : R(0.0);
-    result->reads[2] = m->went[4] > R(0.0) ? m->went[5] / m->went[4] : R(0.0);
+    result->reads[0] = m->gyro_sums[3] > R(0.0) ? m->gyro_sums[5] / m->gyro_sums[3] : R(0.0);
+    result->reads[1] = ddmpc_fabs(m->wheel_sums[2]) > R(0.0) ? m->wheel_sums[1] / m->wheel_sums[2] : R(0.0);
+    result->reads[2] = m->wheel_sums[4] > R(0.0) ? m->wheel_sums[5] / m->wheel_sums[4] : R(0.0);
     result->direction = m->direction;
     result->turn_ratio[0] = wheels;
     result->turn_ratio[1] = body;

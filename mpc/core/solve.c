@@ -1,6 +1,6 @@
-/* Solution of the tick's quadratic program. In most ticks no limit is active: the minimiser without limits satisfies all
+/* Solution of the tick's quadratic program. In most ticks no limit is active: the unconstrained minimiser satisfies all
  * limits and is the solution. Otherwise the active-set method starts from the limits that were active at the last tick,
- * and verifies its solution by the multipliers. If its bounds stop the method, the plan satisfies ranges and slew. If
+ * and verifies its solution by the multipliers. If the method stops at its bounds, the plan satisfies ranges and slew. If
  * rounding errors prevent a solution, ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python solves with DAQP or OSQP
  * (mpc/solver/backend.py) and continues with ddmpc_answer; an export, which has no backend, uses the failure ladder.
  * H = R'R is factorised by a blocked Cholesky method. */
@@ -10,17 +10,17 @@
 #include "internal.h"
 
 /* Return 1 if all numbers are finite; of H only the diagonal is checked, which bounds a positive definite matrix. */
-static int is_sound(const ddmpc_controller *c)
+static int is_valid(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
-    int sound = 1;
+    int is_finite = 1;
     for (int i = 0; i < inputs; i++)
         /* Negated so that NaN fails. */
-        sound &= ddmpc_fabs(p->H[i * inputs + i]) < DDMPC_LARGEST && ddmpc_fabs(p->g[i]) < DDMPC_LARGEST;
+        is_finite &= ddmpc_fabs(p->H[i * inputs + i]) < DDMPC_LARGEST && ddmpc_fabs(p->g[i]) < DDMPC_LARGEST;
     for (int i = 0; i < KINDS(c) * STEPS(c); i++)
-        sound &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < DDMPC_LARGEST);
-    return sound;
+        is_finite &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < DDMPC_LARGEST);
+    return is_finite;
 }
 
 /* Factorise R'R = S in the diagonal block of `count` columns; returns 0 if S is not positive definite. */
@@ -95,7 +95,7 @@ static inline real long_dot(const real *a, const real *b, int count)
     return sum[0];
 }
 
-/* x = -H^-1 g; returns the largest entry of H x + g. */
+/* x = -H^-1 g; returns the maximum absolute entry of H x + g. */
 static real minimise(const real *H, const real *g, const real *factor, int inputs, real *x)
 {
     real residual = R(0.0);
@@ -150,7 +150,7 @@ void ddmpc_linearise_again(ddmpc_controller *c, const real *plan)
     const real command[2] = {commands[2 * COMMANDS(c) - 2], commands[2 * COMMANDS(c) - 1]};
     memcpy(shifted, guess, plan_bytes);
     memcpy(guess, plan, plan_bytes);
-    /* The command of this tick was not pending when the problem was linearised first. */
+    /* At the first linearisation, the command of this tick was not pending yet. */
     memmove(commands + 2, commands, line_bytes);
     ddmpc_problem_linearise(c);
     ddmpc_problem_condense(c);
@@ -176,8 +176,8 @@ static void shift_multipliers(ddmpc_controller *c)
     }
 }
 
-/* Mark the kinds with nonzero multipliers, in addition to those that the minimiser without limits violates. */
-static void gather_kinds(ddmpc_controller *c)
+/* Mark the kinds with nonzero multipliers, in addition to the kinds that the unconstrained minimiser violates. */
+static void mark_active_kinds(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int i = 0; i < KINDS(c) * STEPS(c); i++)
@@ -185,55 +185,55 @@ static void gather_kinds(ddmpc_controller *c)
 }
 
 /* Clip a plan to ranges and slew, command by command. */
-static void keep_hard_limits(const ddmpc_controller *c, real *plan)
+static void clip_to_hard_limits(const ddmpc_controller *c, real *plan)
 {
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
     for (int channel = 0; channel < 2; channel++) {
-        real before = R(0.0);
+        real previous = R(0.0);
         for (int k = 0; k < N; k++) {
             const int range = channel * N + k, slew = (2 + channel) * N + k;
-            const real lower = ddmpc_max(p->lower[range], before + p->lower[slew]);
-            const real upper = ddmpc_min(p->upper[range], before + p->upper[slew]);
-            before = plan[2 * k + channel] = ddmpc_min(ddmpc_max(plan[2 * k + channel], lower), upper);
+            const real lower = ddmpc_max(p->lower[range], previous + p->lower[slew]);
+            const real upper = ddmpc_min(p->upper[range], previous + p->upper[slew]);
+            previous = plan[2 * k + channel] = ddmpc_min(ddmpc_max(plan[2 * k + channel], lower), upper);
         }
     }
 }
 
-/* Cost of a plan relative to the minimiser without limits, including the penalties of exceeded soft limits. */
+/* Cost of a plan relative to the unconstrained minimiser, including the penalties of exceeded soft limits. */
 static real cost_of(ddmpc_controller *c, const real *plan)
 {
     ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
-    real moved[2 * DDMPC_MAX_STEPS], sum = R(0.0);
+    real displacement[2 * DDMPC_MAX_STEPS], sum = R(0.0);
     for (int i = 0; i < inputs; i++)
-        moved[i] = plan[i] - p->minimiser[i];
+        displacement[i] = plan[i] - p->minimiser[i];
     for (int i = 0; i < inputs; i++) {
-        /* Relative to its minimum the quadratic cost is half the square of R (plan - minimiser), since H = R'R. */
-        const real z = long_dot(p->factor + i * inputs + i, moved + i, inputs - i);
+        /* Relative to its minimum, the quadratic cost is |R (plan - minimiser)|^2 / 2, since H = R'R. */
+        const real z = long_dot(p->factor + i * inputs + i, displacement + i, inputs - i);
         sum += R(0.5) * z * z;
     }
     ddmpc_limit_values(c, plan, p->values);
     for (int i = HARD * STEPS(c); i < KINDS(c) * STEPS(c); i++) {
-        const real beyond = ddmpc_max(ddmpc_max(p->values[i] - p->upper[i], p->lower[i] - p->values[i]), R(0.0));
-        sum += c->constants->price * beyond + R(0.5) * c->constants->price_slope * beyond * beyond;
+        const real excess = ddmpc_max(ddmpc_max(p->values[i] - p->upper[i], p->lower[i] - p->values[i]), R(0.0));
+        sum += c->constants->price * excess + R(0.5) * c->constants->price_slope * excess * excess;
     }
     return sum;
 }
 
-/* Use the last iterate of a stopped active set, or the rest of the last plan if that costs less, clipped to ranges
- * and slew. An unfinished iterate may be worse than the plan of the last tick, which was optimal then. */
-static void take_unfinished(ddmpc_controller *c)
+/* Use the last iterate of a stopped active set, or the rest of the last plan if its cost is lower, clipped to ranges and
+ * slew. An unfinished iterate may be worse than the last plan, which was optimal at its tick. */
+static void use_unfinished_iterate(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    real rest[2 * DDMPC_MAX_STEPS];
+    real last_plan[2 * DDMPC_MAX_STEPS];
     const size_t size = (size_t)INPUTS(c) * sizeof(real);
-    memcpy(rest, p->guess, size);
-    keep_hard_limits(c, rest);
-    keep_hard_limits(c, p->plan);
+    memcpy(last_plan, p->guess, size);
+    clip_to_hard_limits(c, last_plan);
+    clip_to_hard_limits(c, p->plan);
     /* Negated so that an iterate with a NaN cost is not used. */
-    if (!(cost_of(c, p->plan) <= cost_of(c, rest)))
-        memcpy(p->plan, rest, size);
+    if (!(cost_of(c, p->plan) <= cost_of(c, last_plan)))
+        memcpy(p->plan, last_plan, size);
 }
 
 static int find_active_set(ddmpc_controller *c)
@@ -257,7 +257,7 @@ static int find_active_set(ddmpc_controller *c)
                                            c->max_iterations,
                                            ddmpc_limited_allowance(INPUTS(c), rows, MAX_ACTIVE(c)),
                                            c->deadline};
-    /* Solve on a copy: a failed solve clears its multipliers, and a backend still needs the old ones. */
+    /* The solve modifies a copy, since a failed solve clears its multipliers, which a backend still needs. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
     const ddmpc_limited_result solved = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
     report->iterations = solved.iterations;
@@ -274,7 +274,7 @@ static int find_active_set(ddmpc_controller *c)
         report->primal_residual = R(0.0);
         /* The clipped plan satisfies the hard limits; its distance from the optimum is unknown. */
         report->dual_residual = (real)NAN;
-        take_unfinished(c);
+        use_unfinished_iterate(c);
     }
     for (int i = hard; i < rows; i++)
         report->soft_limits |= p->multipliers[i] != R(0.0);
@@ -291,9 +291,9 @@ int ddmpc_solve(ddmpc_controller *c)
     ddmpc_problem *p = &c->problem;
     ddmpc_report *report = &c->result.solver;
     int violated = 0;
-    /* Each status is set before the step that may fail with it. */
+    /* The status of a failure is set before the step that may fail. */
     report->status = DDMPC_QP_NOT_FINITE;
-    if (!is_sound(c))
+    if (!is_valid(c))
         return DDMPC_DONE;
     report->status = DDMPC_QP_NOT_CONVEX;
     if (!factorise(p->H, INPUTS(c), p->factor))
@@ -315,6 +315,6 @@ int ddmpc_solve(ddmpc_controller *c)
     shift_multipliers(c);
     if (c->constants->active_set > 0 && !c->constants->forced && find_active_set(c))
         return DDMPC_DONE;
-    gather_kinds(c);
+    mark_active_kinds(c);
     return DDMPC_NEEDS_BACKEND;
 }

@@ -1,4 +1,4 @@
-"""Sources of the core: the C files of this folder, and the Python files from which formulas are generated."""
+"""Sources of the core: C files of this folder, and Python files from which C code of the formulas is generated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CORE = Path(__file__).parent
 
 _HEADER = "core.h"
 _PACKAGE = CORE.parents[1]
-# Sources of the generated part.
+# Files from which a part of the C code is generated.
 _FORMULAS = (
     "models/pose.py",
     "models/slip_laws.py",
@@ -23,9 +23,8 @@ _FORMULAS = (
     "mpc/problem/terms.py",
     "mpc/core/generate.py",
 )
-# Python sets sizes at run time and uses double precision; an export overrides both here.
 SIZES = "ddmpc_sizes.h"
-"""Name of the header with sizes and precision."""
+"""Name of the header with sizes and precision; empty for Python, which an export replaces."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
@@ -36,7 +35,7 @@ _CONSTANT = re.compile(r"\s*#\s*define\s+\w+\s+\d+\s*")
 
 def core_texts() -> dict[str, str]:
     """Return all C files and headers of the core by name, including generated formulas."""
-    # Imported here, since code generation is not needed if a library is found.
+    # Imported on demand, since code generation is not needed if a library is found.
     from diffdrive_mpc.mpc.core.generate import generate_formulas, generate_network_formulas  # noqa: PLC0415
 
     formulas, network = generate_formulas(), generate_network_formulas()
@@ -50,12 +49,12 @@ def written_texts() -> dict[str, str]:
 
 
 def shared_headers() -> dict[str, str]:
-    """Return the headers for the compilation of functions outside the core."""
+    """Return the headers that functions outside the core need for their compilation."""
     return _SIZES | {"real.h": (CORE / "real.h").read_text(encoding="utf-8")}
 
 
 def core_origin() -> str:
-    """Compute the digest of all sources of the library, without code generation."""
+    """Compute the digest of all sources of the library; the generated code is not needed for the digest."""
     written = [part for item in written_texts().items() for part in item]
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 

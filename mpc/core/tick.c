@@ -1,6 +1,6 @@
-/* One tick from measurement to command: the tick clock, the conditions for driving, and the order of the parts. The
- * command after a failed part is chosen in ladder.c. A tick has a bounded duration: each part runs once, and bounds
- * its own loops.
+/* A tick from measurement to command: clock of the ticks, conditions for driving, and order of the parts. ladder.c
+ * selects the command after a failure. The duration of a tick is bounded: each part runs once, and its loops are
+ * bounded.
  *
  * Order of a new tick (new_tick): correct the stored commands, predict, measure, check the conditions for driving,
  * sample the reference, then set up and solve the optimisation problem (track). docs/how-it-works.md has the formulas
@@ -13,8 +13,8 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Reset the state of a drive. Commands in the estimator stay, since the robot may still be executing them. */
-static void forget(ddmpc_controller *c)
+/* Reset the state of a drive. Commands in the estimator are kept, since the robot may still be executing them. */
+static void reset_drive(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
     ddmpc_fence_clear(c);
@@ -24,8 +24,8 @@ static void forget(ddmpc_controller *c)
     c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = c->missed = 0;
     c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = c->slowed = R(0.0);
     c->reference_twist[0] = c->reference_twist[1] = R(0.0);
-    c->short_wheel = c->on_spot = 0;
-    c->tried = (real)HUGE_VAL;
+    c->saturated_wheel = c->on_spot = 0;
+    c->trial_demand = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
     /* A tick that waits for its caller belongs to the previous drive: ddmpc_track and ddmpc_answer must not
      * complete it. */
@@ -35,16 +35,16 @@ static void forget(ddmpc_controller *c)
 void ddmpc_reset(ddmpc_controller *c)
 {
     ddmpc_estimator_clear(c);
-    forget(c);
+    reset_drive(c);
     c->last[0] = c->last[1] = R(0.0);
 }
 
-void ddmpc_forget(ddmpc_controller *c) { forget(c); }
+void ddmpc_forget(ddmpc_controller *c) { reset_drive(c); }
 
 void ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants)
 {
     c->constants = constants;
-    /* The delayed response belongs to the former constants: zero delays make update_delayed_response compute it again. */
+    /* The delayed response was computed with the former constants; zero delays make update_delayed_response repeat it. */
     c->problem.late[0] = c->problem.late[1] = R(0.0);
     c->problem.is_stale = 1;
 }
@@ -53,7 +53,7 @@ int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
 {
     if (!isfinite(t0) || !isfinite(reference->duration))
         return 0;
-    forget(c);
+    reset_drive(c);
     c->reference = *reference;
     c->t0 = t0;
     c->has_reference = 1;
@@ -66,8 +66,8 @@ int ddmpc_switch_reference(ddmpc_controller *c, const ddmpc_reference *reference
 {
     if (!c->has_reference || !isfinite(t0) || !isfinite(reference->duration))
         return 0;
-    /* A new reference is not finished just because the previous one was. The same reference, moved, stays finished:
-     * otherwise a drifting frame would start the robot again. */
+    /* A different reference is not finished. A moved copy of a finished reference stays finished; otherwise a drifting
+     * frame would start the robot again. */
     c->finished = c->finished && t0 == c->t0;
     c->reference = *reference;
     c->t0 = t0;
@@ -84,9 +84,9 @@ int ddmpc_is_latched(const ddmpc_controller *c) { return c->latched; }
 
 typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } tick_kind;
 
-/* Classify a call at `t` relative to the last tick. Calls within half a sample repeat it: the model is discrete, so a
- * second prediction step in one period would run ahead of the robot. */
-static tick_kind kind_of_call(const ddmpc_controller *c, ddmpc_time t)
+/* Classify a call at `t` relative to the last tick. A call within half a sample repeats the last tick: the model is
+ * discrete, so a second prediction step in one period would be ahead of the robot. */
+static tick_kind tick_kind_at(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
     const ddmpc_time gap = t - c->last_tick, since_leap = t - c->leap;
@@ -104,12 +104,12 @@ static tick_kind kind_of_call(const ddmpc_controller *c, ddmpc_time t)
     return c->has_leap && since_leap > 0.0 && since_leap <= k->longest_pause ? TICK_PAUSED : TICK_LEAPT;
 }
 
-int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return kind_of_call(c, t) == TICK_NEW; }
+int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return tick_kind_at(c, t) == TICK_NEW; }
 
 static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
 {
-    const tick_kind kind = kind_of_call(c, t);
-    /* After a leap the old time stays valid, so that a glitch of a single tick has no effect. */
+    const tick_kind kind = tick_kind_at(c, t);
+    /* After a leap, `last_tick` is kept, so that a glitch at a single tick has no effect. */
     c->result.gap = t - c->last_tick;
     c->has_leap = kind == TICK_LEAPT;
     if (kind == TICK_LEAPT)
@@ -136,12 +136,12 @@ static real distance_to(const ddmpc_controller *c, const real pose[3])
     return ddmpc_hypot(robot[0] - pose[0], robot[1] - pose[1]);
 }
 
-/* Restart the estimate at the pose on which the rejected poses agree, once all pending commands are zero: the robot
- * is then at rest, and a belief with zero velocity is valid. Returns the distance between both estimates [m]; negative
- * while a restart is not possible. */
+/* Restart the estimate at the pose on which the rejected poses agree, if all pending commands are zero: the robot is
+ * then at rest, and a belief with zero velocity is valid. Returns the distance between both estimates [m]; negative if
+ * a restart is not possible. */
 static real restart_elsewhere(ddmpc_controller *c)
 {
-    /* Only commands that still act by the model count, not those within the allowance for unknown delays. */
+    /* The oldest commands act only if there are unknown delays, so they are ignored. */
     const real *commands = ddmpc_commands(c);
     for (int i = SPARE(c) ? 2 * (SPARE(c) + 1) : 0; i < 2 * WINDOW(c); i++)
         if (commands[i] != R(0.0))
@@ -154,8 +154,8 @@ static real restart_elsewhere(ddmpc_controller *c)
     return distance_to(c, before);
 }
 
-/* Return 1 if the robot is at rest at the end of its reference, or finish_timeout has passed. The result then stays 1,
- * so that noise in the speed does not start the robot again. */
+/* Return 1 if the robot is at rest at the end of its reference, or finish_timeout has passed. The result stays 1, so
+ * that noise of the estimated speed does not start the robot again. */
 static int is_finished(ddmpc_controller *c, ddmpc_time time)
 {
     const ddmpc_constants *k = c->constants;
@@ -167,24 +167,24 @@ static int is_finished(ddmpc_controller *c, ddmpc_time time)
         return c->finished;
     c->reference.sample(c->reference.context, duration, pose, twist, &arc_length);
     const real distance = distance_to(c, pose);
-    const int settled = distance <= k->finish_position && ddmpc_fabs(moving[0]) <= k->finish_speed &&
-                        ddmpc_fabs(moving[1]) <= k->finish_speed;
-    const int late = time >= duration + (ddmpc_time)k->finish_timeout;
-    if (late && !settled) {
+    const int is_settled = distance <= k->finish_position && ddmpc_fabs(moving[0]) <= k->finish_speed &&
+                           ddmpc_fabs(moving[1]) <= k->finish_speed;
+    const int is_overdue = time >= duration + (ddmpc_time)k->finish_timeout;
+    if (is_overdue && !is_settled) {
         c->result.reasons |= DDMPC_NOT_AT_REST;
         c->result.distance = distance;
     }
-    c->finished = settled || late;
+    c->finished = is_settled || is_overdue;
     return c->finished;
 }
 
 ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const real *twist)
 {
     const ddmpc_constants *k = c->constants;
-    /* Both headings are that of the path, since the deviation is measured from the path, not from the aim. */
-    const real followed[4] = {pose[0], pose[1], pose[2], pose[2]};
+    /* The deviation refers to the path, so the target heading is that of the path, without a correction for side-slip. */
+    const real path_reference[4] = {pose[0], pose[1], pose[2], pose[2]};
     real error[3];
-    const real *arguments[5] = {pose_of(c), 0, 0, followed, 0};
+    const real *arguments[5] = {pose_of(c), 0, 0, path_reference, 0};
     real *results[2] = {error, 0};
     ddmpc_stray stray;
     ddmpc_f_errors(arguments, results, 0, 0, 0);
@@ -204,8 +204,8 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     if (driving) {
         stray.late = -ahead / k->wait;
     } else {
-        /* A standing reference, or one that turns on the spot, waits until the robot has arrived: it has no direction
-         * along which a delay could be measured. */
+        /* A reference at standstill or in a turn on the spot has no direction along which a delay could be measured, so
+         * it waits until the robot has arrived. */
         const real turning = !(ddmpc_fabs(omega) > k->turning) ? R(0.0)
                              : omega < R(0.0)                  ? stray.heading
                                                                : -stray.heading;
@@ -213,18 +213,18 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
         stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
     /* The reference slows down as the uncertainty of the position grows. */
-    const real beyond = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
-    stray.late = ddmpc_max(stray.late, R(1.0) + beyond);
+    const real excess = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
+    stray.late = ddmpc_max(stray.late, R(1.0) + excess);
     return stray;
 }
 
 static void sample_reference(ddmpc_controller *c, ddmpc_time time)
 {
     const real *delays = c->result.estimate.mean + STATES(c) + DELAYS(c);
-    const real late = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
-    /* The feed-forward interpolates one lag and one estimated delay ahead; samples beyond that are needed for larger
-     * delays only. */
-    const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)late;
+    const real max_delay = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
+    /* The feed-forward interpolates at the sum of the lag and the estimated delay ahead, which limits the number of
+     * samples. */
+    const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)max_delay;
     real arc_length;
     for (int i = 0; i < SAMPLES(c) && i < count; i++)
         c->reference.sample(c->reference.context, time + i * c->constants->sample_time, c->reference_pose + 3 * i,
@@ -232,10 +232,10 @@ static void sample_reference(ddmpc_controller *c, ddmpc_time time)
 }
 
 /* Set up and solve the problem for the reference samples, then use the plan. Each step depends on the previous steps:
- * the free motion and the targets (begin), a plan to linearise along (guess), Jacobians along this plan (linearise), the
- * cost as a function of the commands (condense), and the limits in the same variables (limit). The guess is the shifted
- * last plan. At the start and after a failure it is the feed-forward, since a linearisation far from the solution would
- * require more than one iteration. */
+ * the free motion and the targets (begin), a plan along which to linearise (guess), Jacobians along this plan
+ * (linearise), the cost as a function of the commands (condense), and the limits in the same variables (limit). The
+ * guess is the shifted last plan. At the start and after a failure it is the feed-forward, since a linearisation far
+ * from the solution would require more than one iteration. */
 static int track(ddmpc_controller *c)
 {
     const ddmpc_time start = ddmpc_now();
@@ -250,24 +250,23 @@ static int track(ddmpc_controller *c)
     return pending == DDMPC_NEEDS_BACKEND ? pending : ddmpc_use_plan(c);
 }
 
-/* Tolerate the displacement by a turn on the spot. A turning robot moves by the offset of its turning point and by its
- * slide, which the controller cannot prevent, so this displacement must not cause a return to the path or a wait. */
+/* Tolerate the displacement in a turn on the spot. A turning robot moves due to the offset of its turning point and due
+ * to its slide. The controller cannot prevent this displacement, which must not cause a return to the path or a wait. */
 static void tolerate_turn_displacement(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    /* Use the filter's slip instead of the conservative estimate of the controller: the tolerance is needed before there
-     * is enough evidence for the latter. */
+    /* Use the slip of the filter, since the estimate of the controller ignores slip until there is enough evidence. */
     const real *slip = ddmpc_estimator_slip(c), *twist = c->reference_twist;
     const real offset = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]),
                slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
-    /* The tolerance decays while the robot drives back onto its path. */
+    /* The tolerance decays while the robot returns to its path. */
     c->carried *= R(1.0) - ddmpc_min((real)k->sample_time / k->carried[1], R(1.0));
     if (ddmpc_fabs(twist[0]) <= k->standing && ddmpc_fabs(twist[1]) > k->turning)
         c->carried = ddmpc_max(c->carried, k->carried[0] * (offset + slide));
 }
 
 /* Follow the reference if the robot is on its path and on time; otherwise request a target from the caller. */
-static int follow(ddmpc_controller *c, const ddmpc_input *input)
+static int track_reference(ddmpc_controller *c, const ddmpc_input *input)
 {
     if (!input->on_time)
         return DDMPC_NEEDS_TARGET;
@@ -284,8 +283,8 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     return stray.outside || !(stray.late <= R(1.0)) || isfinite(c->reach) ? DDMPC_NEEDS_TARGET : track(c);
 }
 
-/* Return `reason`, with DDMPC_POSES_TOO_OLD added if poses arrive but are too old. */
-static unsigned int add_too_old(const ddmpc_controller *c, unsigned int reason)
+/* Return `reason`, combined with DDMPC_POSES_TOO_OLD if poses arrive but are too old. */
+static unsigned int with_too_old(const ddmpc_controller *c, unsigned int reason)
 {
     return c->estimator.too_old > 0.0 ? reason | DDMPC_POSES_TOO_OLD : reason;
 }
@@ -300,48 +299,48 @@ static void report_rate(ddmpc_controller *c)
         c->result.reasons |= DDMPC_POSES_RARE;
 }
 
-/* Return 1 if wheels and gyro bridge missing poses: for a limited time, and while the position is known to within the
- * band. */
-static int is_bridged(ddmpc_controller *c)
+/* Return 1 if wheels and gyro can replace missing poses: for a limited time, and while the uncertainty of the position
+ * is within the band. */
+static int is_dead_reckoning_valid(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const ddmpc_time wheels = c->monitor.wheels.heard, gyro = c->monitor.gyro.heard,
-                     heard = wheels < gyro ? wheels : gyro;
+    const ddmpc_time wheels = c->monitor.wheels.arrival, gyro = c->monitor.gyro.arrival,
+                     oldest = wheels < gyro ? wheels : gyro;
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real variance = deviation[0] * deviation[0] + deviation[1] * deviation[1];
     const real age = *c->result.estimate.pose_age;
-    /* Only uncertainty gained without poses counts: the uncertainty that remains with poses is normal operation. */
+    /* Only the additional uncertainty without poses counts, since the uncertainty with poses is normal. */
     if (age <= k->max_pose_age) {
         c->known = variance;
         c->doubt = R(0.0);
     } else {
         c->doubt = k->unsure * ddmpc_sqrt(ddmpc_max(variance - c->known, R(0.0))) / k->band;
     }
-    if (!(k->dead_reckoning > R(0.0)) || c->last_tick - heard > (ddmpc_time)k->silence)
+    if (!(k->dead_reckoning > R(0.0)) || c->last_tick - oldest > (ddmpc_time)k->silence)
         return 0;
-    if (c->monitor.accused || ddmpc_monitor_doubts(c, c->last_tick))
+    if (c->monitor.excluded || ddmpc_monitor_doubtful_sensors(c, c->last_tick))
         return 0;
     return age <= k->dead_reckoning && c->doubt <= R(1.0);
 }
 
-/* Return 1 if the last accepted pose is too old, or will be too old before the next pose arrives, which would otherwise
- * make the robot stop and start repeatedly. */
-static int has_old_pose(ddmpc_controller *c)
+/* Return 1 if the last accepted pose is too old, or if poses are so rare that it will be too old before the next pose.
+ * In the second case the robot would otherwise stop and start repeatedly. */
+static int is_pose_too_old(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
     const int rare = estimator->rare;
-    if (is_bridged(c)) {
+    if (is_dead_reckoning_valid(c)) {
         c->result.reasons &= ~(unsigned int)DDMPC_POSES_RARE;
         return 0;
     }
-    /* If poses are rare, report that; report their age only when they stop altogether. */
-    const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
-    if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)
-        c->result.reasons |= add_too_old(c, DDMPC_OLD_POSE);
+    /* If poses are rare, this is reported instead of their age, unless no more poses arrive. */
+    const ddmpc_time usual_age = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
+    if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual_age)
+        c->result.reasons |= with_too_old(c, DDMPC_OLD_POSE);
     return rare || c->result.reasons & DDMPC_OLD_POSE;
 }
 
-static ddmpc_stop stop_of(int request)
+static ddmpc_stop stop_for_request(int request)
 {
     return request == DDMPC_PAUSE ? DDMPC_NO_FAILURE : request == DDMPC_STOP_AND_WAIT ? DDMPC_WAITS : DDMPC_OUTAGE;
 }
@@ -349,12 +348,12 @@ static ddmpc_stop stop_of(int request)
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
     ddmpc_result *result = &c->result;
-    /* Correct the last command first, since the prediction over the last sample must use the command that acted. */
+    /* Correct the last command first, since the prediction over the last sample must use the command of the base. */
     if (input->has_sent) {
         if (!ddmpc_estimator_correct_sent(c, input->sent))
             result->reasons |= DDMPC_SENT_REJECTED;
     }
-    /* Predict even without measurements, and during stops: delayed measurements are entered into this history. */
+    /* Predict even without measurements and during stops, since delayed measurements are inserted into this history. */
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
     ddmpc_monitor_report(c);
@@ -362,14 +361,14 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     /* Conditions for driving. The first unmet condition stops the robot and is the reported reason: requests precede
      * faults, and missing data precede faults that are derived from data. */
     if (input->request != DDMPC_DRIVE)
-        return ddmpc_brake(c, DDMPC_HELD, stop_of(input->request));
+        return ddmpc_brake(c, DDMPC_HELD, stop_for_request(input->request));
     if (!(state & READY))
-        return ddmpc_brake(c, add_too_old(c, DDMPC_NO_POSE), DDMPC_OUTAGE);
+        return ddmpc_brake(c, with_too_old(c, DDMPC_NO_POSE), DDMPC_OUTAGE);
     if (state & MOVED) {
         const real jump = restart_elsewhere(c);
         if (jump < R(0.0))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_FAILURE);
-        /* The robot was carried away during a drive: it must not start by itself at the new position. */
+        /* The robot was displaced during a drive, so it must not start by itself at the new position. */
         if (c->has_driven && !(jump <= c->constants->max_position_error))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_WAITS);
     }
@@ -380,17 +379,16 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         result->has_estimate = 0;
         return ddmpc_brake(c, DDMPC_LOST, DDMPC_FAILURE);
     }
-    /* Without poses nothing corrects the position. Accused wheels or an accused gyro are only left out of the
-     * estimate. */
-    if (result->reasons & DDMPC_POSE_ACCUSED)
+    /* Without poses, the position is not corrected. Wheels or a gyro that are excluded only reduce the accuracy. */
+    if (result->reasons & DDMPC_POSE_EXCLUDED)
         return ddmpc_brake(c, 0, DDMPC_FAILURE);
-    if (has_old_pose(c))
+    if (is_pose_too_old(c))
         return ddmpc_brake(c, 0, result->reasons & DDMPC_OLD_POSE ? DDMPC_OUTAGE : DDMPC_FAILURE);
-    if (!ddmpc_fence_holds(c))
+    if (!ddmpc_fence_is_respected(c))
         return ddmpc_brake(c, DDMPC_LEFT_FENCE, DDMPC_FAILURE);
     if (c->latched)
         return ddmpc_brake(c, DDMPC_LATCHED, DDMPC_FAILURE);
-    /* Both follow the checks, since they learn from the motion of a robot that follows its reference. */
+    /* These steps come after the checks, since they learn from the motion of a robot that tracks its reference. */
     tolerate_turn_displacement(c);
     ddmpc_watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
@@ -398,17 +396,17 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         result->mode = DDMPC_FINISHED;
         return DDMPC_DONE;
     }
-    return follow(c, input);
+    return track_reference(c, input);
 }
 
-/* Brake because the time of this tick is unusable. After a leap or a pause of the clock, command zero immediately:
- * the base has stopped by its command timeout, and a ramp from the last command would start it again. */
+/* Brake because the time of this tick is invalid. After a leap or a pause of the clock, the command is zero immediately:
+ * the command timeout of the base has stopped the robot, and a ramp from the last command would start it again. */
 static void brake_after_time_fault(ddmpc_controller *c, tick_kind kind)
 {
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
                                 : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
                                                      : DDMPC_TIME_PAUSED;
-    /* A single leap forward may be a glitch, and does not latch. */
+    /* A single leap forward may be a glitch of the clock, so it does not latch. */
     const ddmpc_time gap = c->result.gap, limit = c->constants->resume_within;
     const int leapt = (kind == TICK_PAUSED && gap > limit) || gap < -limit;
     ddmpc_brake(c, reason, leapt ? DDMPC_WAITS : DDMPC_FAILURE);
@@ -425,11 +423,11 @@ static void clear(ddmpc_result *result)
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
-    result->notes = result->repeating = result->unreal = 0;
+    result->notes = result->repeating = result->implausible = 0;
     result->has_estimate = result->has_plan = 0;
 }
 
-/* Finish a tick: store its command, from which the next prediction and the slew limit start. */
+/* Finish a tick: store its command for the next prediction and for the slew limit. */
 static int finish_tick(ddmpc_controller *c, int pending, int is_new)
 {
     c->pending = pending;
@@ -441,7 +439,7 @@ static int finish_tick(ddmpc_controller *c, int pending, int is_new)
     if (is_new)
         ddmpc_estimator_append(c, c->result.command);
     else
-        /* No new sample of the model starts; replace the command that acts since the last tick. */
+        /* No new sample of the model has started, so replace the command of the last tick. */
         ddmpc_estimator_correct_last(c, c->result.command);
     memcpy(c->last, c->result.command, sizeof c->last);
     c->has_driven = c->has_driven || c->result.mode == DDMPC_TRACKING;
@@ -457,16 +455,16 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.reasons = DDMPC_NO_REFERENCE;
         return DDMPC_DONE;
     }
-    /* A tick that the caller did not complete counts as a failed solve, and its command is stored. */
+    /* A previous tick that the caller did not complete counts as a failed solve, and its command is stored. */
     ddmpc_give_up(c);
     const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
-        /* The call may carry new measurements: they enter the existing nodes of the history, without a step. */
+        /* The call may have new measurements, which are inserted into existing nodes of the history without a step. */
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
-        /* Repeat the command that was sent, which the application may have replaced; any other command would jump. The
-         * command is zero while STOPPED, and slew then starts from zero. */
+        /* Repeat the last command, which the application may have replaced, since any other command would jump. While
+         * STOPPED, the command is zero, and the slew limit then starts from zero. */
         if (c->result.mode != DDMPC_STOPPED)
             memcpy(c->result.command, c->last, sizeof c->last);
         else
@@ -480,7 +478,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     c->is_late = input->is_late;
     if (kind == TICK_NEW) {
         const int pending = new_tick(c, t, input);
-        /* The early returns of new_tick precede its estimate; the result has one also while the robot brakes. */
+        /* Some returns of new_tick precede its estimate, but the result must have an estimate while the robot brakes. */
         if (!c->result.has_estimate)
             update_result_estimate(c);
         return finish_tick(c, pending, 1);
@@ -516,7 +514,7 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
     memcpy(c->problem.multipliers, multipliers, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
     const long long operations = c->result.solver.operations;
     c->result.solver = *report;
-    c->result.solver.operations = operations; /* those of the active set, which ran before the backend */
+    c->result.solver.operations = operations; /* operations of the active set before the backend */
     return finish_tick(c, ddmpc_use_plan(c), 1);
 }
 
@@ -532,7 +530,7 @@ int ddmpc_set_applied_commands(ddmpc_controller *c, const real *commands, int co
             return 0;
     if (count < 1)
         return 1;
-    ddmpc_estimator_overrule(c, commands, count);
+    ddmpc_estimator_replace_commands(c, commands, count);
     memcpy(c->last, commands + 2 * (count - 1), sizeof c->last);
     return 1;
 }

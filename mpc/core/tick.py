@@ -1,8 +1,8 @@
 """Python interface of the compiled tick: constants and results by the names of their fields in C.
 
-Only `core.h` defines the memory layout. cffi parses its structs, and comments state the shape of each array next to its
-pointer; a missing or unknown name or a wrong shape raises ValueError. The steps of a tick are in `tick.c`, and the
-Python part of a tick is in `mpc/controller.py`.
+Only `core.h` defines the memory layout. cffi parses the structs of this header; the shape of each array is in the
+comment after its pointer. A missing or unknown name or a wrong shape raises ValueError. The steps of a tick are in
+`tick.c`, and the Python part of a tick is in `mpc/controller.py`.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Tick:
     sizes, constants
         Fields of `ddmpc_sizes` and `ddmpc_constants`.
     functions
-        Addresses of step and output of a nonlinear model.
+        Addresses of the step and output functions of a nonlinear model; None for a linear model.
     terms
-        Address, number of rows, softness and first parameter of each user term.
+        Terms of the user as `generate.CompiledTerm`.
 
     Raises
     ------
@@ -53,12 +53,12 @@ class Tick:
         self._functions = ffi.new("ddmpc_functions *", {"step": step, "output": output, "terms": self._terms})
         reals, ints = self.lib.ddmpc_reals(self._c_sizes), self.lib.ddmpc_ints(self._c_sizes)
         self._reals, self._ints = np.zeros(max(reals, 1)), np.zeros(max(ints, 1), dtype=np.intc)
-        # The core allocates no memory. These objects hold it and must live as long as the controller.
+        # The core does not allocate memory, so these objects provide it and must live as long as the controller.
         self._nodes = ffi.new("char[]", max(1, sizes["history"] * self.lib.ddmpc_node_bytes()))
         # Memory from cffi is aligned for any type.
         self._memory = ffi.new("char[]", self.lib.ddmpc_controller_bytes())
         self.c = ffi.cast("ddmpc_controller *", self._memory)
-        fits = self.lib.ddmpc_init(
+        is_initialised = self.lib.ddmpc_init(
             self.c,
             self._c_sizes,
             self._constants[0],
@@ -67,7 +67,7 @@ class Tick:
             self._address("int *", self._ints),
             self._nodes,
         )
-        if not fits:
+        if not is_initialised:
             raise ModelError(
                 f"a model of order {sizes['states']} with {sizes['window']} pending commands, a horizon of "
                 f"{sizes['steps']} and {sizes['soft']} soft limits exceeds the maximum of the core (64, 512, 200, 60); "
@@ -83,7 +83,7 @@ class Tick:
         return self.ffi.cast(kind, array.ctypes.data)
 
     def prepare(self, values: Constants) -> tuple[Any, list[FloatArray]]:
-        """Build a `ddmpc_constants`; return it with the arrays that it points to, which must outlive it.
+        """Build a `ddmpc_constants`; return it with the arrays that it points to, which must live as long.
 
         Raises
         ------
@@ -99,15 +99,15 @@ class Tick:
                 setattr(struct, name, value)
         return struct, arrays
 
-    def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:
-        """Use other constants of the same sizes from now on."""
-        self.lib.ddmpc_configure(self.c, prepared[0])
-        self._constants = prepared
+    def configure(self, constants: tuple[Any, list[FloatArray]]) -> None:
+        """Replace the constants by the result of `prepare` for constants of the same sizes."""
+        self.lib.ddmpc_configure(self.c, constants[0])
+        self._constants = constants
 
-    def begin_with(self, slip: Sequence[float]) -> None:
-        """Set the initial `slip` of the estimate from the next start on, until other constants are used.
+    def set_initial_slip(self, slip: Sequence[float]) -> None:
+        """Set the initial slip of the estimate at later starts, until `configure` is called.
 
-        `slip` has 10 entries, or 15 with curved slip.
+        `slip` has 10 entries, or 15 with curved slip, in the order of `SLIPS`.
         """
         for i, value in enumerate(slip):
             self._constants[0].prior[i] = value
@@ -139,7 +139,10 @@ class Tick:
         self.lib.ddmpc_set_applied_commands(self.c, self._address("const real *", pairs), len(pairs))
 
     def newest_belief(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Return copies of the filter's newest mean (Z,), covariance (Z, Z) and the preceding commands (W, 2)."""
+        """Return copies of the filter's newest mean (Z,) and covariance (Z, Z), and of the preceding commands (W, 2).
+
+        The result is None if there is no estimate.
+        """
         size = self._sizes["states"] + self._sizes["slips"] + 6
         mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
         arrays = (mean, covariance, sent)
@@ -149,23 +152,23 @@ class Tick:
     def predict_belief(
         self, mean: FloatArray, covariance: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Predict mean and covariance over one sample for each of `commands` (W + K, 2) except the first W."""
+        """Predict mean and covariance over K samples from `commands` (W + K, 2): W earlier and K new commands."""
         commands, window = np.ascontiguousarray(commands, dtype=float), self._sizes["window"]
-        now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
+        current, following = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
         for first in range(len(commands) - window):
-            arrays = (commands[first : first + window + 1], *now, *after)
+            arrays = (commands[first : first + window + 1], *current, *following)
             self.lib.ddmpc_predict_belief(self.c, *(self._address("real *", array) for array in arrays))
-            # The arrays of the core must not overlap, so two pairs alternate.
-            now, after = after, now
-        return now[0], now[1]
+            # Input and output arrays must not overlap, so two pairs alternate.
+            current, following = following, current
+        return current[0], current[1]
 
     def addresses(self) -> dict[str, int]:
-        """Return addresses of the step, its input and its result, by the names in `models.interface.CompiledTick`."""
+        """Return the addresses of step, input and result, by the names of `models.interface.CompiledTick`."""
         ffi, struct, result = self.ffi, self.input.struct, self.result
         pointers = {"step": ffi.addressof(self.lib, "ddmpc_step"), "controller": self.c, "input": struct}
         names = ("pose", "wheels", "yaw_rate", "sent", "has_sent", "reference_time")
         pointers |= {name: ffi.addressof(struct[0], name) for name in names}
-        # The mode TRACKING and the status SOLVED have the code 0.
+        # Simulations compare these values with 0, the code of the mode TRACKING and of the status SOLVED.
         pointers |= {name: ffi.addressof(result[0], name) for name in ("mode", "reasons", "notes")}
         report = {"status": "status", "method": "path", "iterations": "iterations"}
         pointers |= {name: ffi.addressof(result.solver, field) for name, field in report.items()}
@@ -182,9 +185,10 @@ class Tick:
         return self.lib.ddmpc_stray_from(self.c, address("const real *", pose), address("const real *", twist))
 
     def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
-        """Continue the tick with a target: poses (samples, 3) and twists (samples, 2) from now on.
+        """Continue the tick with a target: poses (samples, 3) and twists (samples, 2), from the current tick on.
 
-        Raises ValueError if a shape is wrong.
+        `share` is the maximum command as a share of the limits [-]. The result is a value of `ddmpc_pending`. Raises
+        ValueError if a shape is wrong.
         """
         poses = _checked_array("poses", poses, (self.samples, 3))
         twists = _checked_array("twists", twists, (self.samples, 2))
@@ -193,7 +197,17 @@ class Tick:
 
 
 class ResultLayout:
-    """Places of a result's arrays in one block of memory, which is copied as a whole; `slip` is part of the mean."""
+    """Layout of the arrays of a result in one block of memory, which is copied as a whole.
+
+    Attributes
+    ----------
+    slip
+        Slice of the slip in the mean of the filter's state.
+    slices
+        Slice in the block and shape of each array, by name.
+    live
+        Block in the memory of the core, which the next tick overwrites.
+    """
 
     def __init__(self, tick: Tick) -> None:
         n = tick._sizes["states"]
@@ -204,31 +218,31 @@ class ResultLayout:
             for struct, owner in (("ddmpc_estimate", result.estimate), ("ddmpc_result", result))
             for name, shape in pointer_shapes(struct, tick._sizes).items()
         }
-        # The arrays of a result lie in one block (memory.c), so one copy per tick is sufficient.
+        # memory.c allocates the arrays of a result in one block, so one copy per tick is sufficient.
         addresses = {name: int(ffi.cast("uintptr_t", address)) for name, (address, _) in shapes.items()}
         first = min(addresses.values())
-        self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        self.slices: dict[str, tuple[slice, tuple[int, ...]]] = {}
         end = 0
         for name, (_, shape) in shapes.items():
             start, count = (addresses[name] - first) // 8, int(np.prod(shape))
-            self.places[name] = (slice(start, start + count), shape)
+            self.slices[name] = (slice(start, start + count), shape)
             end = max(end, start + count)
         self.live = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
 
     def copy(self) -> FloatArray:
-        """Copy all arrays of the current result, read-only."""
+        """Return a read-only copy of all arrays of the current result."""
         block = self.live.copy()
         block.flags.writeable = False
         return block
 
     def take(self, block: FloatArray, name: str) -> FloatArray:
         """Return the array `name` of a copied block."""
-        place, shape = self.places[name]
+        place, shape = self.slices[name]
         return block[place] if len(shape) == 1 else block[place].reshape(shape)
 
 
 class MeasurementBuffer:
-    """Memory of one ddmpc_input. Values that are not numbers become NaN, which the core rejects with a note."""
+    """Memory of a `ddmpc_input`. Values that are not numbers become NaN, which the core rejects with a note."""
 
     def __init__(self, ffi: Any) -> None:  # noqa: ANN401 - cffi has no types
         self.struct = ffi.new("ddmpc_input *")
@@ -257,14 +271,14 @@ class MeasurementBuffer:
         self.struct.has_sent = sent is not None
         if sent is not None:
             try:
-                # The fast path for two numbers, the usual case.
+                # Fast path for two numbers, the usual case.
                 self._sent[0], self._sent[1] = sent
             except (TypeError, ValueError):
                 _write(self._sent, sent, 2)
 
 
 class _Message:
-    """Memory of one ddmpc_stamped."""
+    """Memory of a `ddmpc_stamped`."""
 
     __slots__ = ("_count", "_covariance", "_struct", "_value")
 
@@ -290,20 +304,20 @@ class _Message:
 
 
 def _checked_array(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return `values` in the layout of C; raise ValueError for a wrong shape, which C cannot check."""
+    """Return `values` as a C-contiguous array; raise ValueError for a wrong shape, which C cannot check."""
     array = np.ascontiguousarray(values, dtype=float)
     if array.shape != shape:
         raise ValueError(f"the reference gave {name} of shape {array.shape}, expected {shape}")
     return array
 
 
-def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
+def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - the value may have any type
     """Write `value` as `count` numbers; write NaN if it cannot be converted."""
     if count == 1 and isinstance(value, float):
         memory[0] = value
         return
     try:
-        # The fast path for a contiguous array of `count` doubles.
+        # Fast path for a contiguous array of `count` doubles.
         memory[:] = value
     except (TypeError, ValueError):
         values = numbers(value, count)

@@ -1,7 +1,7 @@
 """Base class of features that attach to a controller.
 
 A package registers a subclass of `Feature` as an entry point of the group `diffdrive_mpc.features`. The name of the
-entry point is the name of the feature, and of its configuration group `expert.<name>`.
+entry point is the name of the feature and of its configuration group, `expert.<name>`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.step_result import StepResult
 
 @dataclass
 class Host:
-    """Interface of a feature to its controller; the controller updates the attributes.
+    """Interface of a feature to its controller, which updates the attributes.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Host:
     tick
         Compiled core.
     pursuit
-        Selector of the target, with the reference and its clock.
+        Selector of the target, with the reference's clock.
     terms
-        All terms of the cost.
+        All terms of the cost and of the soft limits.
     is_new_tick
         Function that returns True if the last step advanced the tick.
     t0
@@ -54,7 +54,7 @@ class Host:
 
 
 class Feature:
-    """Base of all features; a feature overrides the methods that it needs.
+    """Base class of features; a feature overrides the methods that it needs.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Feature:
 
     @classmethod
     def prepare(cls, config: ControllerConfig) -> ControllerConfig:
-        """Return the configuration with the changes that the feature needs.
+        """Return the configuration with the changes that the feature requires.
 
         Raises ConfigError if the feature cannot be used with this configuration.
         """
@@ -87,7 +87,7 @@ class Feature:
 
     @classmethod
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
-        """Return the terms that the feature adds to the cost."""
+        """Return the terms that the feature adds to the problem."""
         del config
         return ()
 
@@ -98,20 +98,20 @@ class Feature:
     def configure(self) -> None:
         """Apply the configuration of `host` after a change."""
 
-    def begin(self, reference: Reference, t0: float) -> Reference:
-        """Prepare for the start of `reference` at `t0` [s]; return the reference to track instead."""
+    def start(self, reference: Reference, t0: float) -> Reference:
+        """Prepare for the start of `reference` at `t0` [s]; return the reference that the robot tracks instead."""
         del t0
         return reference
 
-    def lay(self, reference: Reference) -> Reference:
-        """Return the reference that the robot will track instead of a checked reference."""
+    def modify_reference(self, reference: Reference) -> Reference:
+        """Return the reference that the robot tracks instead of the checked `reference`."""
         return reference
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset the feature while the robot is at standstill."""
 
     def set_applied(self, command: FloatArray) -> None:
-        """Replace the last command by the applied `command` (2,), which is from another controller."""
+        """Replace the last command by the applied `command` (2,) of another controller."""
 
     def before_step(self, t: float) -> Hold | None:
         """Prepare the tick at `t` [s]; return a hold if the robot must stop, else None."""
@@ -124,7 +124,7 @@ class Feature:
         return result
 
     def state(self) -> Any:  # noqa: ANN401 - each feature has its own state
-        """Return the feature's state for a pickled controller; None if it has no state."""
+        """Return the state of the feature for a pickled controller; None if there is no state."""
         return None
 
     def restore(self, state: Any) -> None:  # noqa: ANN401 - each feature has its own state

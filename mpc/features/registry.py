@@ -8,7 +8,7 @@ from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.problem.terms import Term
 
 
-def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
+def enabled_features(config: ControllerConfig) -> dict[str, type[Feature]]:
     """Import the enabled features of a configuration and return their classes by name.
 
     The features are sorted by name; the controller calls them in this order. Raises ImportError if an import fails, see
@@ -19,12 +19,12 @@ def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
 
 
 def prepare_config(config: ControllerConfig) -> ControllerConfig:
-    """Return the configuration after the changes of its features; raises ConfigError if a feature cannot be used."""
-    for feature in features_of(config).values():
+    """Apply the changes of all features to a configuration; raise ConfigError if a feature cannot be used."""
+    for feature in enabled_features(config).values():
         config = feature.prepare(config)
     return config
 
 
 def feature_terms(config: ControllerConfig) -> tuple[Term, ...]:
-    """Return the terms that the features of a configuration add to the cost."""
-    return tuple(term for feature in features_of(config).values() for term in feature.terms(config))
+    """Return the terms that the features of a configuration add to the problem."""
+    return tuple(term for feature in enabled_features(config).values() for term in feature.terms(config))

@@ -1,4 +1,4 @@
-"""Construction of the problem of a configuration: choice and discretisation of the model."""
+"""Construction of the problem of a configuration: selection and discretisation of the model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 def chosen_model(
     config: ControllerConfig, given_model: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
-    """Load the prediction model; only the model of the configuration includes the extra dead time.
+    """Load the prediction model: `given_model`, or the model of the configuration with its extra dead time.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
 
 
 def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
-    """Return True for a model from a file, which was identified for its robot; False for a model built in Python."""
+    """Return True if the model is from a file, and was identified on its robot; False if it was built in Python."""
     return model.provenance.get("origin", "python-control") != "python-control"
 
 

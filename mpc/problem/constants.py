@@ -1,6 +1,6 @@
 """Constants of a controller, by the names of their fields in C (`mpc/core/core.h`).
 
-Python writes the constants to memory; an exported library contains them as C source.
+Python writes the constants to memory; an exported library contains the constants as C source.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLI
 from diffdrive_mpc.mpc.problem.terms import Term
 
 Constants = dict[str, object]
-"""Numbers and arrays by the name of the C field."""
+"""Numbers and arrays by the name of the field in C."""
 
-SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
+BUILT_IN_SOFT = ("v", "omega", "right", "left", "across")
 """Built-in kinds of soft limits, in the order of the core."""
 PADDING = 8
-"""Number of columns to a multiple of which rows are padded with zeros, equal to PADDING of mpc/core/internal.h."""
+"""Rows are padded with zeros to a multiple of this number of columns, equal to PADDING in mpc/core/internal.h."""
 SLACK = 0.1
-"""Share of the solver's tolerance by which a satisfied limit may be exceeded [-]."""
-_MAX_DEVIATIONS = 5.0
-"""Bound of the estimate of curved slip, in initial standard deviations [-]."""
+"""Share of the solver's tolerance up to which an exceeded limit counts as satisfied [-]."""
+_MAX_CURVED_DEVIATIONS = 5.0
+"""Bound of the estimate of curved slip relative to its initial value, in initial standard deviations [-]."""
 HARD_KINDS = 4
 """Number of kinds of hard limits: v_ref, omega_ref, and their increments."""
 
@@ -41,7 +41,8 @@ HARD_KINDS = 4
 class Problem:
     """Definition of a controller's problem: configuration, discrete model, and user-defined terms.
 
-    If `from_file` is False, the ratio of the wheels' yaw rate to that of the model has a larger initial uncertainty.
+    If `from_file` is False, the model was not identified on its robot, and the ratio of the wheels' yaw rate to that of
+    the model has a larger initial uncertainty.
 
     Raises
     ------
@@ -59,15 +60,15 @@ class Problem:
     def __post_init__(self) -> None:
         """Check the horizon, and build the prediction matrices of a linear model."""
         model, horizon = self.model, self.config.horizon
-        # A sample counts as dead time if the previous command has more effect on it than the current command.
+        # A sample is part of the dead time if the previous command affects it more than the current command.
         dead_samples = model.dead_samples
         if isinstance(model, DiscreteModel):
             dead_samples = dead_samples + (np.abs(model.B1).sum(axis=0) > np.abs(model.B0).sum(axis=0))
-        shortest = int(dead_samples.max()) + 1
-        if horizon < shortest:
+        min_horizon = int(dead_samples.max()) + 1
+        if horizon < min_horizon:
             raise ValueError(
-                f"horizon = {horizon}: the horizon ends within the dead time of the model, {shortest - 1} steps of "
-                f"{model.dt:g} s; set horizon to {shortest} or more"
+                f"horizon = {horizon}: the horizon ends within the dead time of the model, {min_horizon - 1} steps of "
+                f"{model.dt:g} s; set horizon to {min_horizon} or more"
             )
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
         object.__setattr__(self, "prediction", prediction)
@@ -80,11 +81,11 @@ class Problem:
     @property
     def history(self) -> int:
         """Number of past ticks that the estimator stores."""
-        # One node more, for the current tick.
+        # The additional node is that of the current tick.
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
-    def _spare(self) -> int:
+    def _max_extra_delay(self) -> int:
         """Maximum additional delay that the filter estimates [samples]; zero for a nonlinear model."""
         config = self.config
         # Without dead time compensation, past commands are not stored.
@@ -92,26 +93,26 @@ class Problem:
         return int(np.ceil(config.estimator.max_delay / self.model.dt)) if is_estimated else 0
 
     @property
-    def _turns(self) -> int:
+    def _turn_rows(self) -> int:
         """Number of soft limits for the minimum turn radius: 2 (left and right), or 0 if it is not configured."""
         return 0 if self.config.limits.min_turn_radius is None else 2
 
     @property
-    def _command_turns(self) -> int:
+    def _command_turn_rows(self) -> int:
         """Number of soft limits for the minimum commanded radius: 2 (left and right), or 0 if it is not configured."""
         return 0 if self.config.limits.min_commanded_radius is None else 2
 
     @property
-    def _all_turns(self) -> int:
-        return self._turns + self._command_turns
+    def _all_turn_rows(self) -> int:
+        return self._turn_rows + self._command_turn_rows
 
     @property
     def soft_names(self) -> tuple[str, ...]:
         """Names of the kinds of soft limits, in the order of the core; `left` and `right` are wheels."""
         turns = [f"{name} {side}" for name in ("turn", "commanded turn") for side in ("left", "right")]
-        kinds = turns[: self._turns] + turns[2 : 2 + self._command_turns]
+        kinds = turns[: self._turn_rows] + turns[2 : 2 + self._command_turn_rows]
         term_names = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
-        return (*SHIPPED_SOFT, *kinds, *term_names)
+        return (*BUILT_IN_SOFT, *kinds, *term_names)
 
     @property
     def curved(self) -> bool:
@@ -132,7 +133,7 @@ class Problem:
             "delay_omega": omega,
             # An additional delay is interpolated between two commands, so one command more than whole samples is
             # needed.
-            "window": model.memory + (self._spare + 1 if self._spare else 0),
+            "window": model.memory + (self._max_extra_delay + 1 if self._max_extra_delay else 0),
             "history": self.history,
             "lag_v": lag_v,
             "lag_omega": lag_omega,
@@ -141,13 +142,13 @@ class Problem:
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
-            "turns": self._turns,
+            "turns": self._turn_rows,
             "slips": len(SLIPS if self.curved else FLAT_SLIPS),
             "model_parameters": len(self.compiled_step.parameters) if self.compiled_step else 0,
             "work": self.compiled_step.work if self.compiled_step else 0,
-            "command_turns": self._command_turns,
-            "spare": self._spare,
-            # Each violated soft limit also needs an entry, and several limits may be violated at a sample.
+            "command_turns": self._command_turn_rows,
+            "spare": self._max_extra_delay,
+            # Several limits may be active at a sample, and each violated soft limit also needs an entry.
             "max_active": 6 * self.config.horizon + 32,
         }
 
@@ -163,7 +164,7 @@ class Problem:
             self._ladder(),
             self._fence(),
             self._monitor(),
-            _core_numbers("core_thresholds"),
+            _core_constants("core_thresholds"),
         ):
             merged |= part
         return merged
@@ -192,24 +193,24 @@ class Problem:
     def _estimation(self) -> Constants:
         model, s, wheels, sensors = self.model, self.config.estimator, self.config.wheels, self.config.sensors
         enabled = self.config.compensation
-        delays = [self._spare > 0] * 2
-        # In the order of the filter's parameters: v_offset, omega_gain, longitudinal_gain, yaw_gain; the six of
-        # side-slip; curved slip and gyro bias, which only their uncertainties switch off; delays.
+        delays = [self._max_extra_delay > 0] * 2
+        # Order of the filter's parameters: v_offset, omega_gain, longitudinal_gain, yaw_gain; six parameters of
+        # side-slip; curved slip and gyro bias, which a zero uncertainty disables; delays.
         estimated = np.array(
             [*[enabled.v_offset, enabled.yaw_gain] * 2, *[enabled.side_slip] * 6, *[True] * 6, *delays]
         )
         kinds = (*PRIORS, "gyro_bias", "delay", "delay")
         uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
         if not self.from_file:
-            # The actual ratio of tracks may differ from that in `wheels`.
+            # The actual ratio of the tracks may differ from the ratio in `wheels`.
             uncertainty[kinds.index("omega_gain")] *= s.unknown_omega_gain_uncertainty / s.omega_gain_uncertainty
         drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
         # Bounds of gains are configured; bounds of curved slip follow from its initial uncertainty.
         margin = np.full(len(SLIPS), np.inf)
-        margin[-len(CURVED_SLIPS) :] = _MAX_DEVIATIONS * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
+        margin[-len(CURVED_SLIPS) :] = _MAX_CURVED_DEVIATIONS * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
         min_slip, max_slip = np.array(astuple(prior)) - margin, np.array(astuple(prior)) + margin
-        # omega_gain, longitudinal_gain and yaw_gain.
+        # Entries 1 to 3 are omega_gain, longitudinal_gain and yaw_gain.
         min_slip[1:4], max_slip[1:4] = s.min_gain, s.max_gain
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
@@ -246,11 +247,11 @@ class Problem:
         }
 
     def _monitor(self) -> Constants:
-        monitor, test = self.config.monitor, dict(_core_numbers("sensor_test"))
+        monitor, test = self.config.monitor, dict(_core_constants("sensor_test"))
         base_rate, scale = test.pop("alarms")
         return {
             "monitor": monitor.enabled,
-            # Evidence at which the false alarms rate * exp(-evidence / scale) are as rare as configured.
+            # Evidence at which the rate of false alarms, rate * exp(-evidence / scale), is the configured rate.
             "enough": scale * float(np.log(base_rate / monitor.false_alarm_rate)),
             **test,
             "monitor_turn_ratio": monitor.turn_ratio,
@@ -275,15 +276,15 @@ class Problem:
         weighted_heading = self._pose_weights()[:, 2:] * prediction.heading_from_plan[1:]
         return {
             "from_state": prediction.from_state.reshape(N + 1, 2, -1),
-            # Commands that are older than the memory of the model have no effect.
+            # Commands that are older than the memory of the model have no effect, so their columns are zero.
             "from_past": np.pad(
                 prediction.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
             ),
             "response": prediction.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
-            "twist_row": [_longest_row(prediction.from_plan[channel::2]) for channel in (0, 1)],
-            "mean_row": [_longest_row(prediction.mean_from_plan[channel::2]) for channel in (0, 1)],
-            "heading_row": _longest_row(prediction.heading_from_plan),
-            # For a gain of 1; the core multiplies it by the square of the gain at each tick.
+            "twist_row": [_toeplitz_row(prediction.from_plan[channel::2]) for channel in (0, 1)],
+            "mean_row": [_toeplitz_row(prediction.mean_from_plan[channel::2]) for channel in (0, 1)],
+            "heading_row": _toeplitz_row(prediction.heading_from_plan),
+            # Hessian for a yaw gain of 1; the core multiplies it by the squared gain at each tick.
             "heading_hessian": prediction.heading_from_plan[1:].T @ weighted_heading,
         }
 
@@ -297,7 +298,7 @@ class Problem:
     def _cost(self) -> Constants:
         w, pose_weights = self.config.weights, self._pose_weights()
         return {
-            # Roots, since they scale rows of the stack that is squared; the heading has a Hessian of its own.
+            # The roots scale the rows of the stacked residuals; the Hessian of the heading is computed separately.
             "along": np.sqrt(pose_weights[:, 0]),
             "across": np.sqrt(pose_weights[:, 1]),
             "heading": pose_weights[:, 2],
@@ -305,22 +306,22 @@ class Problem:
             "increment_weight": [w.v_increment, w.omega_increment],
             # The matrix is stored in column-major order.
             "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
-            "lag_rest": self.feed_forward.rest,
+            "lag_rest": self.feed_forward.fraction,
             "price": w.soft,
             "price_slope": w.soft_quadratic,
         }
 
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
-        shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # placeholders: limits.c computes these bounds from the radius
+        built_in = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+        built_in += [0.0] * self._all_turn_rows  # placeholders: limits.c computes these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [*limits.v.sides, *limits.omega.sides],
             "slew": np.array([*limits.v_slew.sides, *limits.omega_slew.sides]) * dt,
             "braking": np.array([limits.v_braking, limits.omega_braking]) * dt,
-            "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
-            "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
+            "soft_upper": np.concatenate([built_in, *(term.bounds[1] for term in soft)]),
+            "soft_lower": np.concatenate([np.negative(built_in), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
             "min_turn_radius": limits.min_turn_radius or 0.0,
             "min_commanded_radius": limits.min_commanded_radius or 0.0,
@@ -369,8 +370,8 @@ class Problem:
 
 
 @cache
-def _core_numbers(name: str) -> dict[str, Any]:
-    """Read robot-independent constants of the core from `mpc/config/<name>.yaml`, keyed by field name in C."""
+def _core_constants(name: str) -> dict[str, Any]:
+    """Read robot-independent constants of the core from `mpc/config/<name>.yaml`, by the name of the field in C."""
     data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / f"{name}.yaml")
     return data
 
@@ -387,7 +388,7 @@ def round_up(count: int) -> int:
     return -(-count // PADDING) * PADDING
 
 
-def _longest_row(matrix: FloatArray) -> FloatArray:
+def _toeplitz_row(matrix: FloatArray) -> FloatArray:
     """Return the padded last row of a Toeplitz matrix; all other rows are shifted sections of this row."""
     row = matrix[-1]
     return np.concatenate([row, np.zeros(2 * round_up(row.size) - row.size)])
@@ -440,7 +441,7 @@ def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
         for channel in (0, 1):
             newer = n + 2 * (memory + k - int(model.delay[channel])) + channel
             state[:, newer] += model.B0[:, channel]
-            # The command before it still acts during the fractional part of the dead time.
+            # The previous command still acts during the fractional part of the dead time.
             state[:, newer - 2] += model.B1[:, channel]
         twists.append(model.C @ state)
     stacked_twists = np.vstack(twists)

@@ -1,4 +1,4 @@
-"""Constants of the feed-forward command, which produces the reference's twist one lag ahead."""
+"""Constants of the feed-forward command, which anticipates the reference's twist by the lag of the robot."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 class FeedForward:
     """Constants of the feed-forward command.
 
-    A command takes effect after a lag (dead time and dynamics), so it must match the reference's twist one lag ahead.
+    A command takes effect after a lag (dead time and dynamics), so it must correspond to the reference's twist one lag
+    later.
 
     Attributes
     ----------
     inverse_gain
         (2, 2) inverse of the model's steady-state gain.
-    whole, rest
+    whole, fraction
         (2,) integer part and fractional part of the lag of each channel [samples].
     """
 
     inverse_gain: FloatArray
     whole: NDArray[np.int64]
-    rest: FloatArray
+    fraction: FloatArray
 
     @classmethod
     def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:
         """Build the feed-forward of a model at the sample time `dt` [s]."""
-        # A transfer zero near the origin can result in a negative lag, which a causal feed-forward cannot use.
+        # A transfer zero near the origin can result in a negative lag, for which no causal feed-forward exists.
         lag = np.maximum(model.lag, 0.0) / dt
         whole = np.floor(lag).astype(np.int64)
         return cls(np.asarray(np.linalg.inv(model.dc_gain), dtype=np.float64), whole, lag - whole)

@@ -32,9 +32,9 @@ from diffdrive_mpc.models.slip_laws import track_widening
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
-"""Inputs of a term and their lengths, without the last input `parameters`, whose length depends on the term."""
+"""Inputs of a term and their lengths, except for the last input `parameters`, whose length depends on the term."""
 
-VARIED = ("pose", "twist", "command")
+DIFFERENTIATED = ("pose", "twist", "command")
 """Inputs by which a term is differentiated."""
 
 # Shapes of the arguments of formulas by name; other arguments are scalars.
@@ -52,14 +52,13 @@ _SHAPES = {
 ALONG = 0.5
 """Ratio of the slide along the heading to the slide across the heading [-].
 
-
 Rolling wheels resist sliding along the heading. Identified with four robots on the `mujoco` plant on a slope of 10
 degrees (0.05 to 0.06 m/rad along, 0.10 to 0.12 m/rad across)."""
 _SMOOTHING_RATE = 0.05  # yaw rate below which |omega| is smoothed in the slide [rad/s]
 SLOW = 0.1
-"""Speed below which the heading hardly compensates a lateral speed [m/s]."""
+"""Speed below which the target heading compensates only a small part of a lateral speed [m/s]."""
 # Number of fixed-point iterations in the inversion of curved slip.
-_ITERATIONS = 3
+_INVERSION_ITERATIONS = 3
 
 
 def _slip_components(slip: ca.SX) -> SimpleNamespace:
@@ -102,13 +101,13 @@ def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute wheel speed and model yaw rate (2) from the body's `twist`; the inverse of `body_twist`.
 
-    Curved slip is inverted by a fixed-point iteration, which reduces the error by the product of the couplings in each
-    step.
+    Curved slip is inverted by a fixed-point iteration, whose error decreases by the product of the couplings in each
+    iteration.
     """
     s = _slip_components(slip)
     gain = s.omega_gain * s.yaw_gain
     v, turn = (twist[0] - s.turn_left * twist[1]) / s.longitudinal_gain, twist[1] / gain
-    for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ITERATIONS):
+    for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _INVERSION_ITERATIONS):
         widening = track_widening(gain * turn, s.track_growth)
         turn = (twist[1] - s.veer * v) / (gain / widening + s.yaw_coupling * s.omega_gain * v)
         v = (twist[0] - s.turn_left * gain * turn) / (s.longitudinal_gain + s.forward_coupling * s.omega_gain * turn)
@@ -126,7 +125,7 @@ def _without_curved(twist: ca.SX, slip: ca.SX) -> ca.SX:
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
     """Compute the distance of the turning point ahead of the origin [m], without the effect of side-slip.
 
-    A forward `acceleration` [m/s^2] shifts load to the rear axle, which increases its grip.
+    A forward `acceleration` [m/s^2] shifts load to the rear axle and thereby increases the grip of this axle.
     """
     s = _slip_components(slip)
     return ca.SX(s.turn_ahead - s.load_shift * acceleration)
@@ -145,8 +144,8 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
 def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Compute the sliding speed (along, across) [m/s] of a robot with heading `theta` and yaw rate `omega`.
 
-    Skidding wheels resist a lateral force only with the remaining friction. A force down a slope therefore moves the
-    robot in proportion to the skidding speed.
+    Friction acts against the skidding motion, so it resists a lateral force only in part. A downhill force therefore
+    moves the robot in proportion to the skidding speed.
     """
     # |omega| has no gradient at zero.
     rate = ca.sqrt(omega**2 + _SMOOTHING_RATE**2) - _SMOOTHING_RATE
@@ -185,7 +184,7 @@ def sensor_readings(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca
 def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
     """Return the target (4) for the reference's `pose` and `twist`, see `reference` in the table of the module.
 
-    A robot with side-slip stays on a curved path if it offsets its heading by the angle of its lateral speed, which
+    A robot with side-slip stays on a curved path if its heading is offset by the angle of its lateral speed, which
     depends on the reference's forward `acceleration` [m/s^2].
     """
     s = _slip_components(slip)
@@ -231,7 +230,7 @@ def soft_limit_values(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: c
     return ca.vertcat(twist, wheels[0] + turning, wheels[0] - turning, across_path(pose, reference))
 
 
-def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
+def radius_violation(twist: ca.SX, parameters: ca.SX) -> ca.SX:
     """Compute the radius violation (2) of a twist to the left and to the right [m/s]; positive if violated.
 
     The constraint is |omega| radius <= |v| in the direction of travel (Ordonez et al., 2017). `parameters` (2) are the
@@ -242,13 +241,13 @@ def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
     return ca.vertcat(turning - driving, -turning - driving)
 
 
-def commanded_tighter(command: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Compute the radius violation (2) of a command as in P4; its radius is that of the wheels."""
-    return turned_tighter(command, parameters)
+def commanded_radius_violation(command: ca.SX, parameters: ca.SX) -> ca.SX:
+    """Compute the radius violation (2) of a command, as in P4; the radius is that of the wheels' path."""
+    return radius_violation(command, parameters)
 
 
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase started.
+    """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after the phase start.
 
     `row` (10) describes the phase: start time; x, y, theta and arc length at the start of its segment; forward distance
     [m] and turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase.
@@ -263,7 +262,7 @@ def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Compute pose (3), twist (2) and arc length (1) of a cubic reference, `tau` [s] after its piece started.
+    """Compute pose (3), twist (2) and arc length (1) of a cubic reference, `tau` [s] after the start of its piece.
 
     `coefficients` (16) are those of x, y, theta and arc length for each power of tau, highest power first. The forward
     speed is the rate of (x, y) along the heading.
@@ -283,7 +282,7 @@ def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt
 
 @cache
 def formulas() -> tuple[ca.Function, ...]:
-    """Build the formulas as SX functions with their C names; formulas that are linearised include a gradient.
+    """Build the formulas as SX functions with their C names, and with gradients if the core linearises them.
 
     Formulas with slip exist in two versions, so that controllers without curved slip do not evaluate its terms.
     """
@@ -292,8 +291,8 @@ def formulas() -> tuple[ca.Function, ...]:
         *_with_slip("", len(FLAT_SLIPS)),
         *_with_slip("_curved", len(SLIPS)),
         _term("ddmpc_f_errors", tracking_errors, 0),
-        _term("ddmpc_f_turn", turned_tighter, 2),
-        _term("ddmpc_f_command_turn", commanded_tighter, 2),
+        _term("ddmpc_f_turn", radius_violation, 2),
+        _term("ddmpc_f_command_turn", commanded_radius_violation, 2),
         _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
         _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
     )
@@ -325,8 +324,8 @@ def term_symbols(parameters: int) -> dict[str, ca.SX]:
 
 
 def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
-    """Build the term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by `VARIED`."""
-    return differentiate(name, inputs, "value", value, VARIED)
+    """Build the term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by `DIFFERENTIATED`."""
+    return differentiate(name, inputs, "value", value, DIFFERENTIATED)
 
 
 def differentiate(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
@@ -367,12 +366,12 @@ def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str,
     return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
 
-# Formulas of the units of a network with their gradients; C code for `mpc/core/network.c` is generated from them.
-
-
 @cache
 def network_formulas() -> tuple[ca.Function, ...]:
-    """Build the cell and output of an LSTM unit and the activation of a dense layer as SX functions with C names."""
+    """Build the formulas of network units with gradients, for the C code of `mpc/core/network.c`.
+
+    The formulas are the cell and the output of an LSTM unit, and the activation of a dense layer.
+    """
     names = ("enter", "keep", "candidate", "leave", "cell", "x")
     enter, keep, candidate, leave, cell, x = (ca.SX.sym(name) for name in names)
     cell_inputs = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}

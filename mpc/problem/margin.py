@@ -25,8 +25,8 @@ SPEED = 0.5
 MIN_WEIGHTS, MAX_WEIGHT = np.array([5.0, 4.0]), 1e4
 """Bounds of the weights [s^2/m^2, s^2/rad^2].
 
-The minimum weights (2,) of v and omega were tuned for SM on the mujoco plant, seeds 101 and 103 of a search over 13
-robots and conditions. Commands oscillate with smaller weights."""
+The minimum weights (2,) of v and omega were tuned for SM on the mujoco plant, over 13 robots and conditions, seeds 101
+and 103. With smaller weights, commands oscillate."""
 # 14 bisections of ln(1e4 / 4) leave a factor of 1.0005, below the three digits of `with_increments`.
 _BISECTIONS = 14
 _STABLE = 1.0 + 1e-6
@@ -34,7 +34,7 @@ _STABLE = 1.0 + 1e-6
 
 
 def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatArray], FloatArray]:
-    """Return a function that maps the weights (2,) of the increments to K (2, n + 2 m + 3) of u_0 = K z.
+    """Return a function that maps the weights (2,) of the increments to the gain K (2, n + 2 m + 3) of u_0 = K z.
 
     The vector z contains the states of the model, the m pending commands (oldest first), and the along-track [m],
     cross-track [m] and heading [rad] errors at the speed `SPEED`.
@@ -46,7 +46,7 @@ def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatA
     mean, units = 0.5 * (twist[:-2] + twist[2:]), np.eye(n + 2 * m + 3)
     plan_maps = prediction.mean_from_plan, prediction.heading_from_plan
     heading = units[-1] + np.vstack([np.zeros(len(units)), dt * np.cumsum(mean[1::2], axis=0)])
-    # Near a straight path the lateral speed is the heading times the speed; trapezoidal rule.
+    # Near a straight path, the lateral speed is the product of heading and speed, integrated by the trapezoidal rule.
     across = units[-2] + 0.5 * dt * SPEED * np.cumsum(heading[:-1] + heading[1:], axis=0)
     along = units[-3] + dt * np.cumsum(mean[::2], axis=0)
     by_plan = (
@@ -79,8 +79,8 @@ def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatA
 def spectral_radius(model: DiscreteModel, K: FloatArray, extra_delay: FloatArray) -> float:
     """Return the spectral radius of the loop with feedback `K` and an unmodelled delay `extra_delay` (2,) [samples]."""
     n, m, dt = model.order, model.memory, model.dt
-    # State of the loop: states of the model, commands with the oldest first, errors. The line of commands is longer
-    # than that of the controller, which does not know the extra delay.
+    # The state of the loop contains the states of the model, the commands (oldest first), and the errors. It has more
+    # commands than the state of the controller, which does not model the extra delay.
     n_commands = m + int(np.ceil(extra_delay.max())) + 1
     size = n + 2 * n_commands + 3
     selection = np.zeros((K.shape[1], size))
@@ -91,10 +91,11 @@ def spectral_radius(model: DiscreteModel, K: FloatArray, extra_delay: FloatArray
     loop = np.zeros((size, size))
     loop[:n, :n] = model.A
     for channel in (0, 1):
-        newest, rest = n_commands - int(model.delay[channel]) - whole[channel], extra_delay[channel] - whole[channel]
-        active = [(1 - rest) * commands[newest - i, channel] + rest * commands[newest - i - 1, channel] for i in (0, 1)]
+        newest = n_commands - int(model.delay[channel]) - whole[channel]
+        part = extra_delay[channel] - whole[channel]
+        active = [(1 - part) * commands[newest - i, channel] + part * commands[newest - i - 1, channel] for i in (0, 1)]
         loop[:n] += np.outer(model.B0[:, channel], active[0]) + np.outer(model.B1[:, channel], active[1])
-    # Each command moves one place towards the oldest, and K z is appended.
+    # The commands are shifted by one sample, and the new command K z is appended.
     loop[n:-3] = commands[1:].reshape(-1, size)
     units = np.eye(size)
     # Mean twist over the sample, as in the prediction.

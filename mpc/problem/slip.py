@@ -17,12 +17,12 @@ class Slip:
     With the default values the body moves exactly as the model predicts.
 
     The wheels move with v + v_offset and omega_gain omega. The yaw rate of the body is yaw_gain times that of the
-    wheels. The turning point lies turn_ahead minus load_shift times the forward acceleration ahead of the origin of the
-    body frame, and turn_left to the left of the origin. It moves forward with longitudinal_gain times the wheels'
-    forward speed, and outward in a turn with side_slip v omega.
+    wheels. In the body frame, the turning point is at the distance turn_ahead - load_shift a ahead of the origin, where
+    a is the forward acceleration, and at the distance turn_left to the left of the origin. It moves forward at
+    longitudinal_gain times the wheels' forward speed, and outward in a turn at side_slip v omega.
 
-    A turning robot also slides on the floor by slide_x and slide_y per radian of turn, in the frame of the poses. On a
-    slope, skidding wheels do not resist the downhill force.
+    A turning robot also slides by slide_x and slide_y per radian of turn, in the frame of the poses, for instance on a
+    slope, where skidding wheels do not resist the downhill force.
 
     The last five parameters are called curved slip: they make the twist a non-affine function of the model's output,
     and the controller linearises the twist at each sample. The parameters span the nine terms of Ordonez et al., 2017
@@ -32,7 +32,7 @@ class Slip:
     Attributes
     ----------
     v_offset
-        Forward speed of the wheels that the model does not explain [m/s].
+        Difference between the forward speed of the wheels and that of the model [m/s].
     omega_gain
         Ratio of the wheels' yaw rate to that of the model [-].
     longitudinal_gain
@@ -84,7 +84,8 @@ class Slip:
         """Compute the slip from the coefficients (9,) of `models.slip_laws.polynomial_twist`."""
         (a11, a12, a13), (a21, a22, a23), (a31, a32, a33) = np.reshape(np.asarray(coefficients, dtype=float), (3, 3))
         forward, turning = 1 + a11, 1 + a32
-        # The term a23 v_c w_c is expressed by the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
+        # Side-slip depends on the body's twist. For the term a23 v_c w_c, the affine twist is v = forward v_c + a12 w_c
+        # and omega = turning w_c.
         return cls(
             longitudinal_gain=forward,
             yaw_gain=turning,
@@ -118,7 +119,7 @@ class Slip:
     @property
     def polynomial_gradient(self) -> FloatArray:
         """(9, 15) gradient of `polynomial` by the slip parameters, in the order of `SLIPS`."""
-        # Each coefficient is linear in each parameter, so a difference over a unit step is exact.
+        # Each coefficient is affine in each parameter, so the difference over a unit step is the exact derivative.
         columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
         return np.stack(columns, axis=1) - self.polynomial[:, None]
 

@@ -1,4 +1,4 @@
-"""User-defined terms: squared residuals of the cost, and values with soft limits.
+"""User-defined terms: residuals of the least-squares cost, and values with soft limits.
 
 A term is a CasADi function of the plan at one sample. Like the built-in terms, it is differentiated, converted to C
 and compiled.
@@ -142,7 +142,7 @@ def checked_terms(terms: object) -> tuple[Term, ...]:
 
 
 def all_terms(configs: Sequence[TermConfig], python_terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Load the terms of configured files, which are executed, and append terms that are passed in Python.
+    """Load the terms of configured files by executing the files, and append the terms that are passed in Python.
 
     Raises
     ------
@@ -181,12 +181,12 @@ def checked_parameters(
     ConfigError
         If a term does not exist, a shape is wrong, or a value is not finite.
     """
-    places, checked = parameter_places(terms), []
+    slices, valid = parameter_places(terms), []
     for name, value in values.items():
         where = f"term '{name}'"
-        if name not in places:
-            raise ConfigError(f"{where}: not found; there are: {', '.join(places) or 'no terms'}")
-        p = places[name].stop - places[name].start
+        if name not in slices:
+            raise ConfigError(f"{where}: not found; there are: {', '.join(slices) or 'no terms'}")
+        p = slices[name].stop - slices[name].start
         try:
             rows = np.asarray(value, dtype=float)
         except (TypeError, ValueError) as error:
@@ -195,13 +195,13 @@ def checked_parameters(
             raise ConfigError(f"{where}: give {p} parameters, or {samples} rows of them (found shape {rows.shape})")
         if not np.isfinite(rows).all():
             raise ConfigError(f"{where}: its parameters contain a value that is not finite; give finite numbers")
-        checked.append((places[name], rows))
-    return checked
+        valid.append((slices[name], rows))
+    return valid
 
 
 def _load(config: TermConfig) -> Term:
     path, name = Path(config.file), config.name or config.function
-    module = _run(path)
+    module = _execute(path)
     functions = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
     if config.function not in functions:
         defined = f"it defines: {', '.join(functions)}" if functions else "it defines no casadi.Function"
@@ -212,8 +212,8 @@ def _load(config: TermConfig) -> Term:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def _run(path: Path) -> dict[str, object]:
-    """Run a Python file and return its globals."""
+def _execute(path: Path) -> dict[str, object]:
+    """Execute a Python file and return its globals."""
     check_trusted(path)
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:

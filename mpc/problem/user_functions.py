@@ -1,4 +1,4 @@
-"""Conversion of user-defined functions to the form of the built-in formulas: inputs by name, and gradients.
+"""Conversion of user-defined functions to the form of the built-in formulas, with named inputs and gradients.
 
 A user-defined function is a term (a least-squares residual or a soft-limited value), or the step or the output of a
 nonlinear velocity model.
@@ -18,7 +18,7 @@ from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiate, named
 _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
-def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.Function:
+def user_term(function: ca.Function, name: str, where: str | None = None) -> ca.Function:
     """Wrap a user-defined `function` as a term with the C name `name`.
 
     Parameters
@@ -28,7 +28,7 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
         and one column (m) as output. Units and frames are those of `mpc.problem.formulas`.
     name
         Name of the C function.
-    place
+    where
         Name for messages; by default "term" and the name of the function.
 
     Returns
@@ -42,18 +42,18 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
     ConfigError
         If the function has other inputs or outputs, depends on free variables, or cannot be converted to C.
     """
-    place = _checked_function(function, name, "term", place)
+    where = _checked_function(function, name, "term", where)
     known_inputs = (*TERM_INPUTS, "parameters")
-    columns = _columns_in(function, place)
+    columns = _input_lengths(function, where)
     for input_name, length in columns.items():
         if input_name not in known_inputs:
             near = difflib.get_close_matches(input_name, known_inputs, 1) or known_inputs
-            raise ConfigError(f"{place}: unknown input '{input_name}'; rename it to {' or '.join(near)}")
+            raise ConfigError(f"{where}: unknown input '{input_name}'; rename it to {' or '.join(near)}")
         if length != TERM_INPUTS.get(input_name, length):
-            raise ConfigError(f"{place}: input '{input_name}' has {length} entries; it needs {TERM_INPUTS[input_name]}")
-    _column_out(function, place)
+            raise ConfigError(f"{where}: input '{input_name}' has {length} entries; it needs {TERM_INPUTS[input_name]}")
+    _output_length(function, where)
     inputs = term_symbols(columns.get("parameters", 0))
-    return term(name, inputs, _value(function, [inputs[input_name] for input_name in columns], place))
+    return term(name, inputs, _value(function, [inputs[input_name] for input_name in columns], where))
 
 
 def user_step(function: ca.Function, name: str) -> ca.Function:
@@ -78,17 +78,17 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
         If the function is invalid for the reasons of `user_term`, the length of the state changes, or the length of the
         window is odd or zero.
     """
-    place = _checked_function(function, name, "step")
-    columns = _columns_in(function, place)
+    where = _checked_function(function, name, "step")
+    columns = _input_lengths(function, where)
     if set(columns) != {"x", "window"}:
-        raise ConfigError(f"{place}: its inputs are {', '.join(columns)}; they must be x and window")
+        raise ConfigError(f"{where}: its inputs are {', '.join(columns)}; they must be x and window")
     if columns["window"] == 0 or columns["window"] % 2:
-        raise ConfigError(f"{place}: window has {columns['window']} entries; it needs two per command")
-    if _column_out(function, place) != columns["x"]:
-        raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {columns['x']}")
+        raise ConfigError(f"{where}: window has {columns['window']} entries; it needs two per command")
+    if _output_length(function, where) != columns["x"]:
+        raise ConfigError(f"{where}: the state after a step has {function.numel_out(0)} entries, x has {columns['x']}")
     symbols = {input_name: ca.SX.sym(input_name, length) for input_name, length in columns.items()}
     inputs = {"x": symbols["x"], "window": symbols["window"]}
-    x_next = _value(function, list(symbols.values()), place)
+    x_next = _value(function, list(symbols.values()), where)
     gradients = {f"by_{input_name}": ca.jacobian(x_next, symbol) for input_name, symbol in inputs.items()}
     return named_function(name, inputs, {"x_next": x_next, **gradients})
 
@@ -116,55 +116,55 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
         If the function is invalid for the reasons of `user_term`, its input does not have `states` entries, or its
         output does not have two entries.
     """
-    place = _checked_function(function, name, "output")
-    if _columns_in(function, place) != {"x": states}:
-        raise ConfigError(f"{place}: its only input must be x, with {states} entries as in the step")
-    if _column_out(function, place) != 2:
-        raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; it needs two, v and omega")
+    where = _checked_function(function, name, "output")
+    if _input_lengths(function, where) != {"x": states}:
+        raise ConfigError(f"{where}: its only input must be x, with {states} entries as in the step")
+    if _output_length(function, where) != 2:
+        raise ConfigError(f"{where}: it has {function.numel_out(0)} entries; it needs two, v and omega")
     inputs = {"x": ca.SX.sym("x", states)}
-    return differentiate(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
+    return differentiate(name, inputs, "y", _value(function, list(inputs.values()), where), ("x",))
 
 
-def _checked_function(function: ca.Function, name: str, kind: str, place: str | None = None) -> str:
-    """Check that `function` is a CasADi function and `name` a valid C name; return the place for messages."""
+def _checked_function(function: ca.Function, name: str, kind: str, where: str | None = None) -> str:
+    """Check that `function` is a CasADi function and `name` a valid C name; return the name for messages."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
-            f"{place or f'{kind} {name}'}: {type(function).__name__} is not a casadi.Function; build one with named "
+            f"{where or f'{kind} {name}'}: {type(function).__name__} is not a casadi.Function; build one with named "
             "inputs"
         )
     if not _C_NAME.fullmatch(name):
         raise ConfigError(f"{kind} '{name}': use letters, digits and underscores only")
-    place = place or f"{kind} {function.name()}"
+    where = where or f"{kind} {function.name()}"
     if function.has_free():
-        raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; add them as inputs")
-    return place
+        raise ConfigError(f"{where}: it depends on {', '.join(map(str, function.get_free()))}; add them as inputs")
+    return where
 
 
-def _columns_in(function: ca.Function, place: str) -> Mapping[str, int]:
+def _input_lengths(function: ca.Function, where: str) -> Mapping[str, int]:
     for k in range(function.n_in()):
         if function.size2_in(k) > 1:
-            raise ConfigError(f"{place}: input '{function.name_in(k)}' is a matrix; make it a column")
+            raise ConfigError(f"{where}: input '{function.name_in(k)}' is a matrix; make it a column")
     return {function.name_in(k): function.numel_in(k) for k in range(function.n_in())}
 
 
-def _column_out(function: ca.Function, place: str) -> int:
+def _output_length(function: ca.Function, where: str) -> int:
     if function.n_out() != 1:
-        raise ConfigError(f"{place}: it has {function.n_out()} outputs; stack them to a column")
+        raise ConfigError(f"{where}: it has {function.n_out()} outputs; stack them to a column")
     if function.size2_out(0) != 1 or function.size1_out(0) == 0:
-        raise ConfigError(f"{place}: its output is {function.size1_out(0)} x {function.size2_out(0)}; make it a column")
+        raise ConfigError(f"{where}: its output is {function.size1_out(0)} x {function.size2_out(0)}; make it a column")
     return int(function.size1_out(0))
 
 
-def _value(function: ca.Function, arguments: list[ca.SX], place: str) -> ca.SX:
-    """Evaluate the function with symbols after its expansion to elementary operations."""
+def _value(function: ca.Function, arguments: list[ca.SX], where: str) -> ca.SX:
+    """Expand the function to elementary operations, and evaluate it with symbols."""
     expansion_error = ConfigError(
-        f"{place}: CasADi cannot expand it to elementary operations; use SX, and do not call solvers or tables"
+        f"{where}: CasADi cannot expand it to elementary operations; use SX, and do not call solvers or tables"
     )
     try:
         expanded = function.expand()
     except RuntimeError as error:
         raise expansion_error from error
-    # The expansion may leave calls of other functions, whose C code needs memory.
+    # The expansion keeps calls of some functions, whose C code would need memory.
     if any(expanded.instruction_id(k) == ca.OP_CALL for k in range(expanded.n_instructions())):
         raise expansion_error
     return expanded.call(arguments, True, False)[0]

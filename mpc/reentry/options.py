@@ -1,4 +1,4 @@
-"""Candidate motions from the robot to its reference, as arrays with one row per rejoining point and motion type."""
+"""Candidate motions from the robot to its reference, as arrays with one row per rejoining point and type of motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Number of candidate rejoining points on the reference.
 _POINTS = 20
-# Lower bound of the speed in the ratio of yaw rate to speed [m/s]; it bounds the curvature at the ends of a path.
+# Lower bound of the speed in the ratio of yaw rate to speed [m/s], which bounds the curvature at the ends of a path.
 _MIN_SPEED = 0.2
 # Maximum curvature of a path [1/m]; a motion with a larger curvature is a turn on the spot.
 _MAX_CURVATURE = 4.0
@@ -42,7 +42,8 @@ class RobotState:
 class Options:
     """C candidate motions of four parts each: braking, a turn on the spot, a path, and a turn on the spot.
 
-    Each part may be empty. Directions and speeds are those of travel: a robot in reverse travels towards its rear.
+    Each part may be empty. Directions and speeds refer to the direction of travel: a reversing robot travels towards
+    its rear.
 
     Attributes
     ----------
@@ -59,13 +60,13 @@ class Options:
     start_curvature, end_curvature
         (C,) curvature at the ends of the path [1/m].
     enter, leave
-        (C,) desired speed at the ends of the path [m/s].
+        (C,) desired speed at the ends of the path [m/s], not negative.
     speed_jump
         (C,) difference between the speed `leave` and the speed of the reference [m/s].
     yaw_jump
         (C,) difference between the yaw rate at the start of the path and that of the robot [rad/s].
     stops
-        (C,) True if the path is straight and the motion ends at rest, after a turn on the spot.
+        (C,) True if the path is straight and the motion ends at rest after a turn on the spot.
     """
 
     sample: NDArray[np.intp]

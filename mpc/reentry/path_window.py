@@ -15,8 +15,8 @@ from diffdrive_mpc.mpc.reentry.quintic_path import Paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# A path may cross itself, so the search for the nearest sample adds to the distance this share of the arc length
-# between the sample and the current reference [-], and the time between them multiplied by this speed [m/s].
+# A path may cross itself. The search for the nearest sample therefore adds two terms to the distance: this share of the
+# arc length between the sample and the current reference [-], and the time between them multiplied by this speed [m/s].
 _PATH_AS_DISTANCE = 0.5
 _TIME_AS_DISTANCE = 0.02
 
@@ -36,7 +36,7 @@ class PathWindow:
     arc_length
         (n,) arc length of the path [m].
     travel
-        (n,) direction of travel: 1 forwards, -1 backwards; at standstill the direction of the next motion.
+        (n,) direction of travel: 1 forwards, -1 backwards; at standstill, the direction of the next motion.
     """
 
     times: FloatArray
@@ -47,7 +47,7 @@ class PathWindow:
 
     @classmethod
     def sample_around(cls, reference: Reference, time: float, span: float, step: float) -> PathWindow:
-        """Sample `reference` from `time - span` to `time + span` [s], within its duration, about every `step` [s]."""
+        """Sample `reference` within its duration from `time - span` to `time + span` [s], about every `step` [s]."""
         start = min(max(0.0, time - span), reference.duration)
         end = max(min(reference.duration, time + span), start)
         times = np.linspace(start, end, max(2, math.ceil((end - start) / step) + 1))
@@ -66,28 +66,25 @@ class PathWindow:
         return int(np.argmin(away + _PATH_AS_DISTANCE * path + _TIME_AS_DISTANCE * np.abs(self.times - time)))
 
     def position_at(self, pose: FloatArray, index: int) -> tuple[float, float]:
-        """Return the position of `pose` (3,) along and across the heading of sample `index` [m]; left is positive."""
+        """Return the position of `pose` (3,) along and across the heading of the sample `index` [m], positive left."""
         x, y, theta = self.pose[index].tolist()
         return in_path(pose[0] - x, pose[1] - y, theta)
 
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
     """Split a displacement [m] into parts along and across the heading `theta` [rad], positive to its left."""
-    # NaN in the input results in NaN without a warning; the caller checks the result.
+    # Functions of `math` return NaN for NaN without a warning; the caller checks the result.
     c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
 
 def _travel(v: FloatArray) -> FloatArray:
-    """Compute the sign of `v` (n,); at rest, use that of the next moving sample, or else of the previous one."""
+    """Compute the sign of `v` (n,); at rest, use the sign of the next moving sample, or else of the last one."""
     moving = np.flatnonzero(np.abs(v) > STANDING)
     if not moving.size:
         return np.ones_like(v)
     index = np.minimum(np.searchsorted(moving, np.arange(v.size)), moving.size - 1)
     return np.asarray(np.sign(v[moving[index]]))
-
-
-# Segments of a connection (braking, turns on the spot, paths), which `MotionLine` composes to a trajectory.
 
 
 # Minimum distance between two points that defines a direction [m].
@@ -108,7 +105,7 @@ class MotionLine:
         """Append braking from v [m/s], omega [rad/s] to rest at constant deceleration over `duration` [s]."""
         start = self._poses[-1]
         for share in np.linspace(0.0, 1.0, 5):
-            # Distance so far over the initial speed, for a speed that falls linearly.
+            # Ratio of the distance to the initial speed, for a speed that decreases linearly.
             effective_time = duration * (share - 0.5 * share * share)
             pose = integrate_pose(start, v, omega, effective_time)
             speed, heading = v * (1.0 - share), pose[2]
@@ -131,7 +128,7 @@ class MotionLine:
             (cruise, size - 0.5 * peak * ramp, peak),
             (ramp, size, 0.0),
         ):
-            # Rounding can leave a small nonzero cruise in a triangular profile.
+            # Rounding can result in a short cruise in a triangular profile.
             if duration > 1e-9:
                 self._add(duration, start + [0.0, 0.0, side * angle_so_far], np.array([0.0, 0.0, side * rate]))
 
@@ -143,7 +140,7 @@ class MotionLine:
         if paths.lengths[index].sum() <= SAME_PLACE:
             return
         direction = paths.heading[index]
-        # Unwrap the heading so that it continues that of the previous segments.
+        # Unwrap the heading so that it continues the heading of the previous segment.
         heading = direction - (0.0 if travel > 0 else np.pi)
         heading += 2 * np.pi * np.round((self._poses[-1][2] - heading[0]) / (2 * np.pi))
         poses = np.column_stack([paths.points[index], heading])
@@ -153,7 +150,7 @@ class MotionLine:
             self._add(float(duration), pose, rate)
 
     def trajectory(self, name: str, end_heading: float) -> SplineTrajectory:
-        """Convert the motion to a trajectory; multiples of 2 pi are added so that it ends at `end_heading` [rad]."""
+        """Convert the motion to a trajectory that ends at `end_heading` [rad], by adding multiples of 2 pi."""
         if len(self._times) == 1:
             self._add(_MIN_DURATION, self._poses[0], np.zeros(3))
         poses = np.array(self._poses)
@@ -167,18 +164,15 @@ class MotionLine:
 
 
 def braking_time(v: float, omega: float, limits: TrajectoryLimits) -> float:
-    """Compute the time from the twist (v, omega) to rest at the acceleration limits [s]."""
+    """Compute the time [s] to brake from the twist (v, omega) to rest at the acceleration limits."""
     return max(abs(v) / limits.v_acceleration, abs(omega) / limits.omega_acceleration)
 
 
 def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
-    """Compute the time of a turn on the spot by each of `angles` (C,) [rad], from rest to rest [s]."""
+    """Compute the times (C,) [s] of turns on the spot by `angles` (C,) [rad], from rest to rest."""
     size, alpha = np.abs(angles), limits.omega_acceleration
     peak = np.minimum(limits.omega, np.sqrt(alpha * size))
     return np.asarray(peak / alpha + size / np.maximum(peak, 1e-9))
-
-
-# Maximum speeds along many paths within speed and acceleration limits, by a forward and a backward pass.
 
 
 def path_speeds(
@@ -226,7 +220,7 @@ def path_speeds(
     square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
     square[0] = np.minimum(enter**2, cap[:, 0])
     square[-1] = np.minimum(leave**2, cap[:, -1])
-    # Half the acceleration limit is used between the speeds at the ends and the cruise speed.
+    # The ramps between the speeds at the ends and the cruise speed use half of the acceleration limit.
     distance = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
     ramps = np.maximum(
         enter[:, None] ** 2 - limits.v_acceleration * distance,
@@ -235,12 +229,13 @@ def path_speeds(
     max_speed = sides_at(limits.v, travel)
     cruise = np.maximum((shares[:, None] * max_speed) ** 2, ramps.T[:, None])
     square = np.minimum(square, np.minimum(cruise, max_speed**2))
-    # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
+    # Increase of v^2 from b0 to b1 on a piece: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <=
+    # alpha_max, solved for b1.
     rise = (2.0 * limits.v_acceleration * lengths).T
     lever = (max_curvature / (2.0 * lengths)).T
     total = np.maximum(curvature_rate.T + lever, 1e-12)
     offset, slope = limits.omega_acceleration / total, lever / total
-    # The pass forwards limits acceleration, the pass backwards limits braking.
+    # The forward pass limits acceleration, the backward pass braking.
     for i in range(len(rise)):
         bound = np.minimum(square[i] + rise[i], offset[i] + slope[i] * square[i])
         np.minimum(square[i + 1], bound, out=square[i + 1])

@@ -1,4 +1,4 @@
-"""Choice of the target at each tick: the reference on time, a waiting reference, or a path back to the reference."""
+"""Choice of the target at each tick: reference on time, waiting reference, or path back to the reference."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Step of the path window, in sample times of the controller [-].
 _WINDOW_STEP = 2.5
+# Maximum number of samples from which the maximum speeds of a reference are determined.
 _MAX_SAMPLES = 5000
-_NOW = np.zeros(1)
-# Share of the attainable wheel speed that the reference may use [-]; the rest is a reserve for path corrections. Time
-# ahead for which the wheel speeds of the reference are checked [s].
-_WHEEL_SHARE, _CHECKED_TIME = 0.85, 0.6
+_CURRENT_TICK = np.zeros(1)
+# Share of the attainable wheel speed that the reference may use [-], with a reserve for path corrections. Time ahead
+# for which the wheel speeds of the reference are checked [s].
+_WHEEL_SHARE, _PREVIEW_TIME = 0.85, 0.6
 # Ratio of body speed to half the wheel speed difference below which the robot turns on the spot [-]; the same value as
 # in mpc/config/sensor_test.yaml.
 _ON_SPOT = 0.5
-# Share of a speed limit that the reference may use [-]; the rest is a reserve for path corrections.
+# Share of a speed limit that the reference may use [-], with a reserve for path corrections.
 _LIMIT_SHARE = 0.95
 # Minimum width of the band, in standard deviations of the position [-].
-_MIN_BAND = 3.0
+_BAND_DEVIATIONS = 3.0
 
 
 class Stray(Protocol):
@@ -51,7 +52,7 @@ class Stray(Protocol):
 
 
 class Pursuit:
-    """Selector of the target for one reference; it holds the reference's clock and the path back to the reference.
+    """Selector of the target, with the reference's clock and the current path back to the reference.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ class Pursuit:
         self.planned_delay = 0.0
         """Part of `delay` that was planned because of a standstill, obstacles ahead or a speed limit [s]."""
         self.room: Room | None = None
-        """Check for free space along the path back, set before each tick; None if there are no obstacles."""
+        """Check for free space along a path back, set before each tick; None if there are no obstacles."""
         self.is_late = False
         """True from the tick at which the reference starts to wait for a lagging robot until the robot catches up."""
         self.limit = ""
@@ -92,10 +93,10 @@ class Pursuit:
     def configure(self, config: ControllerConfig) -> None:
         """Use the limits of `config` from the next tick on."""
         self._config, self._settings = config, config.reentry
-        self._max_rate = self._compute_max_rate()
+        self._max_progress_rate = self._compute_max_rate()
 
     def limit_speed(self, v: float | None) -> None:
-        """Limit the forward speed along the reference to `v` [m/s] from the next tick on; None removes the limit."""
+        """Limit the speed along the reference to `v` [m/s] from the next tick on; None removes the limit."""
         self._speed_limit = math.inf if v is None else v
 
     def start(self, reference: Reference, *, native: bool) -> None:
@@ -106,11 +107,11 @@ class Pursuit:
         # Row 0: maximum forward speed and left yaw rate; row 1: maximum reverse speed and right yaw rate.
         self._max_twists = np.array([twist.max(axis=0), -twist.min(axis=0)])
         self._max_speed = float(self._max_twists[:, 0].max())
-        self._max_rate = self._compute_max_rate()
+        self._max_progress_rate = self._compute_max_rate()
         self.restart()
 
     def restart(self) -> None:
-        """Restart the same reference without delay."""
+        """Restart the current reference without delay."""
         self._clock.restart()
         self._blocked.restart()
         self._return_path: Rejoin | None = None
@@ -130,8 +131,9 @@ class Pursuit:
         """True if the core can track the unmodified reference, provided that the robot is on its path."""
         if not self._settings.enabled:
             return self._native
-        free = self._max_speed <= _LIMIT_SHARE * self._speed_limit
-        return self._native and self._driving and self._return_path is None and self._clock.on_time and free
+        is_within_limit = self._max_speed <= _LIMIT_SHARE * self._speed_limit
+        is_unmodified = self._return_path is None and self._clock.on_time and is_within_limit
+        return self._native and self._driving and is_unmodified
 
     def record_on_time(self, since_start: float, *, tracked: bool) -> None:
         """Record a tick with the unmodified reference at `since_start` [s]; `tracked` is True if the robot drove."""
@@ -152,7 +154,7 @@ class Pursuit:
 
     @property
     def delay(self) -> float:
-        """Delay of the reference's clock behind the controller's [s]."""
+        """Delay of the reference's clock behind the controller's clock [s]."""
         return self._clock.delay
 
     @property
@@ -166,31 +168,31 @@ class Pursuit:
         return self._time
 
     def stand(self) -> None:
-        """Stop the reference's clock until the next call of `target`, because another component brakes the robot."""
+        """Stop the reference's clock until the next call of `target`, since another component brakes the robot."""
         self._driving = False
 
     def advance(self, since_start: float) -> float:
         """Advance to `since_start` [s] on the controller's clock; return the reference's time [s].
 
-        The reference's clock stops while `target` is not called, since the robot does not follow the reference then.
+        The reference's clock stops while `target` is not called, because the robot then does not track the reference.
         """
         if not self._settings.enabled:
             return since_start
-        ended = self._reference is not None and self._time >= self._reference.duration
-        if ended and not self._driving:
+        has_ended = self._reference is not None and self._time >= self._reference.duration
+        if has_ended and not self._driving:
             self._clock.keep_delay()
-        before, driving = self._clock.delay, self._driving or ended
+        previous_delay, driving = self._clock.delay, self._driving or has_ended
         self._time = self._clock.advance(since_start, driving=driving)
-        self._count_delay(before, driving=driving)
+        self._count_delay(previous_delay, driving=driving)
         self._resumes, self._driving = not self._driving, False
         return self._time
 
-    def _count_delay(self, before: float, *, driving: bool) -> None:
-        """Add the planned increase of the delay from `before` [s]; an increase by a lagging robot is not counted."""
+    def _count_delay(self, previous_delay: float, *, driving: bool) -> None:
+        """Add the increase from `previous_delay` [s] to the planned delay, unless a lagging robot caused it."""
         delay = self._clock.delay
         if not driving or self._slows_down:
-            self.planned_delay += max(0.0, delay - before)
-        # Time that was caught up is no longer part of the delay.
+            self.planned_delay += max(0.0, delay - previous_delay)
+        # The planned part cannot exceed the delay, which decreases while the reference catches up.
         self.planned_delay = min(self.planned_delay, max(0.0, delay))
 
     def target(
@@ -198,20 +200,20 @@ class Pursuit:
         since_start: float,
         time: float,
         estimate: Estimate,
-        ahead: FloatArray = _NOW,
+        ahead: FloatArray = _CURRENT_TICK,
         reach: float = math.inf,
     ) -> Target | TooFar:
         """Return the target at `since_start` [s]; `time` [s] is the result of `advance`.
 
-        `ahead` (n,) are the times after the current tick, starting with 0, for which the caller needs samples of the
-        target [s]. `reach` is the maximum attainable rim speed of the wheels [m/s].
+        `ahead` (n,) are the times after the current tick [s], starting with 0, at which the target is sampled. `reach`
+        is the maximum attainable rim speed of the wheels [m/s].
         """
         reference = self._reference
         assert reference is not None
         if not self._settings.enabled or since_start < 0.0:
             return self._track_on_time(reference, time, estimate)
         if self._resumes:
-            # Until this tick, the robot was not commanded to move.
+            # The robot had no motion command before this tick, so its standstill does not count.
             self._blocked.restart()
         if self._return_path is not None and time >= self._return_path.joins:
             self._return_path = None
@@ -219,27 +221,27 @@ class Pursuit:
         sample = tracked.sample(time + ahead)
         stray, v = self._stray(sample)
         if stray.outside:
-            path = self._return(reference, time, since_start, estimate, sample.pose[0])
+            path = self._plan_return(reference, time, since_start, estimate, sample.pose[0])
             if isinstance(path, TooFar | StandingReference):
                 message = "no way: no free path leads back to the reference; waits"
                 return Target(path, since_start, message) if isinstance(path, StandingReference) else path
             if path is not None:
                 self._return_path = tracked = path
-                time = path.begins
+                time = path.starts
                 self._clock.set(since_start - time, 1.0)
                 sample = tracked.sample(time + ahead)
                 stray, v = self._stray(sample)
         elif self._resumes and abs(v) > STANDING:
-            # The reference resumes at the speed of the robot, instead of a jump to full speed before a robot at rest.
+            # The clock resumes at the rate that matches the speed of the robot, so that the robot does not jerk.
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
         lag = float(stray.late)
-        wheel_rate = self._wheel_rate(reach, sample.twist[ahead <= _CHECKED_TIME], estimate.slip.yaw_gain)
-        # The rate falls linearly: full up to a lag of 1, zero from a lag of 2 on.
-        max_rate = min(self._max_rate * min(1.0, max(0.0, 2.0 - lag)), wheel_rate)
+        wheel_rate = self._wheel_rate(reach, sample.twist[ahead <= _PREVIEW_TIME], estimate.slip.yaw_gain)
+        # The maximum rate decreases linearly with the lag: full up to a lag of 1, zero from a lag of 2 on.
+        max_rate = min(self._max_progress_rate * min(1.0, max(0.0, 2.0 - lag)), wheel_rate)
         planned_rate = self.pace
         if math.isfinite(self._speed_limit):
-            max_speed = float(np.abs(sample.twist[ahead <= _CHECKED_TIME, 0]).max())
+            max_speed = float(np.abs(sample.twist[ahead <= _PREVIEW_TIME, 0]).max())
             planned_rate = min(planned_rate, self._speed_limit_rate(max_speed))
         self._slows_down, max_rate = planned_rate < 1.0, min(max_rate, planned_rate)
         self._clock.plan(max_rate, catch_up=self._return_path is None)
@@ -262,10 +264,10 @@ class Pursuit:
             self.is_late, self.limit = True, self._limited_by() or self.limit
 
     def _wheel_rate(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
-        """Return the progress rate at which the upcoming twists (n, 2) need a rim speed of at most `reach` [m/s].
+        """Compute the progress rate at which the next twists (n, 2) require a rim speed of at most `reach` [m/s].
 
-        The yaw rate of the body is `yaw_gain` times that of the wheels; this ratio matters only in turns on the spot.
-        A speed limit learned in a turn on the spot does not apply to the path after the turn, and vice versa.
+        The yaw rate of the body is `yaw_gain` times that of the wheels. A wheel speed limit that was learned in a turn
+        on the spot does not apply to the path after the turn, and vice versa.
         """
         if not math.isfinite(reach):
             return math.inf
@@ -275,7 +277,10 @@ class Pursuit:
         return _WHEEL_SHARE * reach / max(float(rim_speed.max()), STANDING)
 
     def _speed_limit_rate(self, v: float) -> float:
-        """Return the progress rate for maximum speed `v` [m/s] of the reference; it decreases by `v_acceleration`."""
+        """Compute the progress rate that keeps the speed limit if the reference has the speed `v` [m/s].
+
+        The rate decreases at most as fast as `v_acceleration` permits.
+        """
         v = max(v, STANDING)
         reachable = self._clock.rate - self._settings.v_acceleration / v * self._config.sample_time
         return max(_LIMIT_SHARE * self._speed_limit / v, reachable)
@@ -288,27 +293,28 @@ class Pursuit:
         return Target(reference, time) if self._driving else TooFar(distance)
 
     def _stray(self, sample: ReferenceSample) -> tuple[Stray, float]:
-        """Return the robot's deviation from the first pose of `sample`, and the speed of the reference there [m/s]."""
+        """Return the robot's deviation from the first pose of `sample`, and the speed of the reference at it [m/s]."""
         twist = sample.twist[0]
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
     def _is_displaced(self, ahead: float) -> bool:
-        """Return True if the lead `ahead` [m] along the path is too large to result from a waiting reference."""
+        """Return True if the robot was displaced along the path: its lead `ahead` [m] is outside the normal range."""
         return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
-    def _return(
+    def _plan_return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
         """Plan a path back from the robot; `waiting` (3,) is the pose of the waiting reference.
 
-        Returns None if the robot is on its path and only its time differs, `StandingReference` if no path is free, and
+        Returns None if the robot is on its path, but ahead or behind; `StandingReference` if no path is free; and
         `TooFar` if the robot is too far from its path.
         """
         settings = self._settings
-        away = float(np.hypot(*(estimate.pose - waiting)[:2]))
-        # A displacement without a motion command is not progress, so it is measured from the waiting reference.
-        if self._resumes and away > self._config.failure.max_position_error:
-            return TooFar(away)
+        displacement = float(np.hypot(*(estimate.pose - waiting)[:2]))
+        # A displacement without a motion command is not progress along the path, so its distance from the waiting
+        # reference is limited.
+        if self._resumes and displacement > self._config.failure.max_position_error:
+            return TooFar(displacement)
         window = PathWindow.sample_around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
         has_waited = self._resumes and self._return_path is None
         nearest = window.index(time) if has_waited else window.nearest(estimate.pose, time)
@@ -319,7 +325,7 @@ class Pursuit:
         heading_error = abs(float(wrap_angle(estimate.pose[2] - window.pose[nearest, 2])))
         lead = float(window.arc_length[nearest] - np.interp(time, window.times, window.arc_length))
         # The width of the band is computed as in mpc/core/tick.c.
-        band = max(settings.band, _MIN_BAND * math.hypot(*estimate.pose_deviation[:2]))
+        band = max(settings.band, _BAND_DEVIATIONS * math.hypot(*estimate.pose_deviation[:2]))
         is_outside, is_turned = distance > band, heading_error > settings.heading_band
         is_displaced = self._is_displaced(lead)
         if self._return_path is None and not (is_outside or is_turned or is_displaced):
@@ -349,7 +355,7 @@ class Pursuit:
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
         shares = sides / np.maximum(self._max_twists, [STANDING, TURNING])
-        # A limit that the reference exceeds at its maximum must not slow down the whole reference.
+        # A reference that exceeds a limit at some point must not slow down everywhere, so this limit is ignored.
         limit_rate = float(shares[shares > _LIMIT_SHARE].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, limit_rate))
 

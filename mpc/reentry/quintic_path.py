@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# Lower bound of a length that is used as a divisor [m].
+# Lower bound of divisors that are lengths [m].
 _MIN_LENGTH = 1e-4
 
 
@@ -18,7 +18,7 @@ class Paths(NamedTuple):
     points: FloatArray
     """(C, K, 2) coordinates x, y of the nodes [m]."""
     heading: FloatArray
-    """(C, K) direction of the tangent [rad], unwrapped along each path from the start heading."""
+    """(C, K) direction of the tangent [rad], unwrapped along each path; the first value is that of `start`."""
     curvature: FloatArray
     """(C, K) curvature [1/m]."""
     lengths: FloatArray
@@ -30,9 +30,8 @@ def quintic_paths(
 ) -> Paths:
     """Build quintic Hermite curves between poses, with given curvature at both ends.
 
-    The parameter q ranges from 0 to 1, and g is the length of the chord. At both ends the first derivative has length
-    g, and the second derivative is the curvature times g^2 along the normal, which results in the given heading and
-    curvature.
+    The parameter q ranges from 0 to 1, and g is the length of the chord. At both ends, the first derivative has the
+    given direction and the length g, and the second derivative is the curvature times g^2 along the normal.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ def quintic_paths(
     heading = np.unwrap(np.arctan2(first[..., 1], first[..., 0]), axis=1)
     heading += start[:, 2:] - heading[:, :1]
     step = np.diff(points, axis=1)
-    # Ratio of the length of an arc to its chord, up to an error of fourth order in the angle.
+    # An arc is longer than its chord by this factor, up to an error of fourth order in the angle.
     lengths = np.hypot(step[..., 0], step[..., 1]) * (1.0 + np.diff(heading, axis=1) ** 2 / 24.0)
     return Paths(points, heading, curvature, np.maximum(lengths, _MIN_LENGTH * 1e-2))
 

@@ -1,7 +1,8 @@
-"""Clock of the reference: it may wait for the robot, and afterwards catches up with the controller's clock.
+"""Clock of the reference, which may wait for the robot and afterwards catch up with the controller's clock.
 
-The reference's time is the controller's time since the start, minus a delay. The progress rate, reference time per
-controller time, is piecewise linear over the horizon, and the clock then advances exactly as planned.
+The reference's time is the controller's time since the start minus a delay. The progress rate is the derivative of the
+reference's time by the controller's time. Its plan over the horizon is piecewise linear, and the clock follows the plan
+exactly until the next tick.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ class RateProfile:
     Attributes
     ----------
     times, rates
-        (m,) time of each node from the current tick [s], increasing from 0, and progress rate at the node [-].
+        (m,) times of the nodes since the current tick [s], increasing from 0, and progress rates at the nodes [-].
     settles
         True if the delay is zero after the last node.
     """
@@ -32,11 +33,11 @@ class RateProfile:
     settles: bool
 
     def rate(self, ahead: ArrayLike) -> FloatArray:
-        """Compute the progress rate at times `ahead` (n,) from the current tick [s]."""
+        """Compute the progress rate (n,) at times `ahead` (n,) after the current tick [s]."""
         return np.asarray(np.interp(np.asarray(ahead, dtype=float), self.times, self.rates))
 
     def progress(self, ahead: ArrayLike) -> FloatArray:
-        """Compute the reference time that elapses until `ahead` (n,) [s], which is the integral of the rate."""
+        """Compute the reference time (n,) [s] that elapses until `ahead` (n,) [s]: the integral of the rate."""
         ahead = np.asarray(ahead, dtype=float)
         times, rates = np.array(self.times), np.array(self.rates)
         at_nodes = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times))])
@@ -52,10 +53,10 @@ def _constant_profile(rate: float) -> RateProfile:
 
 
 def settling_profile(rate: float, delay: float, min_rate: float, max_rate: float, ramp: float) -> RateProfile:
-    """Plan the fastest return to zero delay at rate 1: a trapezoid in the excess of the rate over 1.
+    """Plan the fastest return to zero delay at rate 1: a trapezoid of the excess of the rate over 1.
 
-    The excess e is the rate at which the delay decreases, so this is the time-optimal motion of a double integrator
-    over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e within its bounds.
+    The excess e is the rate at which the delay decreases. The profile is therefore the time-optimal motion of a double
+    integrator over the distance `delay`, with end speed zero, |de/dt| <= `ramp`, and e within its bounds.
 
     Parameters
     ----------
@@ -69,16 +70,16 @@ def settling_profile(rate: float, delay: float, min_rate: float, max_rate: float
         Rate of change of the progress rate [1/s].
     """
     excess = rate - 1.0
-    # A ramp of the excess to zero changes the delay by e|e| / (2 ramp); the sign of the rest is the direction of the
-    # peak.
+    # A ramp of the excess to zero reduces the delay by e|e| / (2 ramp). The sign of the remaining delay is the sign of
+    # the peak.
     side = math.copysign(1.0, delay - excess * abs(excess) / (2.0 * ramp))
-    # Without a bound the profile is a triangle whose area is the delay.
+    # The peak of a triangle, which is the profile without bounds, follows from its area, the delay.
     peak = side * math.sqrt(max(0.0, side * ramp * delay + 0.5 * excess * excess))
     bound = max_rate - 1.0 if side > 0 else 1.0 - min_rate
     peak = max(-bound, min(bound, peak))
     rise, fall = abs(peak - excess) / ramp, abs(peak) / ramp
-    rest = delay - 0.5 * (excess + peak) * rise - 0.5 * peak * fall
-    cruise = max(0.0, rest / peak) if peak else 0.0
+    remaining_delay = delay - 0.5 * (excess + peak) * rise - 0.5 * peak * fall
+    cruise = max(0.0, remaining_delay / peak) if peak else 0.0
     nodes = ((0.0, excess), (rise, peak), (rise + cruise, peak), (rise + cruise + fall, 0.0))
     return RateProfile(tuple(t for t, _ in nodes), tuple(1.0 + e for _, e in nodes), settles=True)
 
@@ -91,7 +92,7 @@ class ReferenceClock:
     max_progress
         Maximum progress rate while catching up, > 1; an early reference slows down to 2 - `max_progress` [-].
     ramp
-        Rate of change of the progress rate [1/s]; for a lagging robot the rate drops at once.
+        Rate of change of the progress rate [1/s]; for a lagging robot, the rate decreases immediately.
     """
 
     def __init__(self, max_progress: float, ramp: float) -> None:
@@ -99,7 +100,7 @@ class ReferenceClock:
         self.restart()
 
     def restart(self) -> None:
-        """Reset to the controller's time, from the next `advance` on."""
+        """Reset the delay, so that the next `advance` returns the controller's time."""
         self.delay = 0.0
         self.rate = 1.0
         self._last_time: float | None = None
@@ -107,7 +108,7 @@ class ReferenceClock:
 
     @property
     def on_time(self) -> bool:
-        """True if the reference's time equals the controller's, at the current tick and over the horizon."""
+        """True if the delay is zero at the current tick and over the horizon."""
         return self.delay == 0.0 and self._profile is _ON_TIME
 
     def advance(self, since_start: float, *, driving: bool) -> float:
@@ -118,7 +119,7 @@ class ReferenceClock:
         float
             The reference's time [s].
         """
-        # The reference does not wait before its start.
+        # Negative times are before the start, when the reference cannot wait.
         before, now = max(0.0, since_start if self._last_time is None else self._last_time), max(0.0, since_start)
         self._last_time = since_start
         elapsed = max(0.0, now - before)
@@ -152,7 +153,7 @@ class ReferenceClock:
         limit
             Maximum progress rate [-].
         catch_up
-            True to reduce the delay to zero; otherwise the rate returns to 1 and the delay stays.
+            True to reduce the delay to zero; False to return to rate 1 and keep the delay.
         """
         ramp = self._ramp
         if self.delay == 0.0 and self.rate == 1.0 and limit >= 1.0:
@@ -162,7 +163,7 @@ class ReferenceClock:
                 self.rate, self.delay, 2.0 - self._max_progress, min(self._max_progress, limit), ramp
             )
         else:
-            # For a lagging robot the rate drops at once; later it rises again with a limited slope.
+            # The rate decreases immediately if the robot lags; it increases again with a limited slope.
             target = min(limit, 1.0)
             self.rate = min(self.rate, limit)
             rise = abs(target - self.rate) / ramp
@@ -182,7 +183,7 @@ class ClockedReference:
     Attributes
     ----------
     reference
-        Reference as a function of its own time.
+        Reference as a function of the reference's time.
     profile
         Progress rate from `now` on.
     now, delay
@@ -201,11 +202,11 @@ class ClockedReference:
 
     @property
     def duration(self) -> float:
-        """Controller's time at which the reference ends with its current delay [s]."""
+        """Controller's time at which the reference ends with the current delay [s]."""
         return self.reference.duration + self.delay
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Sample at the controller's `times` (n,) [s], not before `now`; twists scale with the rate."""
+        """Sample at the controller's `times` (n,) [s], not before `now`; the twists are multiplied by the rate."""
         ahead = np.asarray(times, dtype=float) - self.now
         sample = self.reference.sample(self.now - self.delay + self.profile.progress(ahead))
         return ReferenceSample(sample.pose, sample.twist * self.profile.rate(ahead)[:, None], sample.arc_length)

@@ -1,9 +1,9 @@
-"""Path back to the reference: choice of a rejoining point ahead and of a smooth motion to this point.
+"""Path back to the reference: choice of a rejoining point ahead, and of a smooth motion to this point.
 
 The concept of a look-ahead point and a smooth reconnection is from Guffanti et al. 2026 (PMC12845739; only the abstract
-was available). This implementation compares many points on the reference ahead, each with several motions within the
-limits, and chooses the motion with the lowest cost. The cost is a weighted sum of the duration, the delay of the
-reference's clock, and the distance from the path.
+was available). This implementation compares many points ahead on the reference, each with several motions within the
+limits, and selects the motion with the lowest cost. The cost is a weighted sum of the duration, the delay of the
+reference's clock, the distance from the path, and jumps of speed and yaw rate at the ends.
 """
 
 from __future__ import annotations
@@ -57,35 +57,36 @@ class Rejoin:
 
     @property
     def duration(self) -> float:
-        """Time at which the reference ends [s]."""
+        """Duration of the reference [s]."""
         return self.reference.duration
 
     @property
-    def begins(self) -> float:
+    def starts(self) -> float:
         """Reference time at which the connection starts [s]; may be negative."""
         return self.joins - self.connection.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Sample at `times` (n,) [s] on the reference's clock: the connection before `joins`, then the reference."""
         times = np.atleast_1d(np.asarray(times, dtype=float))
-        after = self.reference.sample(times)
-        before = times < self.joins
-        if not before.any():
-            return after
-        part = self.connection.sample(times - self.begins)
+        sample = self.reference.sample(times)
+        is_connection = times < self.joins
+        if not is_connection.any():
+            return sample
+        connection = self.connection.sample(times - self.starts)
         start = float(self.reference.sample([self.joins]).arc_length[0]) - self.ahead
         return ReferenceSample(
-            np.where(before[:, None], part.pose, after.pose),
-            np.where(before[:, None], part.twist, after.twist),
-            np.where(before, start + part.arc_length, after.arc_length),
+            np.where(is_connection[:, None], connection.pose, sample.pose),
+            np.where(is_connection[:, None], connection.twist, sample.twist),
+            np.where(is_connection, start + connection.arc_length, sample.arc_length),
         )
 
 
+# Number of nodes of a path.
 _NODES = 33
 # Maximum change of the heading between two nodes of a path [rad]; a larger change is a cusp.
-_CUSP = 1.0
-# Candidate shares of the speed limit [-]; lower shares prevent a robot that takes a shortcut from arriving early.
-_SHARES = np.array([1.0, 0.8, 0.5])
+_MAX_HEADING_STEP = 1.0
+# Candidate shares of the speed limit [-]; a robot on a shortcut would otherwise arrive before the reference.
+_SPEED_SHARES = np.array([1.0, 0.8, 0.5])
 # Weights of the cost, which is in seconds: skipped time of the reference [-]; jump of the speed at the start of a
 # connection, where the robot must slow down in any case [s per m/s], and at its end [s per (m/s)^2]; jump of the yaw
 # rate [s per rad/s]; distance from the path, and distance on the side opposite to the robot [1/m].
@@ -99,7 +100,7 @@ _OPPOSITE_SIDE = 20.0
 # excess of the curvature that counts as much as one radian of turn on the spot [1/rad].
 _CURVATURE_EXCESS = 100.0
 _SPOT_TURN = 100.0
-# Interval between path nodes, and number of headings of a turn on the spot, that are checked for free space.
+# Number of nodes from one check for free space to the next, and number of checked headings of a turn on the spot.
 _NODE_STEP, _HEADINGS = 4, 5
 
 Room = Callable[[FloatArray], NDArray[np.bool_]]
@@ -121,11 +122,11 @@ def rejoin(
     Parameters
     ----------
     reference, window, nearest
-        Reference, its samples around the current time, and the index of the sample nearest to the robot.
+        Reference, its samples around the current time, and index of the sample nearest to the robot.
     robot
         Pose and motion of the robot.
     since_start
-        The controller's time [s], to which the delay is relative.
+        Controller's time since the start of the reference [s]; the delay is relative to this time.
     look_ahead
         Minimum and maximum distance along the path to the rejoining point [m].
     limits
@@ -140,23 +141,24 @@ def rejoin(
     """
     options = all_options(window, nearest, robot, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
-    speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES, options.travel)
+    speed = path_speeds(paths, options.enter, options.leave, limits, _SPEED_SHARES, options.travel)
     times = travel_times(paths, speed)
-    before = options.brake + turning_times(options.first_turn, limits)
-    duration = before + times[..., -1] + turning_times(options.last_turn, limits)
-    # A positive delay means that the reference waits, a negative one that a part of it is skipped.
+    start_time = options.brake + turning_times(options.first_turn, limits)
+    duration = start_time + times[..., -1] + turning_times(options.last_turn, limits)
+    # If the delay is positive, the reference waits; if it is negative, a part of the reference is skipped.
     delay = since_start + duration - window.times[options.sample]
     cost = duration + np.maximum(delay, -_SKIPPED_TIME * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])
     cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
-    cost += _distance_cost(window, nearest, options, paths, times, before)
-    # A path to a point that is already reached, or with a cusp, is not feasible; the turns on the spot remain.
+    cost += _distance_cost(window, nearest, options, paths, times, start_time)
+    # A path to the position of the robot has no direction, and a path with a cusp is not feasible; candidates that turn
+    # on the spot are kept.
     gap = options.end[:, :2] - options.start[:, :2]
-    is_reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
-    has_cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
-    cost[:, (is_reached | has_cusp) & ~options.stops] = np.inf
+    is_at_robot = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
+    has_cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _MAX_HEADING_STEP
+    cost[:, (is_at_robot | has_cusp) & ~options.stops] = np.inf
     if limits.min_turn_radius:
-        # If no path keeps the minimum radius, the path with the smallest curvature has the lowest cost.
+        # If all paths violate the minimum radius, the path with the lowest curvature has the lowest cost.
         turns = np.abs(options.first_turn) + np.abs(options.last_turn)
         max_curvature = np.abs(paths.curvature).max(axis=1)
         cost += _CURVATURE_EXCESS * (np.maximum(0.0, max_curvature * limits.min_turn_radius - 1.0) + _SPOT_TURN * turns)
@@ -164,13 +166,13 @@ def rejoin(
         cost[:, ~_has_room(options, paths, room)] = np.inf
         if not np.isfinite(cost).any():
             return None
-    pace, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
+    share_index, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
 
     line = MotionLine(robot.pose)
     if options.brake[best] > 0.0:
         line.brake(robot.v, robot.omega, float(options.brake[best]))
     line.turn(float(options.first_turn[best]), limits)
-    line.drive(paths, best, speed[pace, best], times[pace, best], float(options.travel[best]))
+    line.drive(paths, best, speed[share_index, best], times[share_index, best], float(options.travel[best]))
     line.turn(float(options.last_turn[best]), limits)
     end = int(options.sample[best])
     connection = line.trajectory(reference.name, float(window.pose[end, 2]))
@@ -179,7 +181,7 @@ def rejoin(
 
 
 def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
-    """Return (C,) True for each motion whose path and turns on the spot are in free space."""
+    """Return an array (C,) that is True for motions whose path and turns on the spot are in free space."""
     travel_angle = np.where(options.travel > 0, 0.0, np.pi)[:, None]
     points, heading = paths.points[:, ::_NODE_STEP], paths.heading[:, ::_NODE_STEP] - travel_angle
     share = np.linspace(0.0, 1.0, _HEADINGS)
@@ -193,13 +195,13 @@ def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
 
 
 def _distance_cost(
-    window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
+    window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, start_time: FloatArray
 ) -> FloatArray:
     """Compute the cost (S, C) of the distance from the path along each motion, for S shares of the speed limit [s].
 
     A node of a connection is compared with the point of the reference at the same fraction of the arc length.
     """
-    distance = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
+    distance = np.concatenate([np.zeros((start_time.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
     first, last = window.arc_length[nearest], window.arc_length[options.sample]
     arc = first + (last - first)[:, None] * (distance / distance[:, -1:])
     index = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
@@ -209,4 +211,4 @@ def _distance_cost(
     side = np.sign(across[:, :1])
     cost = _DISTANCE * np.abs(across) + _OPPOSITE_SIDE * np.maximum(0.0, -side * across)
     integral = np.sum(0.5 * (cost[:, 1:] + cost[:, :-1]) * np.diff(times, axis=-1), axis=-1)
-    return np.asarray(integral + before * cost[:, 0])
+    return np.asarray(integral + start_time * cost[:, 0])

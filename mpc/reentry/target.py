@@ -56,10 +56,7 @@ class TooFar:
     distance: float
 
 
-# Detection of a robot that does not move while the reference waits for it.
-
-
-# Maximum displacement that pose noise explains: position [m], heading [rad].
+# Maximum displacement of a robot at standstill, due to pose noise: position [m], heading [rad].
 _POSE_NOISE = (0.04, 0.1)
 
 
@@ -68,12 +65,12 @@ class BlockedWatch:
 
     Parameters
     ----------
-    after
-        Duration of standstill after which the robot counts as blocked [s].
+    min_duration
+        Minimum duration of standstill of a blocked robot [s].
     """
 
-    def __init__(self, after: float) -> None:
-        self._after = after
+    def __init__(self, min_duration: float) -> None:
+        self._min_duration = min_duration
         self.restart()
 
     def restart(self) -> None:
@@ -86,7 +83,7 @@ class BlockedWatch:
         if self._since is None or self._pose is None or self._has_moved(pose):
             self._since, self._pose = t, pose
         standstill = t - self._since
-        return standstill if standstill >= self._after else 0.0
+        return standstill if standstill >= self._min_duration else 0.0
 
     def _has_moved(self, pose: FloatArray) -> bool:
         assert self._pose is not None

@@ -1,1 +1,1 @@
-"""ROS 2 node of the controller. Modules of this package import rclpy only if they need it."""
+"""ROS 2 node of the controller; only modules that need rclpy import it."""

@@ -1,7 +1,8 @@
 """Bond with nav2_lifecycle_manager: both sides send heartbeats and detect the end of the other side.
 
-The protocol is that of bondcpp. All bonds share a topic; `id` identifies the bond, and `instance_id` the side. A side
-waits for the other side, is alive while it receives heartbeats, and announces its end until the other side also ends.
+The protocol is that of bondcpp. All bonds share a topic; `id` identifies the bond, and `instance_id` the side. Each
+side waits for the other side, is alive while it receives heartbeats, and at its end announces the end until the other
+side also ends.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class BondProtocol:
     Parameters
     ----------
     send
-        Function that sends a heartbeat; its argument is False if this side ends.
+        Function that sends a heartbeat; its argument is False if this side has ended.
     now
         Monotonic clock [s].
 
@@ -72,7 +73,7 @@ class BondProtocol:
             self._send(False)
 
     def receive(self, *, is_alive: bool) -> None:
-        """Handle a message of the other side; `is_alive` is False if that side ends."""
+        """Handle a message of the other side; `is_alive` is False if that side has ended."""
         if self.state is BondState.LEAVING:
             if not is_alive:
                 self.state = BondState.DEAD
@@ -84,7 +85,7 @@ class BondProtocol:
                 self._send(False)
 
     def leave(self) -> None:
-        """End the bond."""
+        """Send the end of this side to the other side."""
         if self.state is BondState.DEAD:
             return
         self.state = BondState.LEAVING if self.state is BondState.ALIVE else BondState.DEAD
@@ -113,7 +114,7 @@ class Bond:
         self.protocol = BondProtocol(self._send_status, time.monotonic)
         self._subscription = subscribe_bounded(node, kind, TOPIC, self._receive, QoSProfile(depth=100), refuse=_ignore)
         self._timer = node.create_timer(period, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._reported = ""
+        self._last_reason = ""
         self._is_closed = False
 
     @property
@@ -137,9 +138,9 @@ class Bond:
 
     def _beat(self) -> None:
         self.protocol.beat()
-        if self.protocol.end_reason and not self._reported:
-            self._reported = self.protocol.end_reason
-            self._node.get_logger().warning(f"the lifecycle manager is gone: {self._reported}; driving continues")
+        if self.protocol.end_reason and not self._last_reason:
+            self._last_reason = self.protocol.end_reason
+            self._node.get_logger().warning(f"lifecycle manager disconnected: {self._last_reason}; driving continues")
 
     def _receive(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         if message.id == self._id and message.instance_id != self._instance:
@@ -164,7 +165,7 @@ class BondPart(NodePart):
     def activate(self) -> None:
         """Start a bond."""
         self._close()
-        period = self.running()[1].settings.bond_heartbeat_period
+        period = self.require_active()[1].settings.bond_heartbeat_period
         if not period:
             return
         if message_type("bond", "Status") is None:

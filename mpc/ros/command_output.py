@@ -1,4 +1,4 @@
-"""Output of commands as twists, or as wheel speeds for a base without a twist input."""
+"""Publication of commands as twists, or as wheel speeds for a base without a twist input."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CommandOutput(Protocol):
         """Send `command` (2,) v [m/s], omega [rad/s] of the tick at `time` [ns]."""
 
     def wait(self, seconds: float) -> None:
-        """Wait until the last command is acknowledged, for at most `seconds` [s]."""
+        """Wait for the acknowledgement of the last command, for at most `seconds` [s]."""
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -88,7 +88,7 @@ class _WheelOutput(_Output):
     def send(self, command: FloatArray, time: int) -> None:  # noqa: ARG002 - the message has no stamp
         v, omega = float(command[0]), float(command[1])
         rim_speed = abs(v) + self._half_track * abs(omega)
-        # All wheels are slowed by the same factor, which preserves the curvature. The limit may change while driving.
-        share = min(1.0, self._config().limits.wheel_speed / rim_speed) if rim_speed > 0.0 else 1.0
-        speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
+        # The same factor slows all wheels, which preserves the curvature. The limit may change while driving.
+        factor = min(1.0, self._config().limits.wheel_speed / rim_speed) if rim_speed > 0.0 else 1.0
+        speeds = [factor * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

@@ -23,12 +23,11 @@ from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference, starting_at
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-HELD = "held; call hold with false to release"
+HOLD_MESSAGE = "held; call hold with false to release"
 
-# Minimum motion of a frame with which the reference is moved: displacement at the robot [m] plus rotation [rad].
+# Minimum motion of a frame that moves its reference: displacement at the robot [m] plus rotation [rad].
 _MIN_FRAME_MOTION = 1e-4
-
-# Minimum shift of the reference in time [s], or in position [m] plus rotation [rad], after which it is published again.
+# Minimum shift in time [s], or displacement [m] plus rotation [rad], after which the reference is published again.
 _MIN_SHIFT, _MIN_MOTION = 0.2, 0.02
 
 
@@ -40,12 +39,12 @@ class LoopState(StrEnum):
     DRIVING = "DRIVING"
     """The controller computes the command."""
     PAUSED = "PAUSED"
-    """The controller brakes and stands; `start` resumes the drive."""
+    """The controller brakes to a standstill; `start` resumes the drive."""
     FAULT = "FAULT"
     """The command is zero after an exception; `start` starts a new drive."""
 
 
-_SHARE_OF_TICK = 0.5
+_SOLVE_SHARE = 0.5
 """Time limit of a solve as a share of the sample time [-], if `solver.time_limit` is not set.
 
 The rest of the sample time is for the other work of a tick.
@@ -58,7 +57,7 @@ class RefusedError(DiffdriveMpcError, ValueError):
 
 @dataclass(frozen=True)
 class Request:
-    """Inputs of the controller at `time` [s]; `number` is the number of the call, from 1."""
+    """Inputs of the controller at `time` [s]; `number` counts the calls of the controller from 1."""
 
     number: int
     time: float
@@ -132,7 +131,7 @@ class ControlLoop:
     Parameters
     ----------
     controller
-        A newly built controller.
+        Controller that has not been started.
     settings
         Settings of the node.
     inbox
@@ -140,7 +139,7 @@ class ControlLoop:
     trajectory
         Initial reference; None if there is no reference.
     in_sim_time
-        True if the node's clock measures the period, False if the computer's clock does.
+        True if the node's clock measures the period; False if the computer's clock measures it.
     held
         True if the loop starts with a hold, see `hold`.
 
@@ -152,11 +151,10 @@ class ControlLoop:
         True if a hold prevents the robot from moving, independent of the state.
     drive
         Current drive; None before the first drive.
-    objection
-        Reason why the robot must not drive; empty if it may drive. The robot brakes as for stale odometry.
+    stop_reason
+        Reason why the robot must not drive; empty if it may drive. The robot brakes as with outdated odometry.
     wait_reason
-        Reason why the robot temporarily brakes and stands without a failure; empty if it may drive. The state does not
-        change.
+        Reason for a temporary stop that is not a failure; empty if the robot may drive. The state does not change.
     frame_shifts
         Number of times that the current reference was moved together with its frame.
     warning
@@ -192,16 +190,16 @@ class ControlLoop:
         self._moved_reference: MovedReference | None = None
         self._frame_fault = ""
         self.frame_shifts = 0
-        self._moves_to_robot = settings.start_at_robot
-        self._followed: tuple[Reference, float | None] | None = None
-        self._saved: tuple[Reference | None, Placement | None, bool] | None = None
+        self._starts_at_robot = settings.start_at_robot
+        self._pending_drive: tuple[Reference, float | None] | None = None
+        self._previous: tuple[Reference | None, Placement | None, bool] | None = None
         self.blocked = False
         self.drive: Drive | None = None
         self.held = held
-        self.objection = self.warning = self.refusal = self.wait_reason = self._end_reason = ""
+        self.stop_reason = self.warning = self.refusal = self.wait_reason = self._end_reason = ""
         self._published: tuple[Drive, PublishedReference] | None = None
         self._requests = 0
-        # A newly activated node counts as reset.
+        # The node resets the controller at its activation.
         self._was_reset = True
         self.last: LoopTick | None = None
         self.shortfall = "" if trajectory is None else str(controller.find_shortfall(trajectory) or "")
@@ -216,11 +214,11 @@ class ControlLoop:
         """External speed limit [m/s]; None if there is no limit."""
         return self._controller.speed_limit
 
-    def offer(self, reference: Reference, placement: Placement | None = None) -> None:
+    def set_reference(self, reference: Reference, placement: Placement | None = None) -> None:
         """Set the reference for the next start; it is used immediately if the robot drives.
 
-        If `drive_on_reference` is set, an idle robot starts to drive. With `placement`, the reference is given in a
-        frame other than the control frame, and it moves with this frame.
+        If `drive_on_reference` is set, an idle robot starts to drive. `placement` is the placement of a reference in a
+        frame that differs from the control frame; the reference then moves with its frame.
 
         Raises
         ------
@@ -231,24 +229,24 @@ class ControlLoop:
         if self._is_latched:
             raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
-            # Raises for an unknown frame before anything is changed.
+            # This call raises an error for an unknown frame before the state changes.
             placement.motion()
         self._check(reference)
         # A reference with a frame is not moved to the robot.
-        self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
+        self._reference, self._placement, self._starts_at_robot, self.refusal = reference, placement, False, ""
         if self.state is LoopState.DRIVING:
-            self._followed = self._saved = None
+            self._pending_drive = self._previous = None
             self._start_controller(reference, self.inbox.now)
         elif self._settings.drive_on_reference and self.state is LoopState.IDLE:
             self._start_when_ready = True
 
     def follow(self, reference: Reference, t0: float | None = None) -> None:
-        """Drive along `reference` until `release`; the drive starts at the next tick with a pose, in any state.
+        """Drive along `reference` until `release`; in any state, the drive starts at the next tick with a pose.
 
         Parameters
         ----------
         reference
-            Reference, which is not moved to the robot.
+            Reference in the control frame; it is not moved to the robot.
         t0
             Time 0 of the reference on the controller's clock [s]; None for the tick at which the drive starts.
 
@@ -257,20 +255,20 @@ class ControlLoop:
         ValueError
             If measurements are missing, or the reference exceeds the speed limits.
         """
-        missing = self.missing()
-        if missing:
-            raise RefusedError(missing)
+        fault = self.drive_fault()
+        if fault:
+            raise RefusedError(fault)
         self._check(reference)
-        self._followed, self.refusal = (reference, t0), ""
+        self._pending_drive, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
-        """Brake and stand in any state of the loop, and cancel a pending start."""
-        self._followed, self._start_when_ready = None, False
+        """Brake to a standstill in any state of the loop, and cancel a pending start."""
+        self._pending_drive, self._start_when_ready = None, False
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
 
-    def end(self, reason: str) -> None:
-        """Brake and stand permanently; later requests do not move the robot."""
+    def brake_permanently(self, reason: str) -> None:
+        """Brake to a standstill; later requests do not move the robot."""
         self._end_reason = reason
 
     @property
@@ -280,16 +278,19 @@ class ControlLoop:
 
     def release(self) -> None:
         """Return to IDLE after `follow` and restore the previous reference; the state FAULT remains."""
-        self._followed, self._start_when_ready, self.blocked = None, False, False
+        self._pending_drive, self._start_when_ready, self.blocked = None, False, False
         self.wait_reason = self.shortfall = ""
-        if self._saved is not None:
-            (self._reference, self._placement, self._moves_to_robot), self._saved = self._saved, None
+        if self._previous is not None:
+            (self._reference, self._placement, self._starts_at_robot), self._previous = (
+                self._previous,
+                None,
+            )
         if self.state is not LoopState.FAULT:
             self.state, self._reason = LoopState.IDLE, ""
 
     def pose_and_twist(self) -> tuple[FloatArray, tuple[float, float]] | None:
-        """Return pose (3,) and twist v, omega [m/s, rad/s] of the robot, or None if they are unknown."""
-        if self.missing():
+        """Return pose (3,) and twist v, omega [m/s, rad/s] of the robot; None if they are unknown."""
+        if self.drive_fault():
             return None
         result = None if self.last is None else self.last.result
         if result is not None and result.estimate is not None:
@@ -316,8 +317,8 @@ class ControlLoop:
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._start_when_ready = LoopState.IDLE, "", True
-        starts = f"starts '{self._reference.name}', {self._reference.duration:.1f} s{self._hold_note()}"
-        return "; ".join(filter(None, [starts, self.shortfall]))
+        action = f"starts '{self._reference.name}', {self._reference.duration:.1f} s{self._hold_note()}"
+        return "; ".join(filter(None, [action, self.shortfall]))
 
     def resume(self) -> str:
         """Resume the current reference after a pause or a failure; return a description of the action.
@@ -340,20 +341,23 @@ class ControlLoop:
         return self.state is LoopState.DRIVING and self._controller.is_latched
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
-        """Brake and stand while the reference waits; return a description of the action.
+        """Brake to a standstill while the reference waits; return a description of the action.
 
         Raises RefusedError if the robot is not driving.
         """
-        if self._start_when_ready or (self._followed is not None and self.state is not LoopState.DRIVING):
-            self._start_when_ready, self._followed = False, None
+        if self._start_when_ready or (self._pending_drive is not None and self.state is not LoopState.DRIVING):
+            self._start_when_ready, self._pending_drive = False, None
             return "start cancelled"
         if self.state is not LoopState.DRIVING:
             raise RefusedError(f"the robot is not driving ({self.state})")
-        self.state, self._reason, self._followed = LoopState.PAUSED, reason, None
+        self.state, self._reason, self._pending_drive = LoopState.PAUSED, reason, None
         return "brakes"
 
     def hold(self, *, on: bool) -> str:
-        """Brake and stand while `on` is True, in any state of the loop; return a description of the action."""
+        """Hold the robot if `on` is True, otherwise release it; return a description of the action.
+
+        A held robot brakes to a standstill in any state of the loop.
+        """
         was_held, self.held = self.held, on
         if on:
             return "is held already" if was_held else "is held; brakes" if self.is_moving else "is held"
@@ -376,7 +380,7 @@ class ControlLoop:
         self._reset_controller()
         self.inbox.restart()
         self.state, self._reason, self._start_when_ready, self.drive = LoopState.IDLE, "", False, None
-        self._followed, self.blocked = None, False
+        self._pending_drive, self.blocked = None, False
         return "reset; call start to drive"
 
     def tick(self) -> LoopTick:
@@ -384,8 +388,8 @@ class ControlLoop:
         start = time.perf_counter()
         self.times.start_tick(self._steady())
         try:
-            tick = self._decide(self.inbox.now)
-        except Exception as error:  # the robot must stop after any error
+            tick = self._run_tick(self.inbox.now)
+        except Exception as error:  # the robot must stop after every error
             self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to restart"
             tick = self._idle_tick()
         self.last = tick
@@ -396,7 +400,7 @@ class ControlLoop:
     def reference_to_publish(self) -> PublishedReference | None:
         """Return the reference and its start time if they must be published, else None.
 
-        They are published at the start of a drive, after the reference has waited, and after its frame has moved.
+        They are published at the start of a drive, and again after the reference has waited or its frame has moved.
         """
         drive, last = self.drive, self.last
         if drive is None or last is None:
@@ -405,33 +409,33 @@ class ControlLoop:
             self._published = drive, PublishedReference(drive.reference, drive.t0)
             return self._published[1]
         published, reference = self._published[1], self._moved_reference or drive.reference
-        # Only decided delays, such as a hold or a speed limit, move the published reference; lag stays an error.
+        # Only intended delays, such as a hold or a speed limit, shift the published reference; lag remains an error.
         t0 = drive.t0 + self._controller.planned_delay
-        drives = last.mode in (Mode.TRACKING, Mode.REUSED_PLAN)
-        if not drives or (abs(t0 - published.t0) < _MIN_SHIFT and not self._is_moved(published.reference, reference)):
+        is_tracking, is_moved = last.mode in (Mode.TRACKING, Mode.REUSED_PLAN), self._is_moved(published, reference)
+        if not is_tracking or (abs(t0 - published.t0) < _MIN_SHIFT and not is_moved):
             return None
         self._published = drive, PublishedReference(reference, t0)
         return self._published[1]
 
-    def _is_moved(self, published: Reference, reference: Reference) -> bool:
+    def _is_moved(self, published: PublishedReference, reference: Reference) -> bool:
         """Return True if the frame has moved far enough since `published` to publish `reference` again."""
-        pose = self.inbox.newest_pose
-        if pose is None or not (isinstance(published, MovedReference) and isinstance(reference, MovedReference)):
+        pose, previous = self.inbox.newest_pose, published.reference
+        if pose is None or not (isinstance(previous, MovedReference) and isinstance(reference, MovedReference)):
             return False
-        return _motion_difference(published.motion, reference.motion, pose.value) > _MIN_MOTION
+        return _motion_difference(previous.motion, reference.motion, pose.value) > _MIN_MOTION
 
-    def _decide(self, t: float) -> LoopTick:
-        # First, since the conditions of a start below need the newest pose.
+    def _run_tick(self, t: float) -> LoopTick:
+        # The start conditions below require the newest pose.
         self.inbox.look_up_pose()
-        if self._start_when_ready and self._reference is not None and not self._missing():
+        if self._start_when_ready and self._reference is not None and not self._start_fault():
             self._start_when_ready = False
             self._start_controller(self._reference, t)
             self.state = LoopState.DRIVING
-        if self._followed is not None and self.inbox.has_pose and not self.missing():
-            self._start_followed(t)
+        if self._pending_drive is not None and self.inbox.has_pose and not self.drive_fault():
+            self._start_pending_drive(t)
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._idle_tick()
-        self._follow_frame()
+        self._move_with_frame()
         self._requests += 1
         request = Request(self._requests, t, self.inbox.measurement(), self._hold(t))
         result = self._controller.step(t, request.measurement, request.hold, deadline=self._deadline())
@@ -443,44 +447,45 @@ class ControlLoop:
         return LoopTick(result.command, self.state, result.message, result, request)
 
     def _deadline(self) -> float | None:
-        """Return the deadline of the solve [s, `time.monotonic`]; None in simulated time, which waits for the solve."""
+        """Return the deadline of the solve [s, `time.monotonic`]; None in simulated time, since the clock waits."""
         if self._in_sim_time:
             return None
         config = self._controller.config
-        return time.monotonic() + (config.solver.time_limit or _SHARE_OF_TICK * config.sample_time)
+        return time.monotonic() + (config.solver.time_limit or _SOLVE_SHARE * config.sample_time)
 
-    def _start_followed(self, t: float) -> None:
-        assert self._followed is not None
-        (reference, t0), self._followed = self._followed, None
+    def _start_pending_drive(self, t: float) -> None:
+        assert self._pending_drive is not None
+        (reference, t0), self._pending_drive = self._pending_drive, None
         if self.state is LoopState.FAULT:
             self._reset_controller()
-        # Of several goals in a row, only the first replaces the reference to be restored.
-        if self._saved is None:
-            self._saved = (self._reference, self._placement, self._moves_to_robot)
-        self._reference, self._placement, self._moves_to_robot = reference, None, False
+        # Consecutive goals restore the reference before the first goal.
+        if self._previous is None:
+            self._previous = (self._reference, self._placement, self._starts_at_robot)
+        self._reference, self._placement, self._starts_at_robot = reference, None, False
         self._start_controller(reference, t if t0 is None else t0)
         self.state, self._reason, self.blocked, self._start_when_ready = LoopState.DRIVING, "", False, False
 
     def _hold(self, t: float) -> Hold | None:
+        """Return the hold with the highest priority at `t` [s]; None if the robot may drive."""
         if self._end_reason:
             return Hold(self._end_reason)
         if self.state is LoopState.PAUSED:
             return Hold(self._reason)
-        silence = self.inbox.odometry.fault(t, self._settings.odom_timeout)
-        within = self._controller.config.failure.resume_within
-        # A long silence takes precedence over a hold, which is no failure: the robot must not continue by itself when
-        # the hold is released.
-        if silence and not -within <= self.inbox.odometry.age(t) <= within:
-            return Hold(silence, failure=True, waits=True)
+        outage = self.inbox.odometry.fault(t, self._settings.odom_timeout)
+        max_age = self._controller.config.failure.resume_within
+        # A long outage of odometry takes precedence over a hold. A hold is not a failure, so the robot would otherwise
+        # continue by itself after the release of the hold.
+        if outage and not -max_age <= self.inbox.odometry.age(t) <= max_age:
+            return Hold(outage, failure=True, waits=True)
         if self.held:
-            return Hold(HELD)
+            return Hold(HOLD_MESSAGE)
         if self.wait_reason:
             return Hold(self.wait_reason)
-        fault = self.objection or silence or self._frame_fault
+        fault = self.stop_reason or outage or self._frame_fault
         return Hold(fault, failure=True) if fault else None
 
-    def _follow_frame(self) -> None:
-        """Move the reference with its frame; an unknown position of the frame is a fault that stops the robot."""
+    def _move_with_frame(self) -> None:
+        """Move the reference with its frame; if the position of the frame is unknown, store the fault."""
         self._frame_fault = ""
         if self._placement is None or self._moved_reference is None:
             return
@@ -500,12 +505,12 @@ class ControlLoop:
         return " after the release of the hold" if self.held else ""
 
     def _idle_tick(self) -> LoopTick:
-        waiting = self._missing() if self._start_when_ready else ""
-        return LoopTick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
+        reason = self._reason or (self._start_fault() if self._start_when_ready else "")
+        return LoopTick(np.zeros(2), self.state, "; ".join(filter(None, [reason, HOLD_MESSAGE * self.held])))
 
-    def _missing(self) -> str:
-        """Return the condition for a start that is not satisfied; empty if all conditions are satisfied."""
-        fault = self.missing()
+    def _start_fault(self) -> str:
+        """Return the reason why a drive cannot start; empty if it can start."""
+        fault = self.drive_fault()
         if not fault and self._reference is None:
             fault = "there is no reference: set the parameter trajectory, or publish one"
         if not fault and self._placement is not None:
@@ -515,18 +520,18 @@ class ControlLoop:
                 fault = str(error)
         return fault
 
-    def missing(self) -> str:
-        """Return the missing measurement or the objection to driving; empty if the robot may drive."""
+    def drive_fault(self) -> str:
+        """Return `stop_reason` or the missing measurement that prevents driving; empty if the robot may drive."""
         inbox = self.inbox
-        fault = self.objection or inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
+        fault = self.stop_reason or inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
         if not fault and self._settings.poses_from != "odometry":
             fault = inbox.pose.fault(inbox.now, self._controller.config.failure.max_pose_age)
         return fault
 
     def _require_inputs(self) -> None:
-        missing = self._missing()
-        if missing:
-            raise RefusedError(missing)
+        fault = self._start_fault()
+        if fault:
+            raise RefusedError(fault)
 
     def _check(self, reference: Reference) -> None:
         config = self._controller.config
@@ -538,9 +543,9 @@ class ControlLoop:
         self._moved_reference = None
         if self._placement is not None:
             reference = self._moved_reference = MovedReference(reference, self._placement.motion())
-        elif self._moves_to_robot and pose is not None:
+        elif self._starts_at_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner may send a new path every second, so the learned slip must be preserved.
+        # A planner may send a new path every second, so a replacement must preserve the learned slip.
         continues = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if continues:
             self._controller.switch_reference(reference, t0)
@@ -553,12 +558,12 @@ class ControlLoop:
         self._was_reset = True
 
 
-def _motion_difference(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
-    """Compute the change of a frame's motion at `pose` (3,): displacement [m] plus rotation [rad]."""
-    (ax, ay, a), (bx, by, b) = before, after
+def _motion_difference(first: FloatArray, second: FloatArray, pose: ArrayLike) -> float:
+    """Compute the difference of two motions of a frame at `pose` (3,): displacement [m] plus rotation [rad]."""
+    (ax, ay, a), (bx, by, b) = first, second
     start = np.asarray(pose, dtype=float)
     x, y = start[0] - ax, start[1] - ay
-    # Undo the motion `before`, then apply the motion `after`.
+    # The pose is moved back by the first motion, and then forward by the second motion.
     x, y = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
     end = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
     return math.hypot(end[0] - start[0], end[1] - start[1]) + abs(math.remainder(b - a, math.tau))

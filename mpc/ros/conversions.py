@@ -1,4 +1,4 @@
-"""Conversion between ROS messages and types of the controller; invalid messages are rejected with a reason."""
+"""Conversion between ROS messages and types of the controller, with checks of the messages."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 NANOSECONDS = 1_000_000_000
-# Entries of x, y and yaw in the 6 x 6 covariance of a pose message.
+# Indices of x, y and yaw in the 6 x 6 covariance of a pose message.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 # Tolerance of the norm of a quaternion, which may be rounded to single precision.
 _NORM_TOLERANCE = 1e-2
-# Minimum vertical component of a gyro axis that contributes to the yaw rate [-].
+# Minimum vertical component of a gyro axis whose rate contributes to the yaw rate [-].
 _MIN_VERTICAL = 1e-3
 
 
 class MessageError(DiffdriveMpcError, ValueError):
-    """Error for an invalid message; its text is the reason in one line."""
+    """Error for an invalid message, with the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # escape frame names, since terminals show logs
+        super().__init__(plain_line(reason))  # frame names may contain control characters of the terminal
 
 
 def nanoseconds(stamp: TimeMessage) -> int:
@@ -72,12 +72,12 @@ def check_frame(frame: str, expected: str, parameter: str, field: str = "frame_i
 
 
 def seconds(time: int, epoch: int) -> float:
-    """Return the difference of two times [ns] in seconds; the subtraction is exact."""
+    """Compute the time since `epoch` in seconds from times in nanoseconds; the subtraction is exact."""
     return (time - epoch) / NANOSECONDS
 
 
 def odometry_pose(message: Odometry, epoch: int) -> Stamped:
-    """Extract the pose of an odometry message without its covariance, which grows with the drift of its frame."""
+    """Extract the pose of an odometry message; its covariance is omitted, since it includes the drift of the frame."""
     return Stamped(planar_pose(message.pose.pose), seconds(nanoseconds(message.header.stamp), epoch))
 
 
@@ -93,7 +93,7 @@ def odometry_twist(message: Odometry, epoch: int) -> Stamped:
 def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Stamped:
     """Extract the yaw rate [rad/s] about the axis `up` of the gyro's frame; raise MessageError if it is not finite."""
     rate = message.angular_velocity
-    # The other axes of an IMU with a single axis may not be finite.
+    # The rates of missing axes may be NaN, for example those of an IMU with a single axis.
     yaw_rate = sum(
         axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _MIN_VERTICAL
     )
@@ -103,7 +103,7 @@ def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0
 
 
 def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:
-    """Extract a measured pose; `covariance` selects its covariance, which is unknown if all entries are zero."""
+    """Extract a measured pose, with its covariance if `covariance` is True; all zeros mean an unknown covariance."""
     planar = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
     return Stamped(
         planar_pose(message.pose.pose),
@@ -132,24 +132,21 @@ def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: s
     return message
 
 
-# Subscriptions that check the size of a message before its deserialisation, which could take longer than a tick.
-
-
 MAX_NAME_LENGTH = 255
 """Maximum length of the name of a frame; messages with longer names are rejected."""
-_HEADER = 4 + 8 + 4 + MAX_NAME_LENGTH + 1 + 8
+_HEADER_BYTES = 4 + 8 + 4 + MAX_NAME_LENGTH + 1 + 8
 """Maximum size of a serialised header [bytes]: stamp, length of the name, name, terminator and alignment."""
 SENSOR_BYTES = 2048
 """Maximum size of an odometry, gyro or pose message [bytes]: less than 800 for numbers, the rest for two names."""
 BATTERY_BYTES = 8192
 """Maximum size of a battery state [bytes]: two numbers for each of several hundred cells, and three strings."""
-POSE_BYTES = _HEADER + 7 * 8
+POSE_BYTES = _HEADER_BYTES + 7 * 8
 """Maximum size of a pose with a header [bytes]."""
 
 
 def path_bytes(poses: int) -> int:
     """Return the maximum size [bytes] of a path of `poses` poses, or of a trajectory with all derivatives."""
-    return _HEADER + poses * POSE_BYTES
+    return _HEADER_BYTES + poses * POSE_BYTES
 
 
 def too_long(size: int, max_bytes: int) -> str:
@@ -161,20 +158,22 @@ def subscribe_bounded(
     node: Node,
     kind: type[Any],
     topic: str,
-    take: Callable[[Any], None],
+    callback: Callable[[Any], None],
     qos: QoSProfile | int,
     *,
     refuse: Callable[[str], None],
     max_bytes: int = SENSOR_BYTES,
     series: MessageSeries | None = None,
 ) -> Subscription:
-    """Subscribe to `topic`; messages of more than `max_bytes` are rejected without deserialisation.
+    """Subscribe to `topic`; messages of more than `max_bytes` are rejected before their deserialisation.
+
+    The deserialisation of a large message could take longer than a tick.
 
     Parameters
     ----------
     node, kind, topic, qos
         Arguments of `create_subscription`.
-    take
+    callback
         Function that is called with each message.
     refuse
         Function that is called with the reason if a message is too long or cannot be read.
@@ -186,7 +185,7 @@ def subscribe_bounded(
 
     def receive(raw: bytes, info: dict[str, Any]) -> None:
         if series is not None:
-            series.take(info["publication_sequence_number"], info["source_timestamp"], time.monotonic())
+            series.add(info["publication_sequence_number"], info["source_timestamp"], time.monotonic())
         if len(raw) > max_bytes:
             refuse(too_long(len(raw), max_bytes))
             return
@@ -195,14 +194,14 @@ def subscribe_bounded(
         except Exception as error:  # rmw does not define an error type
             refuse(f"it cannot be read ({' '.join(str(error).split())})")
             return
-        take(message)
+        callback(message)
 
     return node.create_subscription(kind, topic, receive, qos, raw=True)
 
 
-def take_pending(subscription: Subscription) -> None:
+def process_pending(subscription: Subscription) -> None:
     """Pass pending messages to the callback of a bounded subscription while the executor is blocked."""
-    # Bounded by the depth, since messages may arrive as fast as they are taken.
+    # The depth bounds the loop, since messages may arrive as fast as they are processed.
     for _ in range(subscription.qos_profile.depth):
         with subscription.handle:
             message = subscription.handle.take_message(subscription.msg_type, subscription.raw)
@@ -211,11 +210,8 @@ def take_pending(subscription: Subscription) -> None:
         subscription.callback(*message)
 
 
-# Message types that are not part of every installation.
-
-
 def message_type(package: str, name: str) -> type[Any] | None:
-    """Return the type `package`.msg.`name`, or None if the installed package lacks it."""
+    """Return the type `package`.msg.`name`; None if it is not installed."""
     try:
         message_class: type[Any] | None = getattr(import_module(f"{package}.msg"), name, None)
     except ImportError:

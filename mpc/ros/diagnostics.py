@@ -1,4 +1,4 @@
-"""Status message of the node for /diagnostics."""
+"""Construction of the node's status message for /diagnostics."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def diagnostics(
         values |= _values(loop)
         status.level = _level(loop)
         if loop.last is not None:
-            objection = "" if loop.objection in loop.last.message else loop.objection
-            faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
+            stop_reason = "" if loop.stop_reason in loop.last.message else loop.stop_reason
+            faults = loop.last.message, stop_reason, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
             faults_text = "; ".join(filter(None, faults))
             state = loop.last.mode if loop.last.result is None else loop.last.result.state
             status.message = f"{state}: {faults_text}" if faults_text else state
@@ -66,7 +66,7 @@ def diagnostics(
 def _level(loop: ControlLoop) -> bytes:
     if loop.state is LoopState.FAULT:
         return DiagnosticStatus.ERROR
-    if loop.objection:
+    if loop.stop_reason:
         return DiagnosticStatus.ERROR
     tick, warning = loop.last, loop.warning or loop.refusal or loop.shortfall
     if tick is None or tick.result is None:

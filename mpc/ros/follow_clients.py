@@ -1,4 +1,4 @@
-"""Clients of the action `follow_path`: identification of the client of a goal, and check that the client is alive."""
+"""Identification of the client of a `follow_path` goal, and check that the client is alive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 _STALL = 0.2
-"""Time without acknowledgement after which a participant is created [s]; live clients acknowledge within 0.1 s."""
+"""Time without acknowledgement after which a new participant is created [s]; live clients need less than 0.1 s."""
 _DISCOVERY = 1.0
 """Minimum time between the creation of two participants [s]; discovery of the live clients usually takes 0.15 s."""
 
@@ -25,7 +25,7 @@ class _Link:
     def __init__(self, node: Node, action: str, context: Context | None = None) -> None:
         self.node, self._context = node, context
         self._requests = f"rq{action}/_action/send_goalRequest"
-        # A writer with a full queue requests an acknowledgement with each sample; a queue of depth 1 is always full.
+        # A writer with a full queue requests an acknowledgement with each sample; a queue of depth 1 is full at once.
         self.publisher = node.create_publisher(
             FollowPath.Impl.FeedbackMessage, f"{action}/_action/feedback", QoSProfile(depth=1)
         )
@@ -45,9 +45,9 @@ class _Link:
 class ClientWatch:
     """Publisher of feedback that monitors its acknowledgement by the clients.
 
-    The middleware of a live client acknowledges feedback automatically. All clients subscribe to the same topic. After
-    the death of a client, no sample counts as acknowledged until the lease of its participant expires (20 s with Fast
-    DDS). A new participant discovers live clients only, so with several subscriptions feedback continues through a new
+    The middleware of a live client acknowledges feedback automatically. All clients subscribe to the same topic. If one
+    client dies, no sample counts as acknowledged until the lease of its participant expires (20 s with Fast DDS). A new
+    participant discovers only live clients, so if there are several subscriptions, feedback continues through a new
     participant.
 
     Parameters
@@ -76,13 +76,13 @@ class ClientWatch:
         clients = frozenset(client for client in known_clients if self._goals_sent.get(client) == number - 1)
         clients = clients or known_clients - self._goals_sent.keys() or known_clients
         clients = clients & self._link.clients() or clients
-        # Counts are only certain for a single candidate.
+        # The number of goals is certain only if there is a single candidate.
         if len(clients) == 1:
             self._goals_sent[min(clients)] = number
         return clients
 
     def check(self, goals: Sequence[frozenset[bytes]]) -> list[bool]:
-        """Return True for each goal whose clients are all alive, that is have acknowledged the last feedback."""
+        """Return True for each goal whose clients are all alive: all have acknowledged the last feedback."""
         now, acknowledged = time.monotonic(), self._is_acknowledged()
         present = self._link.clients()
         subscribed = self._link.publisher.get_subscription_count() > 0
@@ -118,10 +118,11 @@ class ClientWatch:
             return True
 
     def _is_ambiguous(self) -> bool:
-        """Return True if the missing acknowledgement may be that of another subscription."""
+        """Return True if the missing acknowledgement may belong to another subscription."""
         return self._reports_acknowledgements and self._node.count_subscribers(self._graph.publisher.topic_name) > 1
 
     def _renew(self) -> None:
+        """Replace the publisher by a publisher in a new participant."""
         name, namespace = self._node.get_name(), self._node.get_namespace()
         # With SROS 2 the participant uses the keys of the node, and creates only topics that its policy allows.
         nodes = self._node.get_node_names_and_namespaces_with_enclaves()

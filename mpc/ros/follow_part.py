@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.ros.control_loop import LoopTick
-from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
+from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, plan_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import preload
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import moved_poses
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer
@@ -37,17 +37,17 @@ class FollowPathPart(NodePart):
         self.server = FollowPathServer(self.node, tools.settings)
 
     def activate(self) -> None:
-        """Accept goals."""
+        """Accept goals until the deactivation."""
         if self.server is None:
             return
-        loop, tools = self.running()
+        loop, tools = self.require_active()
         controller, side_process = tools.controller, tools.side_process
         checks = tuple(check for part in self.node.parts.values() if (check := part.path_check()) is not None)
 
         def plan_path(
             arguments: tuple[object, ...], done: Callable[[PlannedPath | None], None], failed: Callable[[str], None]
         ) -> None:
-            side_process.submit("follow_path", lay_for_robot, (*arguments, checks), done, failed)
+            side_process.submit("follow_path", plan_for_robot, (*arguments, checks), done, failed)
 
         side_process.prepare(preload)
         self._following = Following(

@@ -1,4 +1,4 @@
-"""Action server `follow_path` (nav2_msgs/action/FollowPath), by which Nav2's behaviour tree drives the robot.
+"""Action server `follow_path` (nav2_msgs/action/FollowPath), through which Nav2's behaviour tree drives the robot.
 
 The server has a separate node and thread, since the conversion of a path of several thousand poses takes longer than a
 tick.
@@ -36,9 +36,9 @@ _REQUESTS = QoSProfile(depth=2000)
 _MAX_RESULTS = 4
 """Maximum number of results per period; the queue of a client has a depth of 10."""
 _LONG_WORK = 0.005
-"""Computation time above which the thread sleeps for the same time [s], so that the control loop can run."""
+"""Computation time after which the thread sleeps for the same time [s], so that the control loop can run."""
 _RESULT_TIMEOUT = 60
-"""Time for which a result is stored for its client [s]; a client with hundreds of goals per second reads late."""
+"""Time for which a result is stored for its client [s]; a client with hundreds of goals per second is late."""
 _MIN_CHECK_RATE = 10.0
 """Minimum rate of feedback while the clients are monitored [Hz]."""
 _POLL_PERIOD = 0.02
@@ -58,7 +58,7 @@ class _Server(ActionServer):
 
 
 class FollowPathServer:
-    """Action server that passes goals to a `Following` and reports their results to clients.
+    """Action server that passes goals to a `Following` and sends the results to the clients.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class FollowPathServer:
             action,
             self._execute,
             goal_callback=self._handle_request,
-            handle_accepted_callback=self._accepted,
+            handle_accepted_callback=self._accept_goal,
             cancel_callback=self._cancel,
             goal_service_qos_profile=_REQUESTS,
             result_service_qos_profile=_REQUESTS,
@@ -155,7 +155,7 @@ class FollowPathServer:
         while self._incoming:
             following, goal = self._incoming.popleft()
             if following is self._following:
-                following.take(goal)
+                following.receive(goal)
             else:
                 goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
 
@@ -165,7 +165,7 @@ class FollowPathServer:
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
-    def _accepted(self, handle: ServerGoalHandle) -> None:
+    def _accept_goal(self, handle: ServerGoalHandle) -> None:
         self._clients[bytes(handle.goal_id.uuid)] = self._watch.claim(self._server.sequence_number)
         handle.execute()
 
@@ -187,15 +187,15 @@ class FollowPathServer:
             GoalOutcome.ABORTED: handle.abort,
         }[end.outcome]()
         result = FollowPath.Result(error_code=int(end.code))
-        # Definitions before the first release of Nav2 for Jazzy lack this field.
+        # This field was added with the first release of Nav2 for Jazzy.
         if hasattr(result, "error_msg"):
-            result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.words
+            result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.message
         return result
 
     def _submit(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
         """Pass a goal to the control loop; return the future of its end, or the end of an immediate failure."""
         request, following, settings = handle.request, self._following, self._settings
-        # An invalid goal is also passed on, since the control loop must end the drive that the goal replaces.
+        # An invalid goal is also submitted, since the control loop must end the drive that the goal replaces.
         poses, fault = np.zeros((0, 3)), None
         try:
             poses = path_poses(request.path, settings.follow_most_poses)
@@ -208,8 +208,8 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
-        # The handle stores its request as long as its result. Garbage collection of so many objects would stop the
-        # control loop for a second.
+        # The handle stores the request until the result expires. The garbage collection of so many poses would block
+        # the control loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._goals.append((goal, handle, future))
@@ -239,8 +239,8 @@ class FollowPathServer:
 
     def _log(self, end: End) -> None:
         log = self._node.get_logger()
-        text = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
-        # Each severity has its own call, since the logger of rclpy requires a constant severity per call site.
+        text = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.message}"
+        # The logger of rclpy requires a constant severity at each call site, hence two calls.
         if end.outcome is GoalOutcome.ABORTED and end.code:
             log.error(text)
         else:

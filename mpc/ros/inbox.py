@@ -1,4 +1,4 @@
-"""Input buffer that collects sensor messages and provides one measurement per tick."""
+"""Input buffer that collects sensor messages between two ticks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Inbox:
     Parameters
     ----------
     settings
-        Frames and used sensors.
+        Settings of the node: frames and used sensors.
     clock
         The node's clock [ns].
     epoch
@@ -62,7 +62,7 @@ class Inbox:
         self._pose: Stamped | None = None
         self._twist: Stamped | None = None
         self._yaw_rate: Stamped | None = None
-        self._transformed = 0
+        self._last_stamp = 0
         for watch in (self.odometry, self.imu, self.pose):
             watch.restart()
         if self.frames is not None:
@@ -108,7 +108,7 @@ class Inbox:
         """Control frame."""
         return self._settings.control_frame
 
-    def take_odometry(self, message: Odometry) -> None:
+    def receive_odometry(self, message: Odometry) -> None:
         """Store the twist of wheel odometry, and its pose if poses come from odometry."""
         settings = self._settings
         try:
@@ -122,12 +122,12 @@ class Inbox:
         except MessageError as error:
             self.odometry.refuse(str(error))
             return
-        # Nothing of a message is stored unless all of it is valid.
+        # A message is stored only if both twist and pose are valid.
         self._twist = twist
         if pose is not None:
             self.newest_pose = self._pose = pose
 
-    def take_imu(self, message: Imu) -> None:
+    def receive_imu(self, message: Imu) -> None:
         """Store the yaw rate of the gyro."""
         try:
             yaw_rate = imu_yaw_rate(message, self._epoch, self._upward(message.header.frame_id))
@@ -144,7 +144,7 @@ class Inbox:
                 return self.mounts.lookup(self._settings.base_frame, frame, self._clock()).transform.vertical
         return 0.0, 0.0, 1.0
 
-    def take_pose(self, message: PoseWithCovarianceStamped) -> None:
+    def receive_pose(self, message: PoseWithCovarianceStamped) -> None:
         """Store a pose, for example from SLAM."""
         try:
             check_frame(message.header.frame_id, self._settings.map_frame, "map_frame")
@@ -161,19 +161,19 @@ class Inbox:
             return
         try:
             value, stamp = self.frames.pose()
-            if stamp <= self._transformed:
-                # The lookup works, but its transform was already used.
+            if stamp <= self._last_stamp:
+                # The transform is known but was already used.
                 self.pose.reason = ""
                 return
             time = seconds(stamp, self._epoch)
             self.pose.accept(time, self.now, self._settings.odom_timeout)
         except (TransformError, MessageError) as error:
-            # A lasting fault counts once, not at every tick.
+            # A persistent fault counts once, not at every tick.
             if self.pose.reason.endswith(str(error)):
                 return
             self.pose.refuse(str(error))
             return
-        self._transformed = stamp
+        self._last_stamp = stamp
         self.newest_pose = self._pose = Stamped(value, time)
 
     def measurement(self) -> Measurement:

@@ -1,4 +1,4 @@
-"""Percentiles of durations and latencies over the last ticks."""
+"""Percentiles of the durations and latencies of the last ticks."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 _MIN_TICKS = 20
-"""Minimum number of ticks from which the period is evaluated."""
+"""Minimum number of ticks for an evaluation of the period."""
 _MAX_DEVIATION = 0.1
 """Maximum relative deviation of the median tick interval from the period [-]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Median, 99th percentile and maximum [s] of `count` values; NaN if `count` is 0."""
+    """Median, 99th percentile and maximum [s], and number of values; NaN if there are no values."""
 
     p50: float
     p99: float
@@ -40,15 +40,15 @@ class Durations:
         self._values.append(value)
 
     def percentiles(self) -> Percentiles:
-        """Compute percentiles of the stored values."""
+        """Compute the percentiles of the stored values."""
         if not self._values:
             return Percentiles(np.nan, np.nan, np.nan, 0)
-        p50, p99, largest = np.percentile(self._values, [50, 99, 100]).tolist()
-        return Percentiles(p50, p99, largest, len(self._values))
+        p50, p99, maximum = np.percentile(self._values, [50, 99, 100]).tolist()
+        return Percentiles(p50, p99, maximum, len(self._values))
 
 
 class LoopTimes:
-    """Durations of the control loop.
+    """Statistics of the durations of the control loop.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Entry point of the node as a process; after a signal the robot brakes, and the last command is zero."""
+"""Entry point of the node's process; after a signal, the robot brakes and the last command is zero."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
-# Maximum delay of the response to a signal [s].
+# Maximum duration of a wait for the executor [s], which limits the response time to a signal.
 _MAX_WAIT = 0.1
 # Exit code for invalid input, equal to that of the command line.
 _BAD_INPUT = 2
@@ -36,7 +36,7 @@ def run(
     arguments
         Arguments of ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
     settings
-        Defaults of the node's parameters, without those of the controller.
+        Defaults of the node's parameters, except those of the controller.
     overrides
         Values of the controller's configuration by dotted key; they override the file.
 
@@ -67,14 +67,14 @@ def run(
         executor.add_node(node)
         try:
             node.bring_up()
-            # The matrices are small, so waking threads would take longer than the operations, up to half a tick.
+            # The matrices are small, so several threads would be slower; their wake-up takes up to half a tick.
             with threadpool_limits(limits=1):
                 while not signals:
                     executor.spin_once(timeout_sec=_MAX_WAIT)
                 # Use the computer's clock, since the node's clock may have stopped.
                 end = time.monotonic() + node.brake(f"{signal.Signals(signals[0]).name}: the node is shut down")
-                while node.is_moving and len(signals) == 1 and (left := end - time.monotonic()) > 0.0:
-                    executor.spin_once(timeout_sec=min(left, _MAX_WAIT))
+                while node.is_moving and len(signals) == 1 and (rest := end - time.monotonic()) > 0.0:
+                    executor.spin_once(timeout_sec=min(rest, _MAX_WAIT))
         except ExternalShutdownException:
             pass
         finally:

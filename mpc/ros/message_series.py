@@ -1,4 +1,4 @@
-"""Detection of two live publishers on one topic from the numbers of their messages."""
+"""Detection of two live publishers on one topic by the publication numbers of their messages."""
 
 from __future__ import annotations
 
@@ -6,26 +6,29 @@ from collections import deque
 from dataclasses import dataclass, field
 
 _DEPTH = 3
-"""Maximum number of newer messages that may arrive before a message."""
+"""Maximum number of later messages that may overtake a message."""
 _LIFETIME, _LIFETIME_PERIODS, _MAX_LIFETIME = 0.3, 4.0, 5.0
 """Time without a message after which a series ends: minimum [s], in periods of the series [-], and maximum [s]."""
 _MAX_CHANGES = 6
 """Number of stored changes from one series to another."""
 _REPETITIONS = 4
-"""Number of consecutive messages with equal numbers from which the middleware does not number messages."""
+"""Number of consecutive messages with equal numbers that shows that the middleware does not number messages."""
 
 
 @dataclass(eq=False)
 class _Series:
+    """Messages of one publisher: highest number, time of the last arrival [s], and last messages."""
+
     newest: int = 0
     arrival: float = 0.0
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_DEPTH + 1))
-    """Numbers and sending times of the last messages."""
+    """Numbers and sending times [ns] of the last messages."""
 
-    def fits(self, number: int, sent: int) -> bool:
+    def fits(self, number: int, sending_time: int) -> bool:
         """Return True if the message can belong to this series, whose numbers must increase with the sending time."""
         return number > self.newest - _DEPTH and all(
-            sent >= time if number > past else sent <= time and number < past for past, time in self.recent
+            sending_time >= time if number > recent else sending_time <= time and number < recent
+            for recent, time in self.recent
         )
 
     def is_alive(self, arrival: float) -> bool:
@@ -34,9 +37,9 @@ class _Series:
         period = 1e-9 * (end - start) / (last - first) if last > first else _MAX_LIFETIME
         return arrival - self.arrival <= min(max(_LIFETIME, _LIFETIME_PERIODS * period), _MAX_LIFETIME)
 
-    def append(self, number: int, sent: int, arrival: float) -> None:
+    def append(self, number: int, sending_time: int, arrival: float) -> None:
         self.newest, self.arrival = max(self.newest, number), arrival
-        self.recent.append((number, sent))
+        self.recent.append((number, sending_time))
 
 
 class MessageSeries:
@@ -44,7 +47,7 @@ class MessageSeries:
 
     Each publisher numbers its messages in the order of sending. A message that does not fit a known series starts a new
     series, for instance the first message of a restarted publisher. With two live publishers, two series alternate, so
-    each of them occurs at least twice among the last changes of series.
+    both occur at least twice among the last changes from one series to another.
 
     Attributes
     ----------
@@ -65,14 +68,14 @@ class MessageSeries:
         self._series: list[_Series] = []
         self._changes: deque[_Series] = deque(maxlen=_MAX_CHANGES)
 
-    def take(self, number: int | None, sent: int, arrival: float) -> None:
+    def add(self, number: int | None, sending_time: int, arrival: float) -> None:
         """Record a message.
 
         Parameters
         ----------
         number
             Publication number; None or 0 if the middleware does not number messages.
-        sent
+        sending_time
             Sending time on the clock of the publisher [ns].
         arrival
             Time of arrival on a monotonic clock [s].
@@ -83,10 +86,10 @@ class MessageSeries:
         if not number or not self.is_numbered:
             return
         self._series = [series for series in self._series if series.is_alive(arrival)]
-        matches = [series for series in self._series if series.fits(number, sent)]
-        # The list is in the order of the last messages; the most recent of equally close series is used.
+        matches = [series for series in self._series if series.fits(number, sending_time)]
+        # The list is sorted by the time of the last message; of equally close series, the most recent one is used.
         series = min(reversed(matches), key=lambda series: abs(number - series.newest), default=_Series())
-        series.append(number, sent, arrival)
+        series.append(number, sending_time, arrival)
         self._series = [*(entry for entry in self._series if entry is not series), series]
         if not self._changes or self._changes[-1] is not series:
             self._changes.append(series)

@@ -1,4 +1,4 @@
-"""Lifecycle node with parameters, inputs and services of the control loop, and with attached parts."""
+"""Lifecycle node with the parameters, inputs and services of the control loop, and with attached parts."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from diffdrive_mpc.mpc.ros.parameters import (
     declare,
     fields,
     log_failures,
-    name_features,
-    name_parts,
     read,
     reject_forbidden_transitions,
+    with_features,
+    with_parts,
 )
 from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.recording import RecordingPart
@@ -51,7 +51,7 @@ from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-_MAX_READING_TIME = 10.0
+_MAX_JOB_TIME = 10.0
 """Time limit of a job in the side process [s]."""
 
 
@@ -61,7 +61,7 @@ class TrackingNode(PartHost):
     Parameters
     ----------
     defaults
-        Defaults of the node's parameters, without those of the controller.
+        Defaults of the node's parameters, except those of the controller.
     overrides
         Values of the controller's configuration by dotted key; they override the file.
     **options
@@ -89,10 +89,10 @@ class TrackingNode(PartHost):
         super().__init__("diffdrive_mpc", **options)
         reject_forbidden_transitions(self)
         defaults = defaults or NodeSettings()
-        # Declared first and alone: the file named by `config` determines the defaults of all other parameters.
+        # `config` is declared first, since the file that it names determines the defaults of all other parameters.
         declare(self, defaults, read_only=True, skip=tuple(key for key, _ in fields(defaults) if key != "config"))
-        self._declared_config = name_features(self, load_config(self.get_parameter("config").value, overrides))
-        self._declared_settings = name_parts(self, defaults, self._declared_config.features)
+        self._declared_config = with_features(self, load_config(self.get_parameter("config").value, overrides))
+        self._declared_settings = with_parts(self, defaults, self._declared_config.features)
         declare(self, self._declared_settings, skip=("config",))
         declare(self, self._declared_config)
         check_overrides(self, self._declared_config)
@@ -101,7 +101,7 @@ class TrackingNode(PartHost):
             self._declared_settings,
             self._declared_config,
             lambda: None if self._loop is None else self._controller,
-            lambda: self._each_part(lambda part: part.change_limits()),
+            lambda: self._call_parts(lambda part: part.change_limits()),
         )
         self.failure = self._shortfall = ""
         self.label = "unconfigured"
@@ -109,32 +109,32 @@ class TrackingNode(PartHost):
         self._loop: ControlLoop | None = None
         self._timer: Any = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._built = ExitStack()
+        self._resources = ExitStack()
         self.create_service(Trigger, "~/start", self._serve(lambda loop: loop.start()))
         self.create_service(Trigger, "~/pause", self._serve(lambda loop: loop.pause()))
         self.create_service(Trigger, "~/resume", self._serve(lambda loop: loop.resume()))
         self.create_service(Trigger, "~/reset", self._serve(lambda loop: loop.reset()))
-        self._held = False
+        self._is_held = False
         self.create_service(SetBool, "~/hold", self._hold)
-        plug_in_kinds = {
+        plug_in_types = {
             name: plug_in("node_parts", name)
             for name in self._declared_settings.parts
             if self.get_parameter(f"parts.{name}.enabled").value
         }
-        kinds: dict[str, type[NodePart]] = {
+        part_types: dict[str, type[NodePart]] = {
             "references": ReferencePart,
             "speed_limit": SpeedLimitPart,
             "follow_path": FollowPathPart,
             "bond": BondPart,
-            # The order is that of the hooks: `recording` is last, because other parts add columns to its row.
-            **plug_in_kinds,
+            # Hooks are called in this order. `recording` is last, because other parts add columns to its row.
+            **plug_in_types,
             "rivals": RivalWatch,
             "recording": RecordingPart,
         }
-        self.parts = {name: kind(self) for name, kind in kinds.items()}
+        self.parts = {name: part_type(self) for name, part_type in part_types.items()}
 
     def bring_up(self) -> None:
-        """Configure and activate if the parameter autostart is set; raise ValueError with the reason of a failure."""
+        """Configure and activate if the parameter autostart is set; raise ValueError with the reason for a failure."""
         if not self.get_parameter("autostart").value:
             self.get_logger().info("unconfigured: configure and activate this lifecycle node, or use --autostart")
             return
@@ -146,7 +146,7 @@ class TrackingNode(PartHost):
         """Brake permanently; return the maximum duration [s]."""
         if self._loop is None:
             return 0.0
-        self._loop.end(reason)
+        self._loop.brake_permanently(reason)
         return self._settings.shutdown_time
 
     @property
@@ -161,7 +161,7 @@ class TrackingNode(PartHost):
         self._loop = None
         gc.unfreeze()
         self.destroy_timer(self._timer)
-        self._outgoing.stop(self._now())
+        self._outputs.stop(self._now())
         self.deactivate_parts()
 
     @log_failures
@@ -177,11 +177,11 @@ class TrackingNode(PartHost):
         if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()
-        self._each_part(lambda part: part.check_activation())
+        self._call_parts(lambda part: part.check_activation())
         success = super().on_activate(state)
         assert self._controller is not None
         config = self._controller.config
-        # Log before the timer starts, since the first log line takes 30 ms, which is more than a tick.
+        # Log before the timer starts, since the first log line takes 30 ms, longer than a tick.
         self.get_logger().info(
             f"active: model {config.model}, {config.horizon} steps of {config.sample_time} s, frame {self._inbox.frame}"
         )
@@ -189,18 +189,18 @@ class TrackingNode(PartHost):
         self._controller.reset()
         self._inbox.restart()
         self._loop = ControlLoop(
-            self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
+            self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._is_held
         )
         self.activate_parts(self._loop)
-        # A full garbage collection takes about 60 ms (three ticks), so existing objects are frozen until deactivation.
+        # A full garbage collection takes about 60 ms (three ticks), so it excludes existing objects until deactivation.
         gc.collect()
         gc.freeze()
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
         period = config.sample_time
-        # The executor serves timers first. In simulated time, many messages arrive with a clock step; the guard
-        # condition delays the tick until earlier sensor messages are processed.
-        self._timer = self.create_timer(period, self._tick_due.trigger if in_sim_time else self._tick, clock=clock)
-        # The constructor truncates the period to nanoseconds, which loses one if 0.0202 s is rounded down.
+        # The executor handles timers before subscriptions. In simulated time, many messages arrive with a clock step;
+        # the guard condition delays the tick until earlier sensor messages are processed.
+        self._timer = self.create_timer(period, self._tick_trigger.trigger if in_sim_time else self._tick, clock=clock)
+        # The constructor truncates the period to nanoseconds, which loses 1 ns for a period such as 0.0202 s.
         self._period = self._timer.timer_period_ns = round(1e9 * period)
         self._ticks, self._visual_ticks = 0, max(1, round(1.0 / (self._settings.visual_rate * period)))
         self.label = "active"
@@ -244,12 +244,12 @@ class TrackingNode(PartHost):
         self._tear_down()
         super().destroy_node()
 
-    def _each_part(self, hook: Callable[[NodePart], object]) -> None:
+    def _call_parts(self, hook: Callable[[NodePart], object]) -> None:
         for part in self.parts.values():
             hook(part)
 
     def _build(self) -> None:
-        """Build the objects that exist from configuration to cleanup; destroy them if a step fails."""
+        """Build the objects that exist from configuration to cleanup; destroy them if a step raises an error."""
         settings, config = read(self, self._declared_settings), read(self, self._declared_config)
         trajectory: Trajectory | None = None
         if settings.trajectory:
@@ -258,40 +258,40 @@ class TrackingNode(PartHost):
             if trajectory.remark:
                 self.get_logger().info(trajectory.remark)
         controller = Controller(config)
-        # If a step raises, the stack destroys what exists so far; otherwise `pop_all` keeps it until cleanup.
-        with ExitStack() as built:
+        # If a step raises an error, the stack destroys the existing objects; otherwise `pop_all` keeps them.
+        with ExitStack() as resources:
             uses_tf = settings.use_tf or settings.poses_from == "tf"
             frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
             if uses_tf or (settings.use_imu and message_type("tf2_msgs", "TFMessage")):
                 for subscription in listen(self, frames, moving=uses_tf):
-                    built.callback(self.destroy_subscription, subscription)
+                    resources.callback(self.destroy_subscription, subscription)
             self._inbox = Inbox(settings, self._now, self._now(), frames if uses_tf else None)
-            # A negative sign in the configuration defines the gyro's mount; transforms of the mount are then not used.
+            # A negative sign in the configuration describes the mount of the gyro, which replaces its transforms.
             self._inbox.mounts = frames.buffer if config.sensors.yaw_rate.sign > 0 else None
-            self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
-            built.callback(self._outgoing.destroy)
-            watched: list[tuple[TopicWatch, Subscription]] = []
-            for kind, topic, take, watch in self._input_topics(self._inbox, settings):
+            self._outputs = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
+            resources.callback(self._outputs.destroy)
+            inputs: list[tuple[TopicWatch, Subscription]] = []
+            for kind, topic, callback, watch in self._input_topics(self._inbox, settings):
                 subscription = subscribe_bounded(
-                    self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
+                    self, kind, topic, callback, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
                 )
-                built.callback(self.destroy_subscription, subscription)
-                watched.append((watch, subscription))
-            wake = self.create_guard_condition(lambda: None)
-            built.callback(self.destroy_guard_condition, wake)
+                resources.callback(self.destroy_subscription, subscription)
+                inputs.append((watch, subscription))
+            has_results = self.create_guard_condition(lambda: None)
+            resources.callback(self.destroy_guard_condition, has_results)
             # Results are delivered in the executor's thread, which the guard condition wakes.
-            self._worker = SideProcess(wake.trigger, _MAX_READING_TIME)
-            built.callback(self._worker.close)
-            wake.callback = self._worker.deliver
-            self._tick_due = self.create_guard_condition(self._tick)
-            built.callback(self.destroy_guard_condition, self._tick_due)
-            built.callback(self.tear_down_parts)
-            self.configure_parts(NodeTools(settings, controller, self._inbox, self._outgoing, self._worker, watched))
+            self._worker = SideProcess(has_results.trigger, _MAX_JOB_TIME)
+            resources.callback(self._worker.close)
+            has_results.callback = self._worker.deliver
+            self._tick_trigger = self.create_guard_condition(self._tick)
+            resources.callback(self.destroy_guard_condition, self._tick_trigger)
+            resources.callback(self.tear_down_parts)
+            self.configure_parts(NodeTools(settings, controller, self._inbox, self._outputs, self._worker, inputs))
             diagnostics_timer = self.create_timer(
                 1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
-            built.callback(self.destroy_timer, diagnostics_timer)
-            self._built = built.pop_all()
+            resources.callback(self.destroy_timer, diagnostics_timer)
+            self._resources = resources.pop_all()
         self._controller = controller
         self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
 
@@ -300,11 +300,11 @@ class TrackingNode(PartHost):
         inbox: Inbox, settings: NodeSettings
     ) -> Iterator[tuple[type[Any], str, Callable[[Any], None], TopicWatch]]:
         """Yield message type, topic, callback and watch of each input of the controller."""
-        yield Odometry, "odom", inbox.take_odometry, inbox.odometry
+        yield Odometry, "odom", inbox.receive_odometry, inbox.odometry
         if settings.use_imu:
-            yield Imu, "imu", inbox.take_imu, inbox.imu
+            yield Imu, "imu", inbox.receive_imu, inbox.imu
         if settings.poses_from == "topic":
-            yield PoseWithCovarianceStamped, "pose", inbox.take_pose, inbox.pose
+            yield PoseWithCovarianceStamped, "pose", inbox.receive_pose, inbox.pose
 
     def _now(self) -> int:
         """Return the node's time [ns]."""
@@ -312,42 +312,42 @@ class TrackingNode(PartHost):
 
     def _tear_down(self) -> None:
         self._controller = None
-        self._built.close()
+        self._resources.close()
 
     def _tick(self) -> None:
-        loop, outgoing = self._loop, self._outgoing
+        loop, outputs = self._loop, self._outputs
         if loop is None:
             return
         time = self._now()
         tick = loop.tick()
-        self._each_part(lambda part: part.tick(tick))
-        # The command goes first; everything after it may take part of the period.
-        outgoing.command(tick.command, time)
-        published = loop.reference_to_publish()
-        if published is not None:
+        self._call_parts(lambda part: part.tick(tick))
+        # The command is sent first, so that all other work does not delay it.
+        outputs.command(tick.command, time)
+        update = loop.reference_to_publish()
+        if update is not None:
             # The monitor must receive the reference before the mode TRACKING.
-            outgoing.reference(published.reference, loop.inbox.stamp_of(published.t0), time)
-        outgoing.mode(tick)
+            outputs.reference(update.reference, loop.inbox.stamp_of(update.t0), time)
+        outputs.mode(tick)
         if tick.result is not None:
-            outgoing.error(tick.result, time)
+            outputs.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:
-                outgoing.visuals(tick.result, self._period, time)
+                outputs.visuals(tick.result, self._period, time)
         self._ticks += 1
         row: dict[str, Cell] = {}
-        self._each_part(lambda part: part.after_tick(tick, time, row))
+        self._call_parts(lambda part: part.after_tick(tick, time, row))
 
     def _diagnose(self) -> None:
         time = self._now()
         name = self.get_fully_qualified_name().lstrip("/")
         message = diagnostics(name, time, self.label, self._loop, self.parts.values())
         self._diagnostics.publish(message)
-        before, self._shortfall = self._shortfall, "" if self._loop is None else self._loop.shortfall
-        if self._shortfall and self._shortfall != before:
+        previous, self._shortfall = self._shortfall, "" if self._loop is None else self._loop.shortfall
+        if self._shortfall and self._shortfall != previous:
             self.get_logger().warning(self._shortfall)
-        self._each_part(lambda part: part.after_diagnostics(message, time))
+        self._call_parts(lambda part: part.after_diagnostics(message, time))
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:
-        """Return a service callback that passes a request to the control loop and returns its description or error."""
+        """Return a service callback that calls `request` with the control loop and returns its result or error."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -363,11 +363,11 @@ class TrackingNode(PartHost):
 
     def _hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Hold or release the robot; a hold persists across deactivation."""
-        self._held = bool(request.data)
+        self._is_held = bool(request.data)
         if self._loop is None:
-            words = "is held after its activation" if self._held else "is not held"
+            outcome = "is held after its activation" if self._is_held else "is not held"
         else:
-            words = self._loop.hold(on=self._held)
-        response.success, response.message = True, words
-        self.get_logger().info(f"hold: {words}")
+            outcome = self._loop.hold(on=self._is_held)
+        response.success, response.message = True, outcome
+        self.get_logger().info(f"hold: {outcome}")
         return response

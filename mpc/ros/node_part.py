@@ -1,8 +1,8 @@
 """Base class of features of the node, with hooks that the node calls.
 
 A package registers a subclass of `NodePart` as an entry point of the group `diffdrive_mpc.node_parts`. The name of the
-entry point is the name of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts that are in
-its settings, and those with the name of a configured feature of the controller.
+entry point is the name of the part and the prefix of its parameters, `parts.<name>.<key>`. The node loads the parts in
+its settings, and the parts with the name of a configured feature of the controller.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 
 _Settings = TypeVar("_Settings", bound=PartSettings)
 
 
 class PathCheck(Protocol):
-    """Condition on paths of `follow_path`, which is pickled for the side process."""
+    """Condition that paths of `follow_path` must satisfy; it is pickled for the side process."""
 
-    def lay(
+    def plan(
         self,
-        lay: Callable[[TrajectoryLimits], PlannedPath],
+        plan: Callable[[TrajectoryLimits], PlannedPath],
         config: ControllerConfig,
         speed: float,
         limits: TrajectoryLimits,
@@ -46,14 +46,14 @@ class PathCheck(Protocol):
 
         Parameters
         ----------
-        lay
+        plan
             Function that plans the path within limits of speed and acceleration.
         config
             Configuration of the controller.
         speed
             Current speed of the robot [m/s].
         limits
-            Limits of the path if there were no condition.
+            Limits of speed and acceleration without this condition.
 
         Raises
         ------
@@ -72,7 +72,7 @@ class NodeTools:
     inbox: Inbox
     publishers: Publishers
     side_process: SideProcess
-    watched: Sequence[tuple[TopicWatch, Subscription]]
+    inputs: Sequence[tuple[TopicWatch, Subscription]]
     """Watches of the controller's inputs with their subscriptions."""
 
     def part_settings(self, schema: type[_Settings]) -> _Settings:
@@ -198,7 +198,7 @@ class NodePart:
         assert self.tools is not None
         return self.tools
 
-    def running(self) -> tuple[ControlLoop, NodeTools]:
+    def require_active(self) -> tuple[ControlLoop, NodeTools]:
         """Return loop and tools of the active node; raise RefusedError if it is not active."""
         if self.loop is None or self.tools is None:
             raise RefusedError(f"the node is {self.node.label}; activate it first")
@@ -208,20 +208,20 @@ class NodePart:
         self,
         kind: type[Any],
         topic: str,
-        take: Callable[[Any], None],
+        callback: Callable[[Any], None],
         qos: QoSProfile | int,
         refuse: Callable[[str], None],
         max_bytes: int = SENSOR_BYTES,
     ) -> None:
-        """Subscribe to messages of at most `max_bytes` until the part is torn down."""
-        subscription = subscribe_bounded(self.node, kind, topic, take, qos, refuse=refuse, max_bytes=max_bytes)
+        """Subscribe to messages of at most `max_bytes` until the part is torn down, see `subscribe_bounded`."""
+        subscription = subscribe_bounded(self.node, kind, topic, callback, qos, refuse=refuse, max_bytes=max_bytes)
         self._subscriptions.append(subscription)
 
     def subscribe_raw(
-        self, kind: type[Any], topic: str, take: Callable[[bytes], None], qos: QoSProfile | int = 1
+        self, kind: type[Any], topic: str, callback: Callable[[bytes], None], qos: QoSProfile | int = 1
     ) -> None:
         """Subscribe to serialised messages until the part is torn down."""
-        self._subscriptions.append(self.node.create_subscription(kind, topic, take, qos, raw=True))
+        self._subscriptions.append(self.node.create_subscription(kind, topic, callback, qos, raw=True))
 
     def unsubscribe(self) -> None:
         """Destroy the subscriptions."""

@@ -33,7 +33,7 @@ from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.two_sided import SIDES, TwoSided, side_fields
 from diffdrive_mpc.mpc.config.feature_groups import is_disabled, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
-from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
+from diffdrive_mpc.mpc.config.former_keys import current_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -48,7 +48,7 @@ NONE = 0.0
 
 
 class _Entry(NamedTuple):
-    """Field of a schema with its dotted key and its value in an instance; the value is None without instance."""
+    """Field of a schema, with its dotted key and its value; the value is None if there is no instance."""
 
     key: str
     field: FieldInfo
@@ -73,11 +73,11 @@ def _entries(config: BaseModel | type[BaseModel]) -> list[_Entry]:
 
 
 _PREFIXES = {"parts": "parts.", "features": ""}
-"""Prefix of the keys in a mapping from names to groups, by the field of the mapping."""
+"""Prefix of the keys of named groups, by the field that maps names to groups."""
 
 
 def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_Entry]:
-    """Yield the fields of all groups with their plain keys, without lists."""
+    """Yield the fields of all groups with their plain keys; lists are omitted."""
     for name, field in (config if isinstance(config, type) else type(config)).model_fields.items():
         kind, value = field.annotation, None if isinstance(config, type) else getattr(config, name)
         if name in _PREFIXES:
@@ -92,14 +92,14 @@ def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_
                 yield _Entry(prefix + side, side_field, limit)
 
 
-def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
+def _list_fields(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
     """Yield the lists of an instance with their plain keys."""
     for name, value in config if isinstance(config, BaseModel) else ():
         groups = {name: value} if isinstance(value, BaseModel) else value if name in _PREFIXES else {}
         if isinstance(value, list):
             yield prefix + name, value
         for group_name, group in groups.items():
-            yield from _lists(group, f"{prefix}{_PREFIXES.get(name, '')}{group_name}.")
+            yield from _list_fields(group, f"{prefix}{_PREFIXES.get(name, '')}{group_name}.")
 
 
 def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tuple[str, ...] = ()) -> None:
@@ -111,15 +111,15 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
         If an override from the command line or a parameter file has a wrong type or is out of range.
     """
     if isinstance(config, ControllerConfig):
-        present = {plain_key(key): key for key, _ in fields(config)}
-        _rename_keys(node, lambda name: present.get(plain_key(name), name))
+        current_keys = {plain_key(key): key for key, _ in fields(config)}
+        _rename_keys(node, lambda name: current_keys.get(plain_key(name), name))
     parameters = [
         (key, _to_parameter(value), descriptor(field, read_only=read_only))
         for key, field, value in _entries(config)
         if key not in skip
     ]
     overrides = _overrides(node)
-    # YAML and the command line write 1 instead of 1.0, which ROS would reject as a wrong type.
+    # Users write 1 instead of 1.0 in YAML and on the command line, which ROS would reject as a wrong type.
     for key, value, _ in parameters:
         if key in overrides and isinstance(value, float):
             overrides[key] = _as_real(overrides[key])
@@ -127,19 +127,19 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
 
 
 def _as_real(parameter: Parameter) -> Parameter:
-    """Convert an integer parameter to a real number; return other parameters unchanged."""
+    """Convert an integer parameter to a floating-point parameter; return other parameters unchanged."""
     if parameter.type_ is not Parameter.Type.INTEGER:
         return parameter
     return Parameter(parameter.name, value=float(parameter.value))
 
 
-_NO_HINT = "; docs/parameters.md lists all of them"
+_DEFAULT_HINT = "; docs/parameters.md lists all of them"
 _ROS_PREFIX = "qos_overrides."
-"""Prefix of parameters that rclpy declares, partly after this check."""
+"""Prefix of parameters that rclpy declares, some of them after `check_overrides`."""
 
 
 def check_overrides(node: Node, config: ControllerConfig) -> None:
-    """Check that each parameter of the command line and of files is declared; warn about parameters without effect.
+    """Check that all parameters of the command line and of files are declared; warn about parameters without effect.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
         If an unknown parameter resembles a parameter of the node; the message suggests that parameter. Other unknown
         parameters cause only a warning, since other nodes share the section `/**` of a file.
     """
-    groups = {known.partition(".")[0] for known in node.list_parameters([], 0).names if "." in known}
+    groups = {key.partition(".")[0] for key in node.list_parameters([], 0).names if "." in key}
     disabled: dict[str, list[str]] = {}
     for name, parameter in _overrides(node).items():
         group, _, key = plain_key(name).rpartition(".")
@@ -159,7 +159,7 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
             disabled.setdefault(switch, []).append(name)
         elif not name.startswith(_ROS_PREFIX) and fixed_values().get(plain_key(name)) != parameter.value:
             message = unknown_parameter(node, config, name)
-            if not message.endswith(_NO_HINT) or name.partition(".")[0] in groups:
+            if not message.endswith(_DEFAULT_HINT) or name.partition(".")[0] in groups:
                 raise ConfigError(message)
             node.get_logger().warning(f"without effect: {message}")
     for switch, names in disabled.items():
@@ -167,27 +167,27 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
 
 
 def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
-    """Return the message about an undeclared parameter: a suggestion, or the new location of its value."""
+    """Return the message about an undeclared parameter: a suggestion, or the new key or file of its value."""
     key = plain_key(name)
     if removed_message(key):
         return f"parameter {removed_message(key)}"
-    place = present_place(name.removeprefix(f"{EXPERT}."))
+    place = current_place(name.removeprefix(f"{EXPERT}."))
     if key in fixed_values():
         return f"{name!r} is {place} now, with the value {fixed_values()[key]}; remove it"
-    if key in dict(_lists(config)) or place:
+    if key in dict(_list_fields(config)) or place:
         return f"{name!r} is not a parameter: set {place or shown_key(key)} in the file given by the parameter config"
     similar = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)
     if similar:
         return f"unknown parameter {name!r}; did you mean '{similar[0]}'?"
     hints = (suggestion(schema, key.split("."), shown_key) for schema in (ControllerConfig, NodeSettings))
-    hint = next((hint for hint in hints if "did you mean" in hint), _NO_HINT)
+    hint = next((hint for hint in hints if "did you mean" in hint), _DEFAULT_HINT)
     return f"unknown parameter {name!r}{hint}"
 
 
-def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
-    """Return `config` with a group for each feature that only parameters configure.
+def with_features(node: Node, config: ControllerConfig) -> ControllerConfig:
+    """Return `config` with an additional group for each feature that is only configured by parameters.
 
-    Without this, ROS would silently ignore the parameters.
+    Otherwise ROS would silently ignore the parameters of such a feature.
 
     Raises
     ------
@@ -208,8 +208,8 @@ def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
     return config.model_copy(update={"features": {**config.features, **groups}})
 
 
-def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:
-    """Return `settings` with a group for each part that parameters or features of the controller require.
+def with_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:
+    """Return `settings` with an additional group for each part that parameters or features require.
 
     Raises
     ------
@@ -223,33 +223,33 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
         if name in overrides:
             raise ConfigError(f"parameter {name} was removed: {remedy}")
     for name in FORMER_SETTINGS.keys() & overrides.keys():
-        # A file of version 0.2.0 with the default value must not require the package of the part.
+        # A file of version 0.2.0 that contains the default must not require the package of the part.
         if overrides[name].value == FORMER_SETTINGS[name][1]:
             part = FORMER_SETTINGS[name][0]
             node.get_logger().warning(f"parameter {name} is parts.{part}.{name} now; the default is used")
             del overrides[name]
     _rename_keys(node, lambda name: f"parts.{FORMER_SETTINGS[name][0]}.{name}" if name in FORMER_SETTINGS else name)
-    named = [name.split(".")[1] for name in overrides if name.startswith("parts.")]
+    part_names = [name.split(".")[1] for name in overrides if name.startswith("parts.")]
     installed = plug_in_names("node_parts")
-    named += [name for name in features if name in installed]
-    groups = {name: plug_in("node_parts", name).schema() for name in dict.fromkeys(named)}
+    part_names += [name for name in features if name in installed]
+    groups = {name: plug_in("node_parts", name).schema() for name in dict.fromkeys(part_names)}
     return settings.model_copy(update={"parts": {**groups, **settings.parts}})
 
 
 def _overrides(node: Node) -> dict[str, Parameter]:
-    """Return the parameters of the command line and of parameter files, for which rclpy 7.1 has no public name."""
+    """Return the parameters of the command line and of parameter files, which rclpy 7.1 does not expose publicly."""
     overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
     return overrides
 
 
-def _rename_keys(node: Node, present_name: Callable[[str], str]) -> None:
+def _rename_keys(node: Node, current_name: Callable[[str], str]) -> None:
     """Rename overrides that have a former name or are in the wrong section, with a warning for each.
 
-    ROS silently ignores undeclared parameters, so without this a limit in a file would have no effect.
+    ROS silently ignores undeclared parameters, so a limit under its former name would otherwise have no effect.
     """
     overrides = _overrides(node)
     for name, parameter in list(overrides.items()):
-        key = present_name(name)
+        key = current_name(name)
         if key == name:
             continue
         is_renamed = key not in overrides
@@ -261,7 +261,7 @@ def _rename_keys(node: Node, present_name: Callable[[str], str]) -> None:
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Build the descriptor of a field with its range; the constraints contain exclusive bounds as text."""
+    """Build the descriptor of a field with its range; exclusive bounds are additional constraints in words."""
     bounds = [bound for bound in _metadata(field) if isinstance(bound, Gt | Ge | Lt | Le)]
     low: Any = next((b.gt if isinstance(b, Gt) else b.ge for b in bounds if isinstance(b, Gt | Ge)), None)
     high: Any = next((b.lt if isinstance(b, Lt) else b.le for b in bounds if isinstance(b, Lt | Le)), None)
@@ -269,14 +269,14 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     constraints += [f"less than {b.lt}" for b in bounds if isinstance(b, Lt)]
     if get_origin(field.annotation) is Literal:
         constraints.append(f"one of {', '.join(get_args(field.annotation))}")
-    if _optional(field):
+    if _is_optional(field):
         constraints, low = [*constraints, f"{NONE:g}: none"], NONE
     result = ParameterDescriptor(
         description=field.description or "", additional_constraints=", ".join(constraints), read_only=read_only
     )
     if low is None and high is None:
         return result
-    if _kind(field) is int:
+    if _value_type(field) is int:
         result.integer_range = [
             IntegerRange(
                 from_value=-_MAX_INTEGER if low is None else int(low),
@@ -284,10 +284,10 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
             )
         ]
     else:
-        largest = sys.float_info.max
+        maximum = sys.float_info.max
         result.floating_point_range = [
             FloatingPointRange(
-                from_value=-largest if low is None else float(low), to_value=largest if high is None else float(high)
+                from_value=-maximum if low is None else float(low), to_value=maximum if high is None else float(high)
             )
         ]
     return result
@@ -303,10 +303,10 @@ def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object
     models.checked_yaml.ConfigError
         If a value does not fit the schema.
     """
-    values = dict(_lists(config))
+    values = dict(_list_fields(config))
     for key, field in fields(config):
         value = (changes or {})[key] if key in (changes or {}) else node.get_parameter(key).value
-        values[plain_key(key)] = None if _optional(field) and value == NONE else value
+        values[plain_key(key)] = None if _is_optional(field) and value == NONE else value
     data: dict[str, Any] = {}
     for key, value in values.items():
         if value is None and key.rpartition(".")[2] in SIDES:
@@ -315,7 +315,7 @@ def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object
         level = data
         for group in groups:
             if isinstance(level.get(group), float):
-                # A limit with sides: its common value was set first, and a side replaces it.
+                # A two-sided limit: the common value of both sides was stored first, and a side replaces it.
                 level[group] = dict.fromkeys(SIDES[name], level[group])
             level = level.setdefault(group, {})
         level[name] = value
@@ -330,14 +330,14 @@ def _to_parameter(value: object) -> Value:
     return float(value) if isinstance(value, TwoSided) else value
 
 
-def _kind(field: FieldInfo) -> type:
-    """Return the type of the field's values, without None for an optional field."""
+def _value_type(field: FieldInfo) -> type:
+    """Return the type of the field's values; for an optional field, the type other than None."""
     kinds = [kind for kind in get_args(field.annotation) or (field.annotation,) if kind is not NoneType]
     inner = get_args(kinds[0])
     return inner[0] if inner else kinds[0]
 
 
-def _optional(field: FieldInfo) -> bool:
+def _is_optional(field: FieldInfo) -> bool:
     return NoneType in get_args(field.annotation)
 
 
@@ -349,14 +349,12 @@ def _metadata(field: FieldInfo) -> Iterator[object]:
             yield from item.metadata if isinstance(item, FieldInfo) else (item,)
 
 
-# Changes of parameters while the node runs; they are first validated without side effects, then applied.
-
-
-_WHILE_DRIVING = ("weights.", "limits.")
+# Prefixes of parameters that can change while the robot drives.
+_CHANGEABLE_PREFIXES = ("weights.", "limits.")
 
 
 class ParameterChanges:
-    """Validation and application of changes of declared parameters; other parameters are not checked.
+    """Callbacks that validate and apply changes of declared parameters; other parameters are not checked.
 
     Parameters
     ----------
@@ -364,9 +362,9 @@ class ParameterChanges:
         Node with the parameters.
     settings, config
         Declared settings and configuration.
-    running
+    active_controller
         Function that returns the active controller; None while the node is not active.
-    changed
+    on_change
         Function that is called after a change of weights or limits of the active controller.
 
     Attributes
@@ -380,11 +378,11 @@ class ParameterChanges:
         node: Node,
         settings: NodeSettings,
         config: ControllerConfig,
-        running: Callable[[], Controller | None],
-        changed: Callable[[], None],
+        active_controller: Callable[[], Controller | None],
+        on_change: Callable[[], None],
     ) -> None:
         self._node, self._settings, self._config = node, settings, config
-        self._running, self._changed = running, changed
+        self._active_controller, self._on_change = active_controller, on_change
         self._known = {name for part in (settings, config) for name, _ in fields(part)} | {"use_sim_time"}
         self.pending = False
         node.add_pre_set_parameters_callback(self._prepare)
@@ -392,7 +390,7 @@ class ParameterChanges:
         node.add_post_set_parameters_callback(self._apply)
 
     def _prepare(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Convert integers to real numbers; raise an error with a suggestion for an undeclared parameter."""
+        """Convert integers to floating-point numbers; raise an error with a suggestion for an undeclared parameter."""
         for parameter in parameters:
             if not self._node.has_parameter(parameter.name):
                 error = ParameterNotDeclaredException([])
@@ -403,18 +401,18 @@ class ParameterChanges:
         return [_as_real(item) if types[item.name] == real else item for item in parameters]
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
-        changes = self._declared(parameters)
-        fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
+        changes = self._select_declared(parameters)
+        fixed = [name for name, value in changes.items() if self._requires_inactive_node(name, value)]
         if fixed:
             reason = f"{fixed[0]} cannot change while the node is active; pause, deactivate, set it, activate"
             return SetParametersResult(successful=False, reason=reason)
         try:
             read(self._node, self._settings, changes)
             config = read(self._node, self._config, changes)
-            # Some errors only appear while the controller is built, such as a horizon within the dead time.
-            if any(not plain_key(name).startswith(_WHILE_DRIVING) for name in changes):
+            # Only the construction of a controller detects some errors, such as a horizon within the dead time.
+            if any(not plain_key(name).startswith(_CHANGEABLE_PREFIXES) for name in changes):
                 Controller(config)
-            controller = self._running()
+            controller = self._active_controller()
             if controller is not None:
                 # The change must be possible while driving, since `_apply` cannot reject it.
                 controller.updated(*_groups(changes, config))
@@ -422,25 +420,25 @@ class ParameterChanges:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _is_fixed_now(self, name: str, value: object) -> bool:
-        if self._running() is None or plain_key(name).startswith(_WHILE_DRIVING):
+    def _requires_inactive_node(self, name: str, value: object) -> bool:
+        if self._active_controller() is None or plain_key(name).startswith(_CHANGEABLE_PREFIXES):
             return False
         return bool(self._node.get_parameter(name).value != value)
 
     def _apply(self, parameters: list[Parameter]) -> None:
         """Apply changes between two ticks while active; otherwise they take effect at the next activation."""
-        changes = self._declared(parameters)
+        changes = self._select_declared(parameters)
         self.pending = self.pending or bool(changes)
-        controller = self._running()
+        controller = self._active_controller()
         if controller is not None and changes:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 controller.update(*_groups(changes, read(self._node, self._config)))
             for warning in caught:
                 self._node.get_logger().warning(str(warning.message))
-            self._changed()
+            self._on_change()
 
-    def _declared(self, parameters: Iterable[Parameter]) -> dict[str, Any]:
+    def _select_declared(self, parameters: Iterable[Parameter]) -> dict[str, Any]:
         return {item.name: item.value for item in parameters if item.name in self._known}
 
 
@@ -449,17 +447,14 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     return [
         {
             name: getattr(getattr(config, prefix[:-1]), name)
-            # A change of one side of a limit replaces the whole limit.
+            # A change of one side of a limit replaces the limit of both sides.
             for name in (key.split(".")[1] for key in map(plain_key, changes) if key.startswith(prefix))
         }
-        for prefix in _WHILE_DRIVING
+        for prefix in _CHANGEABLE_PREFIXES
     ]
 
 
-# Transitions with a report of failures, and rejection of forbidden transitions, which rclpy lacks.
-
-
-class Managed(Protocol):
+class ManagedNode(Protocol):
     """Lifecycle node that stores the reason for its last failed transition."""
 
     failure: str
@@ -469,12 +464,12 @@ class Managed(Protocol):
         ...
 
 
-NodeType = TypeVar("NodeType", bound=Managed)
+NodeType = TypeVar("NodeType", bound=ManagedNode)
 Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
 
 
 def log_failures(transition: Transition[NodeType]) -> Transition[NodeType]:
-    """Log exceptions of a transition; it returns FAILURE for ValueError and OSError, and ERROR for others."""
+    """Wrap a transition so that it logs exceptions; it returns FAILURE for ValueError and OSError, else ERROR."""
 
     @wraps(transition)
     def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:
@@ -495,8 +490,7 @@ def log_failures(transition: Transition[NodeType]) -> Transition[NodeType]:
 def reject_forbidden_transitions(node: LifecycleNode) -> None:
     """Replace the callback of the service change_state, so that it rejects forbidden transitions with a warning.
 
-    The callback of rclpy raises an error for a transition that the state does not allow, which ends `spin` and the
-    process.
+    For such a transition, the callback of rclpy raises an error, which ends `spin` and the process.
     """
     services = {service.srv_type: service for service in node.services}
     change = services[ChangeState].callback

@@ -56,8 +56,8 @@ class Publishers:
         create = node.create_lifecycle_publisher
         self._command = command_output(node, settings, config)
         self._estimate = EstimateOutput(node, settings, frame)
-        self._predicted = create(Path, "~/predicted_path", 1)
-        self._reference = create(Path, "~/reference_path", _LATCHED)
+        self._predicted_path = create(Path, "~/predicted_path", 1)
+        self._reference_path = create(Path, "~/reference_path", _LATCHED)
         self._marker = create(Marker, "~/error_marker", 1)
         self._error = create(Vector3Stamped, "~/tracking_error", 10)
         self._mode = create(String, "~/mode", _LATCHED)
@@ -68,7 +68,7 @@ class Publishers:
         """Destroy all publishers."""
         self._command.destroy()
         self._estimate.destroy()
-        subscribed = (self._predicted, self._reference, self._marker, self._error, self._mode)
+        subscribed = (self._predicted_path, self._reference_path, self._marker, self._error, self._mode)
         for publisher in (*subscribed, self._tick, self._drive):
             self._node.destroy_lifecycle_publisher(publisher)
 
@@ -85,12 +85,12 @@ class Publishers:
         """Publish and log mode and message after a change of the mode."""
         if tick.mode != self._last_mode:
             self._last_mode = tick.mode
-            words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
-            self._mode.publish(String(data=words))
-            self._node.get_logger().info(words)
+            text = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
+            self._mode.publish(String(data=text))
+            self._node.get_logger().info(text)
 
     @property
-    def recorded(self) -> bool:
+    def has_recorder(self) -> bool:
         """True if the topic of the tick records has a subscriber."""
         return bool(self._tick.get_subscription_count())
 
@@ -111,16 +111,16 @@ class Publishers:
         self._error.publish(message)
 
     def reference(self, reference: Reference, start: int, time: int) -> None:
-        """Publish the path of `reference` with the start time `start` [ns]; late subscribers also receive it."""
+        """Publish the path of `reference` with the start time `start` [ns], also to subscribers that start later."""
         times = path_times(reference.duration)
         stamps = start + np.round(times * 1e9).astype(np.int64)
-        self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
+        self._reference_path.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 
     def visuals(self, result: StepResult, period: int, time: int) -> None:
         """Publish the predicted path, with a pose per `period` [ns], and the marker, if they have subscribers."""
-        if result.plan is not None and self._predicted.get_subscription_count():
+        if result.plan is not None and self._predicted_path.get_subscription_count():
             stamps = (time + period * index for index in range(len(result.plan)))
-            self._predicted.publish(self._path(result.plan, stamps, time))
+            self._predicted_path.publish(self._path(result.plan, stamps, time))
         if result.reference is not None and result.estimate is not None and self._marker.get_subscription_count():
             self._marker.publish(self._line(result.estimate.pose, result.reference[0], result.mode, time))
 
@@ -142,10 +142,8 @@ class Publishers:
         return marker
 
 
-# Descriptions of publishers and subscribers on the node's topics, for wrong message types and missing publishers.
-
-
 _PACKAGE = "geometry_msgs/msg/"
+# Part of the node name that rclpy returns until the node is discovered.
 _UNKNOWN = "_UNKNOWN_"
 NAMELESS = "a node whose name is not known yet"
 _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
@@ -153,13 +151,13 @@ _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
 
 def mismatched_subscribers(node: Node, topic: str, *, stamped: bool) -> str:
     """Describe the subscribers of `topic` with a wrong command type, and the remedy; empty if there are none."""
-    sent, unsent = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
-    mismatched = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unsent]
+    used, wrong = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
+    mismatched = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + wrong]
     if not mismatched:
         return ""
     return (
-        f"{_names(mismatched)} subscribes to {topic} with type {unsent} and does not receive this node's {sent}: set "
-        f"the parameter {_COMMANDS[unsent]}"
+        f"{_names(mismatched)} subscribes to {topic} with type {wrong} and does not receive this node's {used}: set "
+        f"the parameter {_COMMANDS[wrong]}"
     )
 
 
@@ -219,7 +217,7 @@ class EstimateOutput:
         self._publisher = node.create_lifecycle_publisher(Odometry, ESTIMATE, 10)
 
     def send(self, estimate: Estimate | None, time: int) -> None:
-        """Publish the estimate of the tick at `time` [ns]; None before the first pose is ignored."""
+        """Publish the estimate of the tick at `time` [ns]; do nothing if there is no estimate."""
         if estimate is None or not self._publisher.get_subscription_count():
             return
         message = Odometry(child_frame_id=self._base)

@@ -1,4 +1,4 @@
-"""Recording of the active node's inputs, results and messages in an MCAP file with the format of `simulate --log`."""
+"""Recording of the active node's inputs, results and messages in an MCAP file in the format of `simulate --log`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.trajectories.native import table_of
 # Time limit for opening the file before the first tick and for closing it after the last tick [s].
 _TIMEOUT = 5.0
 Method = Callable[..., None]
-# Longer lines are omitted, since they exceed a message to the writing process and would end the recording.
+# Longer lines are omitted, since they exceed the message size of the writing process and would end the recording.
 _MAX_LINE_LENGTH = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
@@ -65,7 +65,7 @@ class ActivationRecording:
 
     def __init__(self, settings: NodeSettings, config: ControllerConfig, frame: str, logger: Any) -> None:  # noqa: ANN401
         path = Path(settings.record_folder).expanduser() / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
-        self._logger, self._warned = logger, False
+        self._logger, self._has_warned = logger, False
         self._period = round(1e9 * config.sample_time)
         self._recorder = DriveRecorder(
             path,
@@ -84,8 +84,8 @@ class ActivationRecording:
         return bool(self._recorder.fault or self._recorder.lost)
 
     @property
-    def words(self) -> str:
-        """State of the recording as text."""
+    def status(self) -> str:
+        """State of the recording: path and lost messages, or the fault that ended it."""
         recorder = self._recorder
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
@@ -144,8 +144,8 @@ class ActivationRecording:
         self._warn()
 
     def _warn(self) -> None:
-        if self._recorder.fault and not self._warned:
-            self._warned = True
+        if self._recorder.fault and not self._has_warned:
+            self._has_warned = True
             self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not affected")
 
 
@@ -177,11 +177,8 @@ def _metadata(settings: NodeSettings, config: ControllerConfig) -> Metadata:
     }
 
 
-# Data of each tick for external recorders: all inputs of the controller, and its result.
-
-
 class TickRecords:
-    """Builder of numbered records of drives, and of records of their ticks.
+    """Builder of the records of drives and ticks, from which external recorders can replay a drive.
 
     Parameters
     ----------
@@ -195,21 +192,21 @@ class TickRecords:
         self._last_drive: tuple[Drive, ControllerConfig] | None = None
 
     def lines(self, drive: Drive, tick: LoopTick) -> list[tuple[str, str]]:
-        """Return the lines to publish for a tick of `drive`, with their topics; a line for a new drive is first."""
+        """Return the lines to publish for a tick of `drive`, with their topics; the line of a new drive comes first."""
         records = ((DRIVE, self.drive(drive)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
 
     def drive(self, drive: Drive) -> DriveRecord | None:
-        """Return the record of `drive` if the drive or the configuration has changed since the last call, else None."""
+        """Return the record of `drive`; None if drive and configuration are those of the last call."""
         config = self._controller.config
         if self._last_drive is not None and self._last_drive[0] is drive and self._last_drive[1] is config:
             return None
-        starts = self._last_drive is None or self._last_drive[0] is not drive
+        is_new_drive = self._last_drive is None or self._last_drive[0] is not drive
         self._last_drive = (drive, config)
         self._number += 1
         reference, values = table_of(drive.reference), config.model_dump(mode="json")
         model = _model_text(config.model)
-        return DriveRecord(self._number, starts, drive.reset, drive.t0, reference, values, model, drive.continues)
+        return DriveRecord(self._number, is_new_drive, drive.reset, drive.t0, reference, values, model, drive.continues)
 
     def tick(self, tick: LoopTick) -> TickRecord | None:
         """Build the record of a tick of the last recorded drive; return None if the controller was not called."""
@@ -218,8 +215,8 @@ class TickRecords:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # The number is 0 if a backend was stopped without a solution, otherwise at least 1. A value of 1 also
-        # reproduces the unconstrained minimiser.
+        # A replay needs 0 iterations for a backend that was stopped without a solution, and otherwise at least 1. A
+        # value of 1 also reproduces the unconstrained minimiser.
         is_stopped = solver.status is SolverStatus.TIME_LIMIT
         max_iterations = None if not solver.missed else 0 if is_stopped else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, max_iterations)
@@ -237,7 +234,7 @@ def _model_text(model: str) -> str:
 
 
 class RecordingPart(NodePart):
-    """Publication of tick records and recording of an activation, as last part, since other parts add columns."""
+    """Publication of tick records, and recording of an activation; the last part, since other parts add columns."""
 
     recording: ActivationRecording | None = None
     records: TickRecords | None = None
@@ -245,19 +242,19 @@ class RecordingPart(NodePart):
 
     def activate(self) -> None:
         """Start a recording if it is enabled."""
-        tools = self.running()[1]
+        tools = self.require_active()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
         self.recording = self._start_recording(tools) if tools.settings.record else None
 
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
         """Publish and record the tick."""
-        loop, tools = self.running()
+        loop, tools = self.require_active()
         drive, recording = loop.drive, self.recording
         if drive is not None and drive is not self._recorded:
             self._recorded = drive
             if recording is not None:
                 recording.reference(drive, time)
-        if drive is not None and (tools.publishers.recorded or recording is not None):
+        if drive is not None and (tools.publishers.has_recorder or recording is not None):
             self._publish(drive, tick, time)
         if recording is not None:
             recording.tick(tick, time, loop.inbox, row)
@@ -270,13 +267,13 @@ class RecordingPart(NodePart):
 
     def diagnostics(self) -> Mapping[str, str]:
         """Return the state of the recording."""
-        return {} if self.recording is None else {"recording": self.recording.words}
+        return {} if self.recording is None else {"recording": self.recording.status}
 
     @property
     def fault(self) -> str:
         """Reason why the recording is incomplete; empty if it is complete."""
         recording = self.recording
-        return f"recording: {recording.words}" if recording is not None and recording.incomplete else ""
+        return f"recording: {recording.status}" if recording is not None and recording.incomplete else ""
 
     def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Record the diagnostics message."""
@@ -286,7 +283,7 @@ class RecordingPart(NodePart):
     def _start_recording(self, tools: NodeTools) -> ActivationRecording | None:
         """Start the recording of this activation; log a warning and return None if it cannot be started."""
         try:
-            # Two robots that are activated in the same second must not write to the same file.
+            # The namespace separates the files of robots that are activated in the same second.
             folder = tools.settings.record_folder + self.node.get_namespace().rstrip("/")
             settings = tools.settings.model_copy(update={"record_folder": folder})
             return ActivationRecording(settings, tools.controller.config, tools.inbox.frame, self.node.get_logger())
@@ -295,7 +292,7 @@ class RecordingPart(NodePart):
             return None
 
     def _publish(self, drive: Drive, tick: LoopTick, time: int) -> None:
-        """Publish and record the data for a replay of the tick; after a fault, no more data are published."""
+        """Publish and record the replay data of the tick; after an error, no further data are published."""
         if self.records is None or self.tools is None:
             return
         try:

@@ -1,6 +1,6 @@
-"""Conversion of messages to references, with the checks of references from files.
+"""Conversion of messages to references, with the same checks as for files.
 
-The conversion runs in a separate process. A reference stays in the frame of its message.
+The side process runs the conversion. A reference is in the frame of its message.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from diffdrive_mpc.mpc.ros.conversions import (
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
+from diffdrive_mpc.mpc.trajectories.timed_poses import fit_timed_poses
 
-# The conversion of this many poses takes 15 ms in the separate process.
+# Maximum number of poses, whose conversion takes 15 ms in the side process.
 _MAX_POSES = 1000
 MAX_BYTES = path_bytes(_MAX_POSES)
 """Maximum size of an accepted message [bytes]."""
@@ -39,8 +39,8 @@ MAX_TRAJECTORY_BYTES = MAX_BYTES + _MAX_POSES * 3 * 6 * 8
 """Maximum size of a trajectory message whose points include velocity, acceleration and effort [bytes]."""
 
 
-class StatedReference(NamedTuple):
-    """Reference with its frame, and the time of the frame [ns]; 0 is the current time."""
+class FramedReference(NamedTuple):
+    """Reference with its frame, and the time at which the frame is looked up [ns]; 0 is the current time."""
 
     reference: SplineTrajectory
     frame: str
@@ -51,30 +51,30 @@ def preload() -> None:
     """Load this module in the side process before the first reference arrives; the body is empty."""
 
 
-def read_path(raw: bytes, limits: Limits) -> StatedReference:
+def read_path(raw: bytes, limits: Limits) -> FramedReference:
     """Read a serialised Path; see `path_reference`."""
     message: Path = deserialize_message(raw, Path)
-    return StatedReference(path_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp))
+    return FramedReference(path_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp))
 
 
-def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
+def read_trajectory(raw: bytes, limits: Limits) -> FramedReference:
     """Read a serialised MultiDOFJointTrajectory; see `trajectory_reference`."""
     message: MultiDOFJointTrajectory = deserialize_message(raw, MultiDOFJointTrajectory)
-    return StatedReference(
+    return FramedReference(
         trajectory_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp)
     )
 
 
 def timed_trajectory_type() -> type[Any] | None:
-    """Return nav_msgs/Trajectory (Lyrical) or its predecessor nav2_msgs/Trajectory (Kilted); None without both."""
+    """Return nav_msgs/Trajectory (Lyrical) or its predecessor nav2_msgs/Trajectory (Kilted); None if not installed."""
     return message_type("nav_msgs", "Trajectory") or message_type("nav2_msgs", "Trajectory")
 
 
-def read_timed_trajectory(raw: bytes, limits: Limits) -> StatedReference:
+def read_timed_trajectory(raw: bytes, limits: Limits) -> FramedReference:
     """Read a serialised message of `timed_trajectory_type`; see `timed_trajectory_reference`."""
     message: Any = deserialize_message(raw, timed_trajectory_type())
     reference = timed_trajectory_reference(message, limits)
-    return StatedReference(reference, message.header.frame_id, nanoseconds(message.header.stamp))
+    return FramedReference(reference, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - one of two types
@@ -96,11 +96,11 @@ def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory
             )
         stamps.append(nanoseconds(point.header.stamp))
     times = [(stamp - stamps[0]) / NANOSECONDS for stamp in stamps]
-    return _lay(times, [planar_pose(point.pose) for point in message.points], limits, "trajectory")
+    return _fit(times, [planar_pose(point.pose) for point in message.points], limits, "trajectory")
 
 
 def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
-    """Convert a path with stamped poses, of whose stamps only differences are used.
+    """Convert a path with stamped poses; time 0 of the reference is the stamp of the first pose.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
             raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': use one frame")
     first = nanoseconds(message.poses[0].header.stamp)
     times = [(nanoseconds(pose.header.stamp) - first) / NANOSECONDS for pose in message.poses]
-    return _lay(times, [planar_pose(pose.pose) for pose in message.poses], limits, "path")
+    return _fit(times, [planar_pose(pose.pose) for pose in message.poses], limits, "path")
 
 
 def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> SplineTrajectory:
@@ -141,7 +141,7 @@ def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> Sp
                 Pose(position=Point(x=translation.x, y=translation.y), orientation=point.transforms[0].rotation)
             )
         )
-    return _lay(times, poses, limits, "trajectory")
+    return _fit(times, poses, limits, "trajectory")
 
 
 def _check_header(frame: str, count: int) -> None:
@@ -151,7 +151,7 @@ def _check_header(frame: str, count: int) -> None:
         raise MessageError(f"it has {count} poses; give 2 to {_MAX_POSES}")
 
 
-def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:
+def _fit(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:
     rows: FloatArray = np.column_stack([times, poses])
     index = 1 + int(np.argmax(np.diff(rows[:, 0]) <= 0))
     if rows[index, 0] <= rows[index - 1, 0]:
@@ -160,10 +160,7 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
         )
     if not all(map(math.isfinite, rows.ravel())):
         raise MessageError("it contains a number that is not finite")
-    return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
-
-
-# External speed limits (nav2_msgs/SpeedLimit), as published by the speed filter of Nav2.
+    return fit_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
 
 
 MIN_SPEED_LIMIT = 1e-3
@@ -172,7 +169,7 @@ MIN_SPEED_LIMIT = 1e-3
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """Speed limit of a message: `value` in m/s, or in percent of the maximum speed if `percentage` is True."""
+    """Speed limit of a nav2_msgs/SpeedLimit: `value` in m/s, or in % of the maximum speed if `percentage` is True."""
 
     value: float
     percentage: bool
@@ -198,11 +195,11 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     return SpeedLimit(value, bool(message.percentage))
 
 
-# Deviation of the estimated pose from the target.
-
-
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:
-    """Return the error ahead and to the left [m] and of the heading [rad]; None without estimate or plan."""
+    """Compute the tracking error of a step: along and across the path [m], and heading [rad].
+
+    The result is None if the step has no estimate or no plan.
+    """
     if result.estimate is None or result.reference is None:
         return None
     x, y, theta = result.reference[0].tolist()

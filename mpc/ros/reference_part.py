@@ -16,8 +16,8 @@ from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import (
     MAX_BYTES,
     MAX_TRAJECTORY_BYTES,
+    FramedReference,
     SpeedLimit,
-    StatedReference,
     preload,
     read_path,
     read_speed_limit,
@@ -30,29 +30,29 @@ _TOPICS = "set_path", "set_trajectory", "set_timed_trajectory"
 
 
 class ReferencePart(NodePart):
-    """Receiver of references on topics; the side process converts them, and the control loop tracks them."""
+    """Receiver of references on topics, which the side process converts and the control loop tracks."""
 
     def configure(self, _tools: NodeTools) -> None:
         """Subscribe to the topics whose message types are installed."""
-        self.subscribe_raw(Path, _TOPICS[0], self._reader(read_path))
-        self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._reader(read_trajectory))
+        self.subscribe_raw(Path, _TOPICS[0], self._callback(read_path))
+        self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._callback(read_trajectory))
         timed_type = timed_trajectory_type()
         if timed_type is not None:
-            self.subscribe_raw(timed_type, _TOPICS[2], self._reader(read_timed_trajectory, MAX_TRAJECTORY_BYTES))
+            self.subscribe_raw(timed_type, _TOPICS[2], self._callback(read_timed_trajectory, MAX_TRAJECTORY_BYTES))
 
     def after_diagnostics(self, _message: DiagnosticArray, _time: int) -> None:
         """Start the side process as soon as a node publishes references."""
         if self.loop is not None and any(self.node.count_publishers(topic) for topic in _TOPICS):
-            self.running()[1].side_process.prepare(preload)
+            self.require_active()[1].side_process.prepare(preload)
 
-    def _reader(
-        self, read_reference: Callable[[bytes, Limits], StatedReference], max_bytes: int = MAX_BYTES
+    def _callback(
+        self, read_reference: Callable[[bytes, Limits], FramedReference], max_bytes: int = MAX_BYTES
     ) -> Callable[[bytes], None]:
         """Return a callback that converts references of at most `max_bytes` in the side process."""
 
-        def take(raw: bytes) -> None:
+        def receive(raw: bytes) -> None:
             try:
-                loop, tools = self.running()
+                loop, tools = self.require_active()
             except RefusedError as error:
                 self._refuse(str(error))
                 return
@@ -61,10 +61,10 @@ class ReferencePart(NodePart):
                 return
             arguments = raw, tools.controller.config.limits
             tools.side_process.submit(
-                "reference", read_reference, arguments, lambda stated: self._offer(loop, stated), self._refuse
+                "reference", read_reference, arguments, lambda framed: self._set_reference(loop, framed), self._refuse
             )
 
-        return take
+        return receive
 
     def _refuse(self, reason: str) -> None:
         message = f"reference refused: {reason}"
@@ -72,26 +72,26 @@ class ReferencePart(NodePart):
             self.loop.refusal = message
         self.node.get_logger().error(message)
 
-    def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
-        """Pass a reference to `loop`, which was active at its arrival; log the reason if the loop rejects it."""
+    def _set_reference(self, loop: ControlLoop, framed: FramedReference) -> None:
+        """Pass a reference to `loop`, which was active at the arrival of the message; log the reason of a rejection."""
         try:
             if loop is not self.loop:
                 raise RefusedError("the node was deactivated during its conversion")
             inbox = loop.inbox
             if inbox.frames is None:
                 parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf, any frame on /tf is allowed"
-                check_frame(stated.frame, inbox.frame, parameter)
-                loop.offer(stated.reference)
+                check_frame(framed.frame, inbox.frame, parameter)
+                loop.set_reference(framed.reference)
             else:
-                loop.offer(stated.reference, inbox.frames.placement(stated.frame, stated.stamp))
+                loop.set_reference(framed.reference, inbox.frames.placement(framed.frame, framed.stamp))
         except ValueError as error:
             self._refuse(str(error))
         else:
-            self.node.get_logger().info(f"reference accepted: {stated.reference.duration:.1f} s")
+            self.node.get_logger().info(f"reference accepted: {framed.reference.duration:.1f} s")
 
 
 class SpeedLimitPart(NodePart):
-    """Receiver of speed limits on a topic; a limit also applies to later activations."""
+    """Receiver of speed limits on a topic; a limit persists across activations."""
 
     _limit: SpeedLimit | None = None
     _refusal = ""
@@ -109,7 +109,7 @@ class SpeedLimitPart(NodePart):
         if kind is None:
             self.node.get_logger().info("no subscription to speed_limit: nav2_msgs is not installed")
             return
-        self.subscribe(kind, "speed_limit", self._take, 10, self._refuse)
+        self.subscribe(kind, "speed_limit", self._receive, 10, self._refuse)
 
     def activate(self) -> None:
         """Apply the last limit."""
@@ -126,7 +126,7 @@ class SpeedLimitPart(NodePart):
             controller.limit_speed(limit)
             self.node.get_logger().info("speed limit removed" if limit is None else f"speed limit {limit:.3g} m/s")
 
-    def _take(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+    def _receive(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         try:
             limit = read_speed_limit(message)
         except ValueError as error:

@@ -14,21 +14,22 @@ from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick, RefusedError
-from diffdrive_mpc.mpc.ros.conversions import take_pending
+from diffdrive_mpc.mpc.ros.conversions import process_pending
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.publishers import NAMELESS, full_name, mismatched_subscribers, publishers_of
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
-"""Suffix of the topic on which every active node of this project has a publisher, which sends no messages."""
+"""Suffix of the topic by which active nodes of this project detect each other; nodes publish no messages on it."""
 _POLL = 0.02
+"""Period of the checks while the node waits for the discovery of other nodes [s]."""
 _NAME_TIMEOUT = 4.0
 """Maximum time from the discovery of a publisher to the discovery of its node's name [s]."""
 _PERIOD = 0.2
 """Period of the checks for other publishers while the node is active [s]."""
 
 
-class Others(NamedTuple):
+class OtherPublishers(NamedTuple):
     """Full names of other nodes that publish commands.
 
     Attributes
@@ -60,14 +61,14 @@ class Rivals:
         self._created_at = time.monotonic()
         self._claim: Publisher | None = None
 
-    def claim(self, wait: float) -> Others:
+    def claim(self, wait: float) -> OtherPublishers:
         """Claim the topic and return the other publishers.
 
         The function waits until the node has existed for `wait` [s], since the middleware needs time to discover other
         publishers. Two nodes that claim the topic at the same time detect each other.
         """
         if self._claim is None:
-            # The claim comes before the look at others, so that two nodes cannot miss each other.
+            # The claim precedes the first check, so that two nodes cannot miss each other.
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
         rivals = self.others()
         start = time.monotonic()
@@ -84,7 +85,7 @@ class Rivals:
             self._node.destroy_publisher(self._claim)
             self._claim = None
 
-    def others(self) -> Others:
+    def others(self) -> OtherPublishers:
         """Return the other discovered publishers on the topic."""
         project = self._other_publishers(f"{self.topic}/{_CLAIM}", is_included=self._claim is not None)
         foreign = self._other_publishers(self.topic, is_included=True)
@@ -92,12 +93,12 @@ class Rivals:
             if name in foreign:
                 # A node of this project also publishes on the command topic itself.
                 foreign.remove(name)
-        return Others(tuple(project), tuple(foreign))
+        return OtherPublishers(tuple(project), tuple(foreign))
 
     def _other_publishers(self, topic: str, *, is_included: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         name = self._node.get_fully_qualified_name()
-        # The first publisher with this name belongs to this node if `is_included`; others belong to other nodes.
+        # If `is_included`, one publisher with this name belongs to this node; the rest belong to other nodes.
         if is_included and name in names:
             names.remove(name)
         return names
@@ -106,8 +107,8 @@ class Rivals:
 def describe_shared_input(node: Node, watch: TopicWatch, topic: str) -> str:
     """Describe the publishers that share an input, and the remedy; empty if there is only one publisher.
 
-    The middleware may list a killed node for some time. Two publishers with the same name therefore count as two only
-    if both send messages, or if the middleware does not distinguish their messages.
+    The middleware may list a killed node for some time. Two publishers with the same name are therefore reported only
+    if both send messages, or if the middleware does not number messages.
     """
     infos, series = node.get_publishers_info_by_topic(topic), watch.series
     names = sorted({*map(full_name, infos)} - {NAMELESS})
@@ -121,14 +122,14 @@ def describe_shared_input(node: Node, watch: TopicWatch, topic: str) -> str:
     return f"{publishers} publish on {topic}, and their messages cannot be distinguished; stop all but one"
 
 
-def describe_rivals(others: Others, topic: str) -> str:
+def describe_rivals(others: OtherPublishers, topic: str) -> str:
     """Describe the conflict with other active nodes of this project; empty if there is no conflict."""
     if not others.project:
         return ""
     return f"{_names(others.project)} of this project also sends commands on {topic}; deactivate one of them"
 
 
-def describe_foreign(others: Others, topic: str) -> str:
+def describe_foreign(others: OtherPublishers, topic: str) -> str:
     """Describe the other publishers; empty if there are none."""
     return f"{_names(others.foreign)} also publishes on {topic}" if others.foreign else ""
 
@@ -138,11 +139,11 @@ def _names(names: Sequence[str]) -> str:
 
 
 class RivalWatch(NodePart):
-    """Checks for other nodes that publish commands or inputs, or that subscribe with the wrong command type."""
+    """Checks for other nodes that publish commands or inputs, or subscribe to commands with the wrong type."""
 
     rivals: Rivals | None = None
     _timer: Any = None
-    _was_shared = False
+    _was_input_shared = False
 
     def configure(self, tools: NodeTools) -> None:
         """Prepare the claim of the command topic."""
@@ -153,13 +154,13 @@ class RivalWatch(NodePart):
         assert self.rivals is not None
         assert self.tools is not None
         others = self.rivals.claim(self.tools.settings.discovery_wait)
-        objection = self._objection(self.tools, self.rivals, others)
-        if not objection and self.tools.settings.exclusive_inputs:
+        stop_reason = self._find_stop_reason(self.tools, self.rivals, others)
+        if not stop_reason and self.tools.settings.exclusive_inputs:
             self._await_inputs(self.tools)
-            objection = self._objection(self.tools, self.rivals, others)
-        if objection:
+            stop_reason = self._find_stop_reason(self.tools, self.rivals, others)
+        if stop_reason:
             self.rivals.release()
-            raise RefusedError(objection)
+            raise RefusedError(stop_reason)
 
     def activate(self) -> None:
         """Check for other publishers now and periodically."""
@@ -168,10 +169,10 @@ class RivalWatch(NodePart):
 
     def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - argument of the base class
         """Check for other publishers immediately if two publishers send messages of an input."""
-        is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.watched)
-        if is_shared and not self._was_shared:
+        is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.inputs)
+        if is_shared and not self._was_input_shared:
             self._check_others()
-        self._was_shared = is_shared
+        self._was_input_shared = is_shared
 
     def deactivate(self) -> None:
         """Release the command topic."""
@@ -185,49 +186,49 @@ class RivalWatch(NodePart):
             self.rivals.release()
             self.rivals = None
 
-    def _objection(self, tools: NodeTools, rivals: Rivals, others: Others) -> str:
+    def _find_stop_reason(self, tools: NodeTools, rivals: Rivals, others: OtherPublishers) -> str:
         """Return the reason why the node must not drive the robot; empty if it may drive."""
-        objection = describe_rivals(others, rivals.topic)
-        if not objection and others.foreign and tools.settings.exclusive_cmd_vel:
-            objection = f"{describe_foreign(others, rivals.topic)}; stop that node, or set exclusive_cmd_vel to false"
-        if not objection and tools.settings.exclusive_inputs:
-            objection = self._shared_input(tools)
-        return objection
+        stop_reason = describe_rivals(others, rivals.topic)
+        if not stop_reason and others.foreign and tools.settings.exclusive_cmd_vel:
+            stop_reason = f"{describe_foreign(others, rivals.topic)}; stop that node, or set exclusive_cmd_vel to false"
+        if not stop_reason and tools.settings.exclusive_inputs:
+            stop_reason = self._shared_input(tools)
+        return stop_reason
 
     def _shared_input(self, tools: NodeTools) -> str:
-        shared = (describe_shared_input(self.node, watch, topic.topic_name) for watch, topic in tools.watched)
+        shared = (describe_shared_input(self.node, watch, topic.topic_name) for watch, topic in tools.inputs)
         return next(filter(None, shared), "")
 
     def _await_inputs(self, tools: NodeTools) -> None:
-        """Receive messages of inputs with two publishers until both have sent messages, or until the time limit."""
+        """Receive messages of inputs with several publishers until two have sent messages, or until the time limit."""
 
         def shared() -> list[Subscription]:
-            return [topic for _, topic in tools.watched if self.node.count_publishers(topic.topic_name) > 1]
+            return [topic for _, topic in tools.inputs if self.node.count_publishers(topic.topic_name) > 1]
 
         end = time.monotonic() + tools.settings.discovery_wait
-        while shared() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
+        while shared() and not any(watch.series.is_shared for watch, _ in tools.inputs) and time.monotonic() < end:
             for subscription in shared():
-                take_pending(subscription)
+                process_pending(subscription)
             time.sleep(_POLL)
 
     def _check_others(self) -> None:
-        """Update objection and warning of the loop, which brakes if there is an objection."""
+        """Update `stop_reason` and `warning` of the loop, which brakes if there is a stop reason."""
         if self.loop is None or self.tools is None or self.rivals is None:
             return
         loop, tools, topic = self.loop, self.tools, self.rivals.topic
-        others, before = self.rivals.others(), (loop.objection, loop.warning)
-        loop.objection = self._objection(tools, self.rivals, others)
+        others, previous = self.rivals.others(), (loop.stop_reason, loop.warning)
+        loop.stop_reason = self._find_stop_reason(tools, self.rivals, others)
         warnings = (
-            "" if loop.objection else describe_foreign(others, topic),
-            # With exclusive inputs, shared inputs are an objection.
-            "" if loop.objection or tools.settings.exclusive_inputs else self._shared_input(tools),
+            "" if loop.stop_reason else describe_foreign(others, topic),
+            # With exclusive inputs, a shared input is already a stop reason.
+            "" if loop.stop_reason or tools.settings.exclusive_inputs else self._shared_input(tools),
             mismatched_subscribers(self.node, topic, stamped=tools.settings.stamped),
             self._clock_warning(loop, tools),
         )
         loop.warning = "; ".join(filter(None, warnings))
-        if (loop.objection, loop.warning) != before and (loop.objection or loop.warning):
-            self.node.get_logger().warning("; ".join(filter(None, (loop.objection, loop.warning))))
-        for watch, subscription in tools.watched:
+        if (loop.stop_reason, loop.warning) != previous and (loop.stop_reason or loop.warning):
+            self.node.get_logger().warning("; ".join(filter(None, (loop.stop_reason, loop.warning))))
+        for watch, subscription in tools.inputs:
             watch.source = "" if watch.accepted else publishers_of(self.node, subscription)
 
     def _clock_warning(self, loop: ControlLoop, tools: NodeTools) -> str:

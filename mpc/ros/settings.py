@@ -1,6 +1,6 @@
 """Typed schema of the node's settings, in addition to the controller's configuration.
 
-The unit is in brackets at the end of each description. This module does not need ROS.
+The unit is in brackets at the end of each description. This module does not import ROS.
 """
 
 from __future__ import annotations
@@ -200,11 +200,8 @@ class NodeSettings(StrictModel, strict=True):
 
     @property
     def control_frame(self) -> str:
-        """Control frame."""
+        """Frame of poses, plans and references in the controller."""
         return self.odom_frame if self.poses_from == "odometry" else self.map_frame
-
-
-# Parameters of version 0.2.0 that are now keys of a part.
 
 
 FORMER_SETTINGS: Mapping[str, tuple[str, bool | float | str]] = {
@@ -218,10 +215,10 @@ FORMER_SETTINGS: Mapping[str, tuple[str, bool | float | str]] = {
     "error_population": ("predicted_error", "drawn"),
     "error_calibration": ("predicted_error", ""),
 }
-"""Part and default by the former name of a parameter; the present name is `parts.<part>.<former name>`."""
+"""Part and default of a parameter of version 0.2.0 by its former name; the name is now `parts.<part>.<former name>`."""
 
 REPLACED_SETTINGS: Mapping[str, str] = {
     "follow_client_timeout": "set follow_blind_distance [m] instead, the distance that the robot may travel after the "
     "end of its client (default 1, 0: no limit)",
 }
-"""Remedy by the former name of a parameter without an equivalent."""
+"""Remedy for a parameter of version 0.2.0 without an equivalent, by its name."""

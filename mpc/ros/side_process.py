@@ -19,20 +19,21 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 _MODULE = "diffdrive_mpc.mpc.ros.side_process"
+# Increment of the niceness, so that the process does not delay the control loop.
 _NICENESS = 10
 _END_TIMEOUT = 2.0
 """Time limit for the end of the process [s]."""
 _START_TIMEOUT = 60.0
 """Time limit for the start of the process and the import of the module [s]; the process has a low priority."""
-Done = Callable[[Any], None]
-Failed = Callable[[str], None]
+OnResult = Callable[[Any], None]
+OnFailure = Callable[[str], None]
 
 
 class _Job(NamedTuple):
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    done: Done
-    failed: Failed
+    done: OnResult
+    failed: OnFailure
 
 
 class SideProcess:
@@ -44,28 +45,33 @@ class SideProcess:
     ----------
     wake
         Function that is called from a separate thread if `deliver` has results.
-    patience
+    time_limit
         Time limit of a function after the import of its module [s]; after this time the process is killed.
     """
 
-    def __init__(self, wake: Callable[[], None], patience: float) -> None:
-        self._wake, self._time_limit = wake, patience
-        self._changed = threading.Condition()
+    def __init__(self, wake: Callable[[], None], time_limit: float) -> None:
+        self._wake, self._time_limit = wake, time_limit
+        self._condition = threading.Condition()
         self._waiting: OrderedDict[str, _Job] = OrderedDict()
         self._results: list[tuple[_Job, bool, Any]] = []
-        self._closed = False
+        self._is_closed = False
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._link: Connection | None = None
 
     def submit(
-        self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: Done, failed: Failed
+        self,
+        key: str,
+        function: Callable[..., Any],
+        arguments: tuple[Any, ...],
+        done: OnResult,
+        failed: OnFailure,
     ) -> None:
         """Queue `function(*arguments)`; call `done` with the result, or `failed` with the reason for a failure.
 
         The function must be defined at module level. A waiting job with the same `key` is replaced and fails.
         """
-        with self._changed:
+        with self._condition:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._serve, name="side process", daemon=True)
                 self._thread.start()
@@ -73,7 +79,7 @@ class SideProcess:
             if replaced is not None:
                 self._results.append((replaced, False, "a newer request replaced it"))
             self._waiting[key] = _Job(function, arguments, done, failed)
-            self._changed.notify()
+            self._condition.notify()
         if replaced is not None:
             self._wake()
 
@@ -84,50 +90,50 @@ class SideProcess:
 
     def deliver(self) -> None:
         """Call `done` or `failed` of all completed jobs in the caller's thread."""
-        with self._changed:
+        with self._condition:
             results, self._results = self._results, []
         for job, succeeded, content in results:
             (job.done if succeeded else job.failed)(content)
 
     def close(self) -> None:
-        """End the process and drop pending requests."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-            self._end()
+        """End the process and discard pending requests."""
+        with self._condition:
+            self._is_closed = True
+            self._condition.notify()
+            self._kill_process()
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT)
 
     def _start_process(self) -> Connection:
         parent_end, child_end = socket.socketpair()
         command = [sys.executable, "-m", _MODULE, str(child_end.fileno())]
-        # In a separate session, Ctrl-C does not reach the process.
+        # The separate session keeps Ctrl-C from the process, which otherwise ends before the node.
         self._process = subprocess.Popen(
             command, pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
-        # With this copy open, the end of the process would not close the socket.
+        # An open copy of this end would keep the socket open after the end of the process.
         child_end.close()
         self._link = Connection(parent_end.detach())
         return self._link
 
-    def _end(self) -> None:
+    def _kill_process(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # A killed process ends in any case, so the wait is limited.
+            # A killed process ends in any case, so this process need not wait longer.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_TIMEOUT)
                 self._process = None
 
     def _serve(self) -> None:
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._closed)
-                if self._closed:
+            with self._condition:
+                self._condition.wait_for(lambda: self._waiting or self._is_closed)
+                if self._is_closed:
                     break
                 _, job = self._waiting.popitem(last=False)
             succeeded, content = self._run_job(job)
-            with self._changed:
-                if self._closed:
+            with self._condition:
+                if self._is_closed:
                     break
                 self._results.append((job, succeeded, content))
             self._wake()
@@ -152,11 +158,11 @@ class SideProcess:
             pass
         except (pickle.PicklingError, TypeError, AttributeError, MemoryError) as error:
             reason = f"it cannot be sent to the process that converts it: {error}"
-        with self._changed:
-            if self._link is not None and not self._closed:
+        with self._condition:
+            if self._link is not None and not self._is_closed:
                 self._link.close()
                 self._link = None
-                self._end()
+                self._kill_process()
         return False, reason
 
 

@@ -24,9 +24,9 @@ class TopicWatch:
     accepted, refused
         Numbers of accepted and refused messages.
     reason
-        Reason why the last message was refused; empty if it was accepted.
+        Reason for the refusal of the last message; empty if the message was accepted.
     last_refusal
-        Reason why the last refused message was refused, for diagnostics.
+        Reason of the last refusal, also after later accepted messages, for diagnostics.
     source
         Description of the topic and its publishers; empty after the first message.
     delay
@@ -63,8 +63,8 @@ class TopicWatch:
         self._stamp, self.delay, self.reason = stamp, now - stamp, ""
         self.accepted += 1
 
-    def take_back(self, stamp: float | None) -> None:
-        """Undo the last `accept` of an invalid message; `stamp` [s] is that of the valid message before it."""
+    def undo_accept(self, stamp: float | None) -> None:
+        """Undo the last `accept` for an invalid message; `stamp` [s] is the stamp of the last valid message."""
         self._stamp = stamp
         self.accepted -= 1
 

@@ -1,1 +1,1 @@
-"""Backend solvers in addition to the methods of the core: interface, OSQP and DAQP backends, and solver reports."""
+"""Solvers in addition to the methods of the core: interface, backends for OSQP and DAQP, and solver reports."""

@@ -1,4 +1,4 @@
-"""Interface and solve loop of backend solvers for the condensed problem, in addition to the methods of the core.
+"""Interface of backend solvers for the condensed problem, and loop that adds violated limits.
 
 A backend first solves the problem with the kinds of limits that were active at the last tick or that the unconstrained
 minimiser violates. If the solution satisfies all other limits, it is the solution of the full problem. Otherwise the
@@ -54,7 +54,7 @@ class Program:
     ahead
         (N,) distance of the turning point ahead of the origin on each arc [m], along the guess.
     soft_values
-        (kinds - 4, N) first-order values of the soft limits at a plan of zeros, which are subtracted from the bounds.
+        (kinds - 4, N) first-order values of the soft limits at a zero plan, which are subtracted from the bounds.
     kinds
         Kinds of limits that were active at the last tick, or that the unconstrained minimiser violates.
     """
@@ -82,11 +82,11 @@ class Program:
         return self.upper[HARD:, 0] + self.soft_values[:, 0]
 
     def count_from(self, command: FloatArray) -> None:
-        """Set the last command (2,), for a controller that runs while another controller drives the robot."""
+        """Set the last command (2,); used if another controller drives the robot."""
         self._tick.view(self._tick.lib.ddmpc_last_command(self._tick.c), (2,))[:] = command
 
     def linearise(self, plan: FloatArray) -> None:
-        """Linearise the problem of the last tick along `plan` (2 N,), without an effect on the next tick."""
+        """Linearise the problem of the last tick along `plan` (2 N,); the next tick is not affected."""
         self._tick.lib.ddmpc_linearise_again(self._tick.c, self._tick.ffi.from_buffer("real[]", plan))
 
     @property
@@ -132,7 +132,7 @@ class Solved(NamedTuple):
 
 
 class Backend(Protocol):
-    """Solver with its work space; for invalid numbers it returns a status instead of raising an error."""
+    """Solver with its work space; invalid numbers result in a status, not in an error."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None: ...
 
@@ -146,28 +146,29 @@ class Backend(Protocol):
     ) -> Solved:
         """Solve the program with the limits `kinds`, warm-started from a plan (2 N,) and multipliers (kinds, N).
 
-        The solver stops after `time_limit` [s]. It does not start if the factorisation is expected to take longer.
+        The solver stops after `time_limit` [s], and does not start if its factorisation is expected to exceed this
+        limit.
         """
         ...
 
 
 class SetUpTime:
-    """Estimate of the processor time of work that a time limit cannot interrupt, such as a factorisation.
+    """Estimate of the processor time of a computation that cannot be interrupted, such as a factorisation.
 
-    The minimum measurement is used, so that a single outlier does not disable the solver permanently. The time of other
-    processes is excluded.
+    The estimate is the minimum of all measurements, so that an outlier does not disable the solver permanently. The
+    time of other threads is excluded.
     """
 
     def __init__(self) -> None:
         self._per_unit = math.inf
 
     def expected(self, size: float = 1.0) -> float:
-        """Return the expected time [s] of work of the given size; 0 before the first measurement."""
+        """Return the expected time [s] of a computation of the given size; 0 before the first measurement."""
         return 0.0 if math.isinf(self._per_unit) else size * self._per_unit
 
     @contextmanager
     def measured(self, size: float = 1.0) -> Iterator[None]:
-        """Measure the time of the enclosed work of the given size."""
+        """Measure the time of the `with` block, a computation of the given size."""
         start = time.thread_time()
         yield
         self._per_unit = min(self._per_unit, (time.thread_time() - start) / size)
@@ -176,10 +177,10 @@ class SetUpTime:
 def solve_all(
     backend: Backend, program: Program, method: str, slack: float, deadline: float | None = None
 ) -> tuple[Solved, SolverReport]:
-    """Solve the full problem with `backend`; `slack` is the tolerance of a limit.
+    """Solve the full problem with `backend`; `slack` is the excess up to which a limit counts as satisfied.
 
-    `method` is the name of the backend in the report. The solve stops at `deadline` [s, `time.monotonic`]. A solve that
-    is not expected to end in time is not started.
+    `method` is the name of the backend in the report. The solve stops at `deadline` [s, `time.monotonic`], and does not
+    start if it is not expected to end in time.
     """
     kinds = tuple(sorted({*range(HARD), *program.kinds}))
     guess, multipliers, iterations = program.guess, program.multipliers, 0
@@ -195,7 +196,7 @@ def solve_all(
         violated = program.violated_kinds(solution.plan, slack) if solution.status.usable else ()
         if set(violated) <= set(kinds):
             break
-        # At least one kind is new, so the loop ends.
+        # Each iteration adds at least one kind, so the loop terminates.
         kinds = tuple(sorted({*kinds, *violated}))
         guess, multipliers = solution.plan, solution.multipliers
     soft = any(kind >= HARD for kind in kinds)
@@ -204,14 +205,11 @@ def solve_all(
     )
 
 
-# Available backends by their names in the configuration (`solver.method`).
-
-
 BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}
-"""Class name of each backend; the module is `mpc.solver.NAME_backend`."""
+"""Class of each backend by its name in the configuration (`solver.method`); the module is `mpc.solver.NAME_backend`."""
 
 
 def load_backend(name: str) -> type[Backend]:
-    """Import the backend `name`; the library of a solver is loaded only if the configuration selects the solver."""
+    """Import the backend `name`, and with it the library of its solver."""
     backend: type[Backend] = getattr(import_module(f"{__package__}.{name}_backend"), BACKENDS[name])
     return backend

@@ -1,4 +1,4 @@
-"""Search for the active limit with the largest effect on the cost of a plan."""
+"""Search for the active limit that increases the cost of a plan most."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
     `soft_names` (kinds - 4,) are the names of the soft limits. For soft limits of terms, the result is such a name.
     """
     multipliers, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
-    # Terms of the user may have infinite values, so that the sum is undefined.
+    # User-defined terms may have infinite values, for which the product below is undefined.
     with np.errstate(invalid="ignore"):
-        # A relative relaxation needs the limits themselves; soft bounds are relative to a plan of zeros.
+        # A relative relaxation refers to the limits, whereas soft bounds are relative to the values at a zero plan.
         bounds[HARD:] = program.soft_limits[:, None]
         # A multiplier is the change of the cost per unit of its bound.
         costs = np.nan_to_num(np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0))
@@ -34,10 +34,10 @@ def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequ
         name = soft_names[kind - HARD]
         return f"limits.{_KEYS[name.split()[0]]}" if name.split()[0] in _KEYS else name
     name, sense = ("v", "omega", "v_slew", "omega_slew")[kind], multipliers[kind, step]
-    # After a negative command, a positive increment reduces the absolute value: the side of a slew limit depends on it.
+    # The side of a slew limit (accelerate or brake) depends on the sign of the increment and of the previous command.
     if kind > 1:
-        before = program.guess[2 * (step - 1) + kind % 2] if step else program.last_command[kind % 2]
-        sense *= -1.0 if before < 0.0 else 1.0
+        previous = program.guess[2 * (step - 1) + kind % 2] if step else program.last_command[kind % 2]
+        sense *= -1.0 if previous < 0.0 else 1.0
     limit = getattr(config.limits, name)
     has_sides = isinstance(limit, TwoSided) and not limit.is_symmetric
     return f"limits.{name}.{limit.names[bool(sense < 0.0)]}" if has_sides else f"limits.{name}"

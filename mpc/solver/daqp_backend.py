@@ -1,6 +1,6 @@
-"""Backend for DAQP, a dual active-set method that is warm-started from a guess of the active limits.
+"""Backend for DAQP, a dual active-set method that is warm-started with a guess of the active limits.
 
-DAQP supports soft limits without slack variables: each row has a linear and a quadratic penalty.
+DAQP supports soft limits without slack variables: each soft row has a linear and a quadratic penalty.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
 from diffdrive_mpc.mpc.solver.backend import MIN_TIME_LIMIT, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
-# Exit flag of DAQP for linearly dependent rows in the initial active set, and for the time limit.
+# Exit flags of DAQP for linearly dependent rows in the initial active set, and for the time limit.
 _DEPENDENT = -6
 _TIME_LIMIT = -7
 _STATUS = {
@@ -38,7 +38,7 @@ _ACTIVE, _LOWER, _SOFT, _NOT_VIOLATED = 1, 2, 8, 32
 
 @cache
 def _set_up_time(steps: int) -> SetUpTime:
-    """Measure the set-up time per row: factorisation of a Hessian (2 N, 2 N) and transformation of the rows."""
+    """Measure the set-up time per row, for the factorisation of a Hessian (2 N, 2 N) and the scaling of the rows."""
     set_up_time, n = SetUpTime(), 2 * steps
     for _ in range(2):  # the first set-up also loads the library
         sense = np.zeros(n, dtype=c_int)
@@ -82,7 +82,7 @@ class DaqpBackend:
         plan, active, iterations = solution
         duals = np.zeros((self._count, self._steps))
         duals[indices] = active.reshape(-1, self._steps)
-        # Residuals are computed here, since DAQP does not report them. Soft rows may exceed their limits.
+        # DAQP does not report residuals. Soft rows may exceed their limits, so the primal residual excludes these rows.
         stationarity = program.H @ plan + program.g + rows.T @ active
         values = rows @ plan
         excess = np.maximum(values - program.upper[indices].reshape(-1), program.lower[indices].reshape(-1) - values)
@@ -104,9 +104,9 @@ class DaqpBackend:
         """
         if deadline is not None and self._set_up_time.expected(len(rows)) >= deadline - time.monotonic():
             return _TIME_LIMIT, None
-        price = self._weights.soft
         sense = np.where(initial > 0, _ACTIVE, np.where(initial < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
-        # If a warm start marks soft limits as violated, DAQP may report success for a point near the solution.
+        # Soft limits of the warm start are marked as not violated. Otherwise DAQP may report success for a point near
+        # the solution.
         sense |= np.where(soft & (initial != 0), _NOT_VIOLATED, 0)
         model = daqp.Model()
         with self._set_up_time.measured(len(rows)):
@@ -125,7 +125,8 @@ class DaqpBackend:
         model.settings = {**self._settings, **limit}
         if soft.any():
             # DAQP expects the inverse of the quadratic penalty.
-            compliance, prices = np.full(len(initial), 1 / self._weights.soft_quadratic), np.full(len(initial), price)
-            model.soft_weights(compliance, compliance, prices, prices)
+            compliance = np.full(len(initial), 1 / self._weights.soft_quadratic)
+            penalties = np.full(len(initial), self._weights.soft)
+            model.soft_weights(compliance, compliance, penalties, penalties)
         plan, _, flag, info = model.solve()
         return int(flag), (np.array(plan), np.array(info["lam"]), int(info["iterations"]))

@@ -2,8 +2,8 @@
 
 The variables are (U, p, m); the slacks p, m >= 0 are the violations of the upper and lower soft limits. The rows of a
 soft limit and their slacks are divided by the maximum entry of these rows. Without this scaling, OSQP needs ten times
-as many iterations while limits are active. The work space of the hard limits is set up with the controller; the work
-space of a set of soft limits is set up at its first use.
+as many iterations while limits are active. The work space of the hard limits is set up with the controller, and the
+work space of a set of soft limits at its first use.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ _STATUS = {
 }
 # Minimum multiplier of an active limit; smaller multipliers are numerical noise.
 _MIN_MULTIPLIER = 1e-6
-# Default time limit of OSQP [s].
+# Time limit that OSQP treats as none, its default [s].
 _NO_TIME_LIMIT = 1e10
 # Maximum number of work spaces; few sets of soft limits occur in practice.
 _MAX_WORKSPACES = 16
 
 
-class _Times:
-    """Times of setting up the work space of the hard limits, and of factorising a work space with new data."""
+class _SetUpTimes:
+    """Measured times of the set-up of the hard limits' work space, and of the factorisation of new data."""
 
     def __init__(self) -> None:
         self.set_up, self.update = SetUpTime(), SetUpTime()
 
 
 @cache
-def _times(_steps: int) -> _Times:
-    return _Times()
+def _set_up_times(_steps: int) -> _SetUpTimes:
+    return _SetUpTimes()
 
 
 class OsqpBackend:
     """Implementation of `mpc.solver.backend.Backend` with OSQP."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
-        self._count, self._steps, self._times = kinds, steps, _times(steps)
-        self._make = partial(_Workspace, steps, kinds, settings, weights, self._times.update)
+        self._count, self._steps, self._set_up_times = kinds, steps, _set_up_times(steps)
+        self._create_workspace = partial(_Workspace, steps, kinds, settings, weights, self._set_up_times.update)
         self._workspaces: dict[Kinds, _Workspace] = {}
         # The first set-up in a process also loads the library, so the measurement is repeated.
-        for _ in range(1 if self._times.set_up.expected() else 2):
-            with self._times.set_up.measured():
-                self._workspaces[()] = self._make(())
+        for _ in range(1 if self._set_up_times.set_up.expected() else 2):
+            with self._set_up_times.set_up.measured():
+                self._workspaces[()] = self._create_workspace(())
 
     def solve(
         self,
@@ -78,19 +78,19 @@ class OsqpBackend:
         soft = tuple(kind for kind in kinds if kind >= HARD)
         deadline = None if time_limit is None else time.monotonic() + time_limit
         workspace = self._workspaces.get(soft)
-        factorise = self._times.update.expected(_size(soft))
-        required_time = factorise if workspace else self._times.set_up.expected() + 2 * factorise
+        factorise = self._set_up_times.update.expected(_relative_work(soft))
+        required_time = factorise if workspace else self._set_up_times.set_up.expected() + 2 * factorise
         if time_limit is not None and required_time >= time_limit:
             return Solved(guess, np.zeros((self._count, self._steps)), SolverStatus.TIME_LIMIT)
         if workspace is None:
             if len(self._workspaces) >= _MAX_WORKSPACES:
                 # The first entry is the work space of the hard limits; delete the oldest of the others.
                 del self._workspaces[list(self._workspaces)[1]]
-            workspace = self._workspaces[soft] = self._make(soft)
+            workspace = self._workspaces[soft] = self._create_workspace(soft)
         return workspace.solve(program, guess, multipliers, deadline)
 
 
-def _size(soft: Kinds) -> float:
+def _relative_work(soft: Kinds) -> float:
     """Return the factorisation time relative to that without soft limits; rows of soft limits are dense."""
     return (1.0 + 0.5 * len(soft)) ** 2
 
@@ -101,7 +101,7 @@ class _Workspace:
     def __init__(
         self, steps: int, count: int, settings: Solver, weights: Weights, update_time: SetUpTime, soft: Kinds
     ) -> None:
-        self._update_time, self._size_of_update = update_time, _size(soft)
+        self._update_time, self._size_of_update = update_time, _relative_work(soft)
         self._n, self._steps, self._count, self._weights = 2 * steps, steps, count, weights
         kinds = [*range(HARD), *soft]
         # A slice is faster than a list.
@@ -116,9 +116,11 @@ class _Workspace:
         slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
         blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
         self._A = _sorted_csc(sparse.bmat(blocks))
-        # Indices of the soft rows of U in the stored values of A; only these values change.
-        self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
-        # Off-diagonal entries are part of the sparsity pattern; their values are set at each tick.
+        # Indices of the soft rows of U in the stored values of A; all other values are constant.
+        self._soft_indices = (
+            _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
+        )
+        # The sparsity pattern includes the off-diagonal entries, whose values are set at each tick.
         triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
         self._P = _sorted_csc(sparse.block_diag([triangle, sparse.identity(2 * rows)]) if rows else triangle)
         # Indices of the upper triangle in the flattened matrix, in column-major order.
@@ -126,12 +128,12 @@ class _Workspace:
         self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
         self._gradient = np.zeros(n + 2 * rows)
         # Slice of the rows of the soft limits, and divisors of these rows.
-        self._limits, self._size = slice(self._rows - rows, self._rows), np.ones(rows)
+        self._soft_rows, self._relative_work = slice(self._rows - rows, self._rows), np.ones(rows)
         self._lower = np.zeros(self._rows + 2 * rows)
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
         self._solver = self._set_up(settings)
-        # OSQP counts the set-up time in its first solve, so a short solve is done here.
+        # The first solve of OSQP includes the set-up time, so the constructor calls it once.
         self._solver.solve(raise_error=False)
         self._update()
         self._time_limit = _NO_TIME_LIMIT
@@ -146,7 +148,7 @@ class _Workspace:
             self._upper,
             verbose=False,
             **settings.osqp.model_dump(),
-            # Adaptation after a number of iterations instead of a time makes results independent of the computer.
+            # An adaptation interval in iterations, not in time, makes results independent of the computer.
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,
@@ -194,12 +196,13 @@ class _Workspace:
             return np.empty(0)
         rows = np.stack([program.rows(kind) for kind in self._soft])
         max_entry = np.abs(rows).max(axis=(1, 2))
-        size = self._size = np.repeat(np.where(max_entry > 0.0, max_entry, 1.0), self._steps)
+        size = self._relative_work = np.repeat(np.where(max_entry > 0.0, max_entry, 1.0), self._steps)
         scaled = rows.reshape(-1, n) / size[:, None]
-        self._A.data[self._soft_place] = scaled
-        self._upper[self._limits] /= size
-        self._lower[self._limits] /= size
-        # The slacks belong to the divided rows, so their prices grow by the divisor, and quadratically.
+        self._A.data[self._soft_indices] = scaled
+        self._upper[self._soft_rows] /= size
+        self._lower[self._soft_rows] /= size
+        # A slack of a divided row is smaller by the divisor, so its linear price is multiplied by the divisor, and its
+        # quadratic price by the squared divisor.
         self._P.data[entries:] = np.tile(self._weights.soft_quadratic * size**2, 2)
         self._gradient[n:] = np.tile(self._weights.soft * size, 2)
         values: FloatArray = scaled @ guess
@@ -208,8 +211,8 @@ class _Workspace:
     def _primal(self, guess: FloatArray, values: FloatArray) -> FloatArray:
         if not self._soft:
             return guess
-        over = np.maximum(values - self._upper[self._limits], 0)
-        under = np.maximum(self._lower[self._limits] - values, 0)
+        over = np.maximum(values - self._upper[self._soft_rows], 0)
+        under = np.maximum(self._lower[self._soft_rows] - values, 0)
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
@@ -217,8 +220,8 @@ class _Workspace:
         active = multipliers[self._kinds].reshape(-1)
         if not self._soft:
             return active
-        soft = active[self._limits]
-        soft *= self._size
+        soft = active[self._soft_rows]
+        soft *= self._relative_work
         price = self._gradient[self._n :].reshape(2, -1)[0]
         return np.concatenate([active, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
 
@@ -226,15 +229,15 @@ class _Workspace:
         multipliers = np.zeros((self._count, self._steps))
         active = dual[: self._rows]
         if self._soft:
-            # A row divided by its size has a multiplier that is larger by the size.
-            active[self._limits] /= self._size
+            # The division of a row has multiplied its multiplier by the divisor.
+            active[self._soft_rows] /= self._relative_work
         active[np.abs(active) < _MIN_MULTIPLIER] = 0.0
         multipliers[self._kinds] = active.reshape(-1, self._steps)
         return multipliers
 
 
 def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
-    """Convert to compressed columns with ascending row indices, the order of updated values."""
+    """Convert to compressed columns with ascending row indices, the order in which OSQP expects new values."""
     result = sparse.csc_matrix(matrix)
     result.sort_indices()
     return result

@@ -25,15 +25,14 @@ class QuadraticProgram(NamedTuple):
     Attributes
     ----------
     P, q
-        Symmetric Hessian (n, n), and gradient (n,).
+        Symmetric Hessian (n, n), and linear term (n,).
     A
         Constraint matrix (m, n).
     l, u
-        (m,) bounds, infinite for missing bounds. Increments of the first step are relative to zero, and the previous
-        command is part of their bounds. Soft limits apply to the difference of the values from those at a plan of
-        zeros.
+        (m,) bounds; infinite if there is no bound. Increments of the first step are relative to zero, and their bounds
+        include the previous command. Soft limits apply to the difference of the values from the values at a zero plan.
     variables, rows
-        Names (n,) and (m,) with the number of the step, such as `v[3]` and `soft omega[3]`.
+        Names (n,) and (m,) with the index of the step, such as `v[3]` and `soft omega[3]`.
     """
 
     P: sparse.csc_matrix

@@ -1,4 +1,4 @@
-"""Report of the solver about the solve of a tick."""
+"""Report on the solve of a tick."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ class SolverStatus(StrEnum):
     NOT_FINITE = "the problem's data are not finite, or too large to be real"
     REFUSED = "the solver refused the problem's data"
     NOT_RUN = "the solver did not run"
-    STOPPED = (
-        "stopped by its bounds on iterations, operations or room: ranges and slew are kept, the rest as far as it got"
-    )
-    STOPPED_IN_TIME = "stopped by the clock: ranges and slew are kept, the rest as far as it got"
+    STOPPED = "stopped at its bounds on iterations, operations or memory: only ranges and slew are certainly satisfied"
+    STOPPED_IN_TIME = "stopped at its deadline: only ranges and slew are certainly satisfied"
 
     @property
     def usable(self) -> bool:
@@ -37,7 +35,7 @@ _USABLE = frozenset(
 
 
 class SolverMethod(StrEnum):
-    """Method that computed the plan of a tick; for a backend, the report contains its name in the configuration."""
+    """Method that computed the plan of a tick; the method of a backend is its name in the configuration."""
 
     NONE = "none"
     """No problem was solved."""
@@ -66,8 +64,8 @@ class SolverReport:
     soft_limits
         True if the problem had soft limits.
     operations
-        Number of multiplications in the loops of the active set, at most `Controller.operations_bound`; see
-        docs/tuning.md. It also counts if a backend was used afterwards.
+        Number of multiplications in the loops of the active set, at most `Controller.operations_bound`, even if a
+        backend was used afterwards; see docs/tuning.md.
     missed
         Number of consecutive ticks, including the current tick, whose solve was stopped by the deadline or ended after
         it; at `solver.max_missed` the robot brakes.

@@ -42,13 +42,13 @@ class ArcTrajectory(TableTrajectory):
     """
 
     @classmethod
-    def lay(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
-        """Build the trajectory of `stretches` in sequence from the pose `start` (3,) [m, m, rad]."""
+    def chain(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
+        """Build the trajectory of consecutive `stretches` from the pose `start` (3,) [m, m, rad]."""
         forward, turn, length = np.array([stretch[:3] for stretch in stretches], dtype=float).reshape(-1, 3).T
         poses = chain_arcs(start, forward, turn, length).tolist()
         time, arc_length = 0.0, 0.0
         columns: list[list[float]] = []
-        # `poses` also contains the end of the last stretch.
+        # `poses` has one more entry, the end of the last stretch.
         for stretch, pose in zip(stretches, poses, strict=False):
             for phase in stretch.phases:
                 columns.append([time, *pose, arc_length, stretch.forward, stretch.turn, *phase[:2], phase[2] / 2])
@@ -66,7 +66,7 @@ def chain_arcs(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: 
     """
     start_pose = np.asarray(start, dtype=float)
     heading = np.cumsum(np.append(start_pose[2], turn * length))
-    # Displacements do not depend on the start position: all arcs are integrated at once from the origin, then chained.
+    # The displacement of an arc does not depend on its start position, so all arcs are integrated from the origin.
     poses = np.zeros((len(length), 3))
     poses[:, 2] = heading[:-1]
     displacement = integrate_pose(poses, forward, turn, length)[:, :2]

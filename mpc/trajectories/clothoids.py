@@ -1,9 +1,10 @@
 """Paths of continuous, piecewise linear curvature: clothoids replace the jumps of curvature between arcs.
 
-At a joint of two arcs, three clothoids replace a section of both arcs, whose length is called reach. Position, heading
-and curvature are continuous at both ends, so the rest of the path does not change. Such a joint needs three clothoids:
-Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341 (2018). In
-this implementation the ratios of their lengths are fixed, and the unknowns are two curvatures and the total length.
+At a joint of two arcs, three clothoids replace a section of both arcs, whose length on each arc is called reach.
+Position, heading and curvature are continuous at both ends, so the rest of the path does not change. Three clothoids
+are the minimum for such a joint: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J.
+Comput. Appl. Math. 341 (2018). In this implementation the ratios of their lengths are fixed, and the unknowns are two
+curvatures and the total length.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from diffdrive_mpc.models.pose import integrate_pose
 # Share of the middle clothoid in the length of a joint [-]; a larger share reduces the slope of the curvature, a
 # smaller share reduces the overshoot.
 _MIDDLE = 0.4
-_PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
+_LENGTH_SHARES = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
+# Maximum turn of each arc within a joint [rad], for which `_fit` converges.
 _MAX_TURN = math.pi / 2
 # Reach below which a joint is omitted [m].
 _MIN_REACH = 1e-9
+# Samples of a joint for its maximum distance from the arcs, as shares of its length.
 _SAMPLES = np.linspace(0.0, 1.0, 41)
 # `_fit` integrates a whole clothoid of a joint in one step, for which 16 nodes are exact up to rounding.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -37,7 +40,7 @@ class Clothoid(NamedTuple):
     length: float
     """Length [m], positive."""
     first: float
-    """Curvature at the start [1/m], in radians of turn per metre of path, forwards or backwards."""
+    """Curvature at the start [1/m]: turn to the left [rad] per length of path, for both directions of travel."""
     last: float
     """Curvature at the end [1/m]."""
 
@@ -45,9 +48,9 @@ class Clothoid(NamedTuple):
 class Joint(NamedTuple):
     """Transition that replaces a jump of curvature."""
 
-    before: float
+    start_curvature: float
     """Curvature of the arc before the joint [1/m]."""
-    after: float
+    end_curvature: float
     """Curvature of the arc after the joint [1/m]."""
     reach: float
     """Length by which both arcs are shortened [m]."""
@@ -88,18 +91,18 @@ def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple
 
 
 @lru_cache(maxsize=1024)
-def joint(before: float, after: float, longest: float, distance: float) -> Joint:
-    """Design clothoids between arcs of the curvatures `before` and `after` [1/m].
+def joint(start_curvature: float, end_curvature: float, max_reach: float, distance: float) -> Joint:
+    """Design the clothoids between two arcs of the curvatures `start_curvature` and `end_curvature` [1/m].
 
-    The reach is the maximum for which the joint covers at most `longest` [m] on both sides and deviates by at most
-    `distance` [m] from the arcs.
+    The reach is the maximum that is at most `max_reach` [m] and for which the joint deviates by at most `distance` [m]
+    from the arcs.
     """
-    max_reach = min(longest, _MAX_TURN / max(abs(before), abs(after), _MIN_REACH))
-    if before == after or max_reach < _MIN_REACH:
-        return Joint(before, after, 0.0, ())
+    max_reach = min(max_reach, _MAX_TURN / max(abs(start_curvature), abs(end_curvature), _MIN_REACH))
+    if start_curvature == end_curvature or max_reach < _MIN_REACH:
+        return Joint(start_curvature, end_curvature, 0.0, ())
 
     def build(reach: float) -> Joint:
-        return Joint(before, after, reach, _fit(before, after, reach))
+        return Joint(start_curvature, end_curvature, reach, _fit(start_curvature, end_curvature, reach))
 
     def excess(reach: float) -> float:
         candidate = build(reach)
@@ -108,43 +111,43 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
     if excess(max_reach) <= 0:
         return build(max_reach)
-    # The limit of the distance is reduced slightly, so that the result is within the limit despite rounding.
+    # The target distance is slightly below the limit, so that the result is within the limit despite rounding.
     return build(max_reach * brentq(lambda share: excess(share * max_reach) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 
-def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
-    """Compute the clothoids from `reach` [m] before the joint of two arcs to `reach` after the joint."""
-    target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
-    overshoot = 0.1 * (after - before)
+def _fit(start_curvature: float, end_curvature: float, reach: float) -> tuple[Clothoid, ...]:
+    """Compute the clothoids from `reach` [m] before the meeting point of two arcs to `reach` after this point."""
+    target = integrate_pose(integrate_pose(np.zeros(3), 1.0, start_curvature, reach), 1.0, end_curvature, reach)
+    overshoot = 0.1 * (end_curvature - start_curvature)
 
     def parts(unknown: FloatArray) -> tuple[Clothoid, ...]:
-        knots = (before, unknown[0] / reach, unknown[1] / reach, after)
-        lengths = _PARTS * unknown[2] * reach
+        knots = (start_curvature, unknown[0] / reach, unknown[1] / reach, end_curvature)
+        lengths = _LENGTH_SHARES * unknown[2] * reach
         return tuple(Clothoid(*row) for row in zip(lengths.tolist(), knots[:-1], knots[1:], strict=True))
 
     def gap(unknown: FloatArray) -> FloatArray:
         clothoids = parts(unknown)
         poses, _ = sample_clothoids(clothoids, np.append(0.0, np.cumsum([clothoid.length for clothoid in clothoids])))
-        # Divided by the reach, positions and heading have comparable sizes for any reach.
+        # The division by the reach makes positions and heading comparable for any reach.
         return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
 
-    guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])
+    guess = np.array([(start_curvature - overshoot) * reach, (end_curvature + overshoot) * reach, 2.0])
     solution = root(gap, guess, tol=1e-13)
     assert np.abs(gap(solution.x)).max() < 1e-9, "arcs that turn by at most a quarter can be joined"
     return parts(solution.x)
 
 
-def distances(poses: FloatArray, to: Joint) -> FloatArray:
+def distances(poses: FloatArray, transition: Joint) -> FloatArray:
     """Compute the distances (n,) [m] of poses (n, 3), in the frame of the start of a joint, from the replaced arcs.
 
-    If both arcs turn by less than half a turn, the closest point is on the first arc for poses behind the meeting point
-    of the arcs, in the direction of their common tangent, and on the second arc for poses ahead.
+    Each arc of a joint turns by less than half a turn. The closest point is therefore on the first arc for poses behind
+    the meeting point of the arcs, measured along their common tangent, and on the second arc for poses ahead of it.
     """
-    x, y, theta = integrate_pose(np.zeros(3), 1.0, to.before, to.reach)
+    x, y, theta = integrate_pose(np.zeros(3), 1.0, transition.start_curvature, transition.reach)
     cos, sin = math.cos(theta), math.sin(theta)
     ahead = cos * (poses[:, 0] - x) + sin * (poses[:, 1] - y)
-    aside = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
-    curvature = np.where(ahead < 0, to.before, to.after)
+    left = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
+    curvature = np.where(ahead < 0, transition.start_curvature, transition.end_curvature)
     # Distance to a circle through the origin, in a form that is also valid for straight lines.
-    offset = 2 * aside - curvature * (ahead**2 + aside**2)
-    return np.asarray(np.abs(offset) / (1 + np.hypot(curvature * ahead, 1 - curvature * aside)))
+    offset = 2 * left - curvature * (ahead**2 + left**2)
+    return np.asarray(np.abs(offset) / (1 + np.hypot(curvature * ahead, 1 - curvature * left)))

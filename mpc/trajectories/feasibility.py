@@ -1,8 +1,8 @@
 """Check of a reference against model and limits before a drive, and search for a feasible timing.
 
-Without limits, the linear model follows a reference except for smoothing by its lags. The check therefore computes only
-the difference from this ideal robot, from the steady-state twists of the commands. Commands that the limits reduce
-cause a deficit of distance and heading, which later commands reduce as far as the limits permit.
+A robot without limits follows a reference, apart from the smoothing by its lags. The check therefore computes only the
+deviation from this ideal robot, by the steady-state twists of the commands. Commands that the limits reduce cause a
+deficit of distance and heading, which later commands reduce as far as the limits permit.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "
 _ROUNDING = 1e-6
 # Minimum step [s], and maximum number of steps; the rest of a reference is not checked.
 _STEP, _MAX_TICKS = 0.05, 12_000
-# Feedback gain of the deficit [1/s], and share of a tolerance above which a deficit is recorded [-].
-_CATCH_UP, _GROWTH_SHARE = 5.0, 0.5
-# Preview of v and omega, as shares of the horizon beyond the lags [-]; the preview of omega is shorter, since headings
-# have a low weight.
+# Feedback gain that reduces the deficit [1/s], and share of a tolerance above which a deficit is recorded [-].
+_DEFICIT_GAIN, _RECORD_SHARE = 5.0, 0.5
+# Preview of v and omega, as shares of the horizon minus the lag [-]; the preview of omega is shorter, since the
+# controller gives headings a low weight.
 _PREVIEWS = 1.0, 0.5
 # Candidate factors of the duration [-].
 _STRETCHES = [1.1**step for step in range(1, 31)]
@@ -44,13 +44,13 @@ class Shortfall:
     reference
         Name of the reference.
     time, arc_length
-        Start of the violation: time of the reference [s], and distance along the reference [m].
+        Time of the reference [s] and distance along the reference [m] at which the violation starts.
     key
         Key of the violated limit, such as `limits.v.reverse` or `limits.omega_slew.brake`.
     needed, available
         Maximum value that the reference needs during the violation, and the limit [unit of the limit].
     behind
-        Distance [m], or angle [rad] for limits of omega, by which a robot at the limit falls behind.
+        Distance [m], or angle [rad] for limits of omega, by which a robot at the limit lags after the violation.
     duration, drivable
         Duration of the reference, and minimum feasible duration among the candidates [s]; infinite if none is feasible.
     """
@@ -83,9 +83,9 @@ def find_shortfall(
 ) -> Shortfall | None:
     """Find the first point where `reference` exceeds the limits of `config` with `model`; None if it is feasible.
 
-    The robot starts on the reference, at rest or, if `is_moving` is True, with the reference's twist. Steps and corners
-    that the lags smooth do not count as violations. The tolerances are in `settings.yaml`. Only the first ten minutes
-    of a reference are checked.
+    The robot starts on the reference, either at rest or, if `is_moving` is True, with the reference's twist. Steps and
+    corners that the lags smooth do not count as violations. The tolerances are in `settings.yaml`. Only the first ten
+    minutes of a reference are checked.
     """
     make_ticks = partial(_Ticks, checked_reference(reference), config, model, is_moving)
     ticks = make_ticks(1.0)
@@ -93,14 +93,14 @@ def find_shortfall(
     if records is None:
         return None
     first, end = int(records[0, 0]), int(records[-1, 0]) + ticks.preview + 1
-    # Reductions of each kind, in tolerances of their channel.
+    # Sum of the reductions of each kind, relative to the tolerance of the channel.
     parts = (np.abs(records[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
-    # Limits that only the corrective motion exceeds are not the cause.
+    # A limit that only the feedback exceeds, and not the reference, is not the cause.
     row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
     over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
-    run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
-    needed, ratio = ticks.needed[run, row], ticks.ratio[run, row]
+    span = [span for span in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if span[0] < end][-1]
+    needed, ratio = ticks.needed[span, row], ticks.ratio[span, row]
     loss = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
     limit = getattr(config.limits, name)
     size, bound, side = at_side(needed[np.argmax(ratio)], limit if isinstance(limit, TwoSided) else TwoSided(limit))
@@ -119,7 +119,7 @@ def find_shortfall(
 
 
 class _Ticks:
-    """Commands for a reference that is slower by the factor `stretch`, and simulation of a drive within the limits."""
+    """Simulation of a drive within the limits, along a reference that is slowed down by the factor `stretch`."""
 
     def __init__(
         self, reference: Reference, config: ControllerConfig, model: _Model, is_moving: bool, stretch: float
@@ -132,13 +132,13 @@ class _Ticks:
         times = np.arange(0.0, np.fmin(end, _MAX_TICKS * step) + step, step)
         body = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(body, axis=-1) / stretch
-        # Until the first command takes effect, the reference moves while the robot is at rest.
+        # The reference moves before the first command takes effect, so the robot starts with a deficit.
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
-        self.before = before = np.vstack([is_moving * command[:1], command[:-1]])
-        # The sign selects the side of the slew limit: negative while the command decreases in size.
-        change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
+        self.previous_command = previous = np.vstack([is_moving * command[:1], command[:-1]])
+        # The sign selects the side of the slew limit: negative while the magnitude of the command decreases.
+        change = np.abs(command - previous) / step * np.where(np.abs(command) >= np.abs(previous), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
         self.needed = np.column_stack([command, change, wheels, self.body])
         bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_LIMITS)]
@@ -155,22 +155,23 @@ class _Ticks:
         Returns
         -------
         FloatArray or None
-            (ticks, 7) from the start of the deficit to the violation of the tolerance: tick, and reductions of v and
-            omega by the range, by the slew, and by the limits of the twist. None if no tolerance is violated.
+            (ticks, 7) records from the start of the deficit to the violation of the tolerance: tick number, and
+            reductions of v and omega by the range, by the slew, and by the limits of the twist. None if no tolerance is
+            violated.
         """
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
-        limits, h, gain = self.config.limits, self.step, _CATCH_UP
+        limits, h, gain = self.config.limits, self.step, _DEFICIT_GAIN
         tolerance, turn_tolerance = self.tolerance.tolist()
         (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
         v_rise, v_fall, w_rise, w_fall = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
         wheel_speed, max_v, max_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
-        # Pose of the reference in the frame of the robot. The lead at the start is no effect of limits: `free_x` is
-        # what remains of it without limits.
+        # Pose of the reference in the frame of the robot. The lead at the start is not caused by limits: `free_x` is
+        # its value in a drive without limits, and is subtracted below.
         x = free_x = self.lead
-        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
+        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.previous_command[0]))
         records: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # The lateral error is critically damped at 1 m/s.
@@ -189,16 +190,17 @@ class _Ticks:
             size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
             if size > 1.0:
                 return np.array(records)
-            # The deficit has not begun yet, or has been caught up.
-            if size < _GROWTH_SHARE:
+            # The deficit has not started yet, or the feedback has removed it.
+            if size < _RECORD_SHARE:
                 records.clear()
         return None
 
 
 def _preview(clipped: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
-    """Return commands (K,) that change early, so that a change above the slew limit is centred in its ramp.
+    """Return commands (K,) that anticipate changes above the slew limit, so that the ramp is centred on the change.
 
-    Half of the additional time of the ramp is before the change. The slope is the harmonic mean of both slopes.
+    The ramp starts before the change by half of its additional time. Its slope before the change is the harmonic mean
+    of the slew limit and of the slope of the change.
     """
     change, bounds = np.diff(clipped, prepend=0.0) / step, []
     for sense in (1.0, -1.0):
@@ -213,7 +215,7 @@ def _preview(clipped: FloatArray, slew: SlewLimit, step: float, preview: int) ->
 
 
 def _slew(last: float, command: float, rise: float, fall: float) -> float:
-    """Compute one channel of `models.two_sided.reached` with floats, which is ten times faster in a loop."""
+    """Compute one channel of `models.two_sided.reached`; in a loop, floats are ten times faster than arrays."""
     low, high = last - (fall if last > 0.0 else rise), last + (fall if last < 0.0 else rise)
     if last > 0.0 > low:
         low *= rise / fall

@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.config.schema import Limits
 
 
 class BeyondLimitError(ConfigError):
-    """Error for a trajectory that exceeds its limits."""
+    """Error for a trajectory that exceeds the limits of the robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class TrajectoryLimits:
     """Bounds of the reference twist and of its rate of change.
 
     The first four bounds are numbers or two-sided limits, see `models.two_sided`. The timing of turns and curves uses
-    the lower side of yaw limits.
+    the lower of the two yaw limits.
 
     Attributes
     ----------
@@ -58,7 +58,10 @@ class TrajectoryLimits:
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
-        """Return the speed limits and reference accelerations of `robot`; by default the robot of the papers."""
+        """Create the limits from the speed limits and reference accelerations of `robot`.
+
+        None selects the robot of the papers.
+        """
         robot = robot or load_robot()
         return cls(
             v=robot.limits.v,
@@ -70,71 +73,68 @@ class TrajectoryLimits:
 
     @classmethod
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
-        """Return the speed limits of a controller configuration, and accelerations within its slew limits.
+        """Create the limits from the speed limits of a controller configuration, with accelerations within its slew.
 
         A share of two-sided slew limits is reserved for tracking; a symmetric limit is used completely.
         """
-        usual = cls.of_robot()
+        default = cls.of_robot()
 
         def within(slew: SlewLimit, acceleration: float) -> SlewLimit:
             share = 1.0 if slew.is_symmetric else load_settings().slew_share
             return slew.map(lambda side: min(acceleration, share * side))
 
         return replace(
-            usual,
+            default,
             v=limits.v,
             omega=limits.omega,
-            v_acceleration=within(limits.v_slew, usual.v_acceleration),
-            omega_acceleration=within(limits.omega_slew, usual.omega_acceleration),
+            v_acceleration=within(limits.v_slew, default.v_acceleration),
+            omega_acceleration=within(limits.omega_slew, default.omega_acceleration),
         )
 
 
-# Settings of the checks and the refinement of trajectory files.
-
-
 class TrajectorySettings(StrictModel):
-    """Resolutions and tolerances of the readers of trajectory files."""
+    """Resolutions and tolerances of the conversion and checks of trajectories."""
 
     pieces_per_row: int = Field(ge=2, description="number of pieces between two timed poses")
     pieces_per_waypoint: int = Field(ge=2, description="number of pieces between two waypoints")
-    speed_excess: float = Field(ge=0, description="relative excess of a speed limit that is allowed for timed poses")
+    speed_excess: float = Field(ge=0, description="allowed relative excess of a speed limit by timed poses [-]")
     lateral_speed: float = Field(gt=0, description="maximum sideways speed of timed poses [m/s]")
     min_turn_radius: float = Field(gt=0, description="minimum radius of a path through waypoints [m]")
     smoothing: float = Field(gt=0, description="maximum distance of smooth timing from the drawn path [m]")
     smooth_piece: float = Field(gt=0, description="maximum length of the pieces of a smoothed path [m]")
     reach_share: float = Field(gt=0, lt=1, description="speed of a scaled path as a share of the reachable speed [-]")
     slew_share: float = Field(gt=0, lt=1, description="acceleration of a scaled path as a share of the slew [-]")
-    longest_duration: float = Field(gt=0, description="maximum duration of a trajectory [s]")
-    longest_excitation: float = Field(gt=0, description="maximum duration of an excitation drive [s]")
-    full_pieces: int = Field(ge=1, description="number of pieces of a path above which the pieces per point decrease")
-    least_pieces_per_row: int = Field(ge=1, description="minimum number of pieces between two timed poses")
-    least_pieces_per_waypoint: int = Field(ge=1, description="minimum number of pieces between two waypoints")
+    max_duration: float = Field(gt=0, description="maximum duration of a trajectory [s]")
+    max_excitation_duration: float = Field(gt=0, description="maximum duration of an excitation drive [s]")
+    full_pieces: int = Field(ge=1, description="number of pieces of a path above which each point has fewer pieces")
+    min_pieces_per_row: int = Field(ge=1, description="minimum number of pieces between two timed poses")
+    min_pieces_per_waypoint: int = Field(ge=1, description="minimum number of pieces between two waypoints")
     max_pieces: int = Field(ge=1, description="maximum number of pieces of a path")
-    most_segments: int = Field(ge=1, description="maximum number of segments of a file")
-    most_joints: int = Field(ge=1, description="maximum number of different joints for smooth timing")
+    max_segments: int = Field(ge=1, description="maximum number of segments of a file")
+    max_joints: int = Field(ge=1, description="maximum number of different joints for smooth timing")
     tolerance: float = Field(gt=0, description="maximum deviation of a drive within the limits [m]")
     heading_tolerance: float = Field(gt=0, description="maximum heading error of a drive within the limits [rad]")
 
-    def pieces_between(self, points: int, usual: int, minimum: int, where: str) -> int:
-        """Return the number of pieces between two of `points`: the usual number, or a lower number for many points.
+    def pieces_between(self, points: int, default: int, minimum: int, where: str) -> int:
+        """Return the number of pieces between two of `points` points: `default`, or fewer for many points.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If `minimum` pieces per point result in more than `max_pieces`; the message starts with `where`.
+            If even `minimum` pieces per point exceed `max_pieces`; the message starts with `where`.
         """
         max_points = self.max_pieces // minimum
         if points > max_points:
             raise ConfigError(f"{where}: {points:,} points, at most {max_points:,}; remove points, or split the path")
-        return min(usual, max(minimum, self.full_pieces // max(1, points - 1)))
+        return min(default, max(minimum, self.full_pieces // max(1, points - 1)))
 
     def check_pieces(self, count: float, where: str, remedy: str) -> None:
-        """Raise ConfigError if a path needs more than `max_pieces`, before the path is computed."""
+        """Raise ConfigError if a path requires more than `max_pieces`; call it before the path is computed."""
         if not count <= self.max_pieces:
             raise ConfigError(f"{where}: its length requires {count:.3g} pieces, at most {self.max_pieces:,}; {remedy}")
 
 
 @cache
 def load_settings() -> TrajectorySettings:
-    """Read the settings of the package."""
+    """Load the settings from `settings.yaml` of this package."""
     return load_checked(TrajectorySettings, Path(__file__).parent / "settings.yaml")

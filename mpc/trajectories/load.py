@@ -13,7 +13,7 @@ from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.native import TableTrajectory
-from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, time_commands, time_segments
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps, load_speed_caps
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
@@ -23,7 +23,7 @@ _FOLDER = Path(__file__).parent / "built_in"
 BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 """Names of the built-in trajectories."""
 _RANDOM = "spline-SEED"
-"""Pattern of the names of random splines."""
+"""Pattern of the names of random splines, for messages."""
 
 
 @checked_call()
@@ -42,7 +42,7 @@ def load_trajectory(
         Speed and acceleration limits, or a configuration that contains them; by default the limits of the robot of the
         papers. A configuration also sets the standstill before the start, `start_delay`.
     timing
-        "stop", "commanded" or "smooth" (see `timing.Timing`), which replaces the timing in the file.
+        "stop", "commanded" or "smooth", see `timing.Timing`; replaces the timing in the file.
 
     Raises
     ------
@@ -61,27 +61,27 @@ def load_trajectory(
         )
     if not isinstance(limits, TrajectoryLimits | ControllerConfig | None):
         raise wrong_type("limits", "the limits of a robot", limits, "the timing is a keyword: timing='smooth'")
-    chosen = next((known for known in TIMINGS if known == timing), None)
-    if timing is not None and chosen is None:
+    selected_timing = next((known for known in TIMINGS if known == timing), None)
+    if timing is not None and selected_timing is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
     if isinstance(limits, ControllerConfig):
         loaded = load_trajectory(name_or_path, TrajectoryLimits.of_controller(limits.limits), timing)
         assert isinstance(loaded, TableTrajectory)
         return loaded.delayed(limits.start_delay) if limits.start_delay else loaded
     if random := re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII):
-        from diffdrive_mpc.mpc.trajectories.random_spline import lay_random_spline  # noqa: PLC0415 - see _read
+        from diffdrive_mpc.mpc.trajectories.random_spline import time_random_spline  # noqa: PLC0415 - see _read
 
-        return lay_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), chosen)
+        return time_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), selected_timing)
     path = trajectory_file(name_or_path)
     try:
-        trajectory = _read(path, limits or TrajectoryLimits.of_robot(), chosen)
+        trajectory = _read(path, limits or TrajectoryLimits.of_robot(), selected_timing)
     except BeyondLimitError as error:
         if limits is not None:
             raise
         raise BeyondLimitError(
             f"{error}. This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
         ) from error
-    max_duration = load_settings().longest_duration
+    max_duration = load_settings().max_duration
     if trajectory.duration > max_duration:
         raise ConfigError(
             f"{path}: the duration is {trajectory.duration:.3g} s, at most {max_duration:g} s: are times in s?"
@@ -90,24 +90,24 @@ def load_trajectory(
 
 
 def trajectory_file(name_or_path: str | Path) -> Path:
-    """Return the file of a trajectory that is no random spline; raise ConfigError if there is none."""
+    """Return the path of a trajectory file; raise ConfigError if it does not exist. Random splines have no file."""
     return named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
-    """Load the segments of a trajectory file without a timing, so that the twist may jump between segments.
+    """Load the segments of a trajectory file without timing them.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the name is unknown, or the file is missing, malformed or does not consist of segments.
+        If the name is unknown, or the file is missing, is malformed, or does not consist of segments.
     """
     path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
     return tuple(check(SegmentFile, read_yaml(path), str(path)).segments)
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
-    # Most built-in paths consist of arcs, which do not need SciPy.
+    # SciPy is imported slowly, and most built-in trajectories consist of arcs, which do not need SciPy.
     if path.suffix.lower() == ".csv":
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 
@@ -116,50 +116,53 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
         return read_timed_poses(path, limits)
     data, where = read_yaml(path), str(path)
     if isinstance(data, Mapping) and "waypoints" in data:
-        from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints  # noqa: PLC0415
+        from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, time_waypoints  # noqa: PLC0415
 
         route = check(WaypointFile, data, where)
-        name, chosen = route.name or path.stem, timing or route.timing
-        caps = _caps(route.speed_passport, chosen, path)
-        trajectory = lay_waypoints(
+        name, selected_timing = route.name or path.stem, timing or route.timing
+        caps = _load_caps(route.speed_passport, selected_timing, path)
+        trajectory = time_waypoints(
             route.waypoints,
             limits,
             name=name,
             speed=route.speed,
             where=where,
-            timing=chosen,
+            timing=selected_timing,
             caps=caps,
             max_deviation=route.max_deviation,
         )
         return _with_remark(trajectory, "the polyline of its waypoints")
     sequence = check(SegmentFile, data, where)
-    segments, start, chosen = sequence.segments, sequence.start, timing or sequence.timing
-    name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, chosen, path)
-    if chosen == "smooth":
-        from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth  # noqa: PLC0415
+    segments, start, selected_timing = sequence.segments, sequence.start, timing or sequence.timing
+    name, caps = sequence.name or path.stem, _load_caps(sequence.speed_passport, selected_timing, path)
+    if selected_timing == "smooth":
+        from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path  # noqa: PLC0415
 
-        smooth = lay_smooth(
+        smooth = time_smooth_path(
             segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing, caps=caps
         )
-        return _with_remark(smooth, "the drawn path", chosen, segments)
-    lay = lay_commanded if chosen == "commanded" else lay_segments
-    return _with_remark(lay(segments, limits, name=name, start=start, where=where), "", chosen, segments)
+        return _with_remark(smooth, "the drawn path", selected_timing, segments)
+    lay = time_commands if selected_timing == "commanded" else time_segments
+    return _with_remark(lay(segments, limits, name=name, start=start, where=where), "", selected_timing, segments)
 
 
-def _with_remark(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
-    """Return `trajectory` with a remark on its duration compared with `segments`, and its distance from `drawn`."""
+def _with_remark(trajectory: Trajectory, path: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
+    """Add a remark on the duration compared with `segments`, and on the distance from the path of the file.
+
+    `path` is the name of the path of the file in the remark; empty if both paths are equal.
+    """
     file_time, drive_time = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
     parts = []
     if segments and file_time != drive_time:
         parts.append(f"{file_time} in the file, driven in {drive_time} (timing: {timing})")
-    if drawn:
+    if path:
         max_distance = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
-        parts.append(f"its path is up to {max_distance:.3f} m from {drawn}; errors refer to its path")
+        parts.append(f"its path is up to {max_distance:.3f} m from {path}; errors refer to its path")
     return replace(trajectory, remark=f"trajectory '{trajectory.name}': {'; '.join(parts)}") if parts else trajectory
 
 
-def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
-    """Load the speed limits of the passport that the trajectory file at `path` refers to; None without passport."""
+def _load_caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
+    """Load the speed limits of the passport of the trajectory file at `path`; None if the file uses no passport."""
     if use is not None and timing != "smooth":
         raise ConfigError(f"{path}: speed_passport: not available with timing '{timing}'; use 'smooth'")
     return None if use is None else load_speed_caps(use, path.parent)

@@ -1,4 +1,4 @@
-"""Trajectories that are moved to another pose or scaled to another robot."""
+"""Transformation of trajectories to another pose, and scaling to another robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +54,13 @@ class MovedReference:
     def native(self) -> NativeTrajectory | None:
         """Moved reference in the compiled core; None if the core cannot sample the original."""
         native = getattr(self.original, "native", None)
-        # `moved` replaces a motion, so a reference that is already moved is sampled in Python.
+        # `NativeTrajectory.moved` replaces a motion, so a reference that already has one is sampled in Python.
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
         return native.moved(self.motion)
 
     def __getstate__(self) -> dict[str, object]:
-        """Copy the state without memory of the core."""
+        """Return the state without `native`, which holds memory of the core."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
@@ -87,13 +87,10 @@ def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
     )
 
 
-# Scaling of a path of segments to the size and speed of a robot.
-
-
 _MIN_LAG = 1e-3
-"""Lower bound of a lag in the limits of the acceleration [s]."""
+"""Lower bound of the lag in the acceleration limits [s], against division by zero."""
 _RADIUS_MARGIN = 1.2
-"""Ratio of the minimum radius of a scaled path to that of the robot [-], with a reserve for path corrections."""
+"""Ratio of the minimum radius of a scaled path to that of the robot [-]; the reserve is for tracking corrections."""
 
 
 def scaled_to_robot(
@@ -101,11 +98,11 @@ def scaled_to_robot(
 ) -> ArcTrajectory:
     """Scale a path of segments by the ratio of the robot's track to that of the robot of the papers.
 
-    For a robot with a minimum turn radius, the path is enlarged. The robot stops where the curvature jumps. The speed
-    is a share of the robot's maximum speed, which is the command limit times the steady-state gain of the model, within
-    the wheel speed limit. The acceleration is within a share of the slew limit. It is also within a share of the
-    remaining command, since due to the lag an acceleration needs an additional command of lag times acceleration. The
-    shares are in `settings.yaml`.
+    For a robot with a minimum turn radius, the path is enlarged further if necessary. The robot stops where the
+    curvature jumps. The speed is a share of the robot's maximum speed, which is the command limit times the
+    steady-state gain of the model, within the wheel speed limit. The acceleration is within a share of the slew limit.
+    It is also within a share of the remaining command: due to the lag, an acceleration requires an additional command
+    of lag times acceleration. The shares are in `settings.yaml`.
 
     Parameters
     ----------
@@ -126,7 +123,7 @@ def scaled_to_robot(
     length = config.wheels.encoder_track / load_robot().track
     if limits.min_path_radius:
         length = max(length, _RADIUS_MARGIN * limits.min_path_radius / _min_radius(segments, name_or_path, limits))
-    # Share of the command and wheel limits that each segment needs with its duration in the file.
+    # Ratio of the required commands and wheel speeds to their limits for each segment with its duration in the file.
     shares = [
         max(
             length * abs(segment.v) / (v_gain * side_of(limits.v, segment.v)),
@@ -159,7 +156,7 @@ def scaled_to_robot(
             remaining_share * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
-    return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
+    return time_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
 
 
 def _min_radius(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:

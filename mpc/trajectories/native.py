@@ -1,4 +1,4 @@
-"""References in closed form, which the compiled core samples."""
+"""References in closed form, which the compiled core can sample."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NativeTrajectory:
     def __init__(self, breaks: FloatArray, table: FloatArray, duration: float, motion: ArrayLike = (0, 0, 0)) -> None:
         ffi, self._lib = load_core()
         self._ffi = ffi
-        # The structure holds only addresses, so the arrays must live as long as it does.
+        # The structure holds only addresses, so the arrays must live as long as the structure.
         self._arrays = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
         rows, pieces = table.shape
         if rows not in (_ARC_ROWS, _CUBIC_ROWS) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
@@ -96,14 +96,14 @@ class NativeReference:
     struct
         Structure for the core.
     complete
-        True if the core can sample the reference; otherwise the core uses only its duration and end, and Python
-        provides the target.
+        True if the core can sample the reference. Otherwise the core uses only duration and end pose, and Python
+        provides the samples.
     """
 
     def __init__(self, reference: Reference) -> None:
         native = _native(reference)
         self.complete = native is not None
-        self._trajectory = native or _rest(reference)
+        self._trajectory = native or _end_pose(reference)
         ffi, lib = load_core()
         self.struct = ffi.new(
             "ddmpc_reference *",
@@ -116,15 +116,15 @@ class NativeReference:
 
 
 def _native(reference: Reference) -> NativeTrajectory | None:
-    """Return the object that samples the reference in C; None if there is no such object."""
+    """Return the C table of the reference; None if the core cannot sample the reference."""
     native = getattr(reference, "native", None)
     return native if isinstance(native, NativeTrajectory) else None
 
 
-def _rest(reference: Reference) -> NativeTrajectory:
-    """Build a trajectory at rest at the end of a reference."""
+def _end_pose(reference: Reference) -> NativeTrajectory:
+    """Build a trajectory that stays at the end pose of a reference."""
     table = np.zeros((_ARC_ROWS, 1))
-    # Rows 1 to 3 are the start pose; zero motion in all other rows is rest.
+    # Rows 1 to 3 are the start pose; zeros in all other rows mean standstill.
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
 
@@ -147,14 +147,15 @@ class TableTrajectory(Trajectory):
 
     def delayed(self, seconds: float) -> Self:
         """Return the trajectory with a preceding standstill of `seconds` [s] at its start pose."""
-        # Rows of the pose: the start pose of an arc, or the constant terms of cubics. Zeros in all other rows are rest.
-        rest, pose = np.zeros((len(self.table), 1)), slice(1, 4) if len(self.table) == _ARC_ROWS else slice(12, 15)
-        rest[pose] = self.table[pose, :1]
-        breaks, table = np.append(0.0, seconds + self.breaks), np.hstack([rest, self.table])
+        # Only the pose rows are not zero: the start pose of an arc, or the constant terms of cubics.
+        standstill = np.zeros((len(self.table), 1))
+        pose = slice(1, 4) if len(self.table) == _ARC_ROWS else slice(12, 15)
+        standstill[pose] = self.table[pose, :1]
+        breaks, table = np.append(0.0, seconds + self.breaks), np.hstack([standstill, self.table])
         return replace(self, duration=seconds + self.duration, breaks=breaks, table=table)
 
     def __getstate__(self) -> dict[str, object]:
-        """Copy the state without the memory of C."""
+        """Return the state without `native`, which holds memory of the core."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
 

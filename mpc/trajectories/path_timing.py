@@ -27,7 +27,7 @@ def squared_speeds(
 
     The acceleration a is constant on each piece, so v^2 is linear in arc length. With curvature k, the yaw acceleration
     is dk/ds v^2 + k a. Its bound |dk/ds| v^2 + |k| |a| decreases if the speed at the faster end of a piece is reduced,
-    so one forward and one backward pass are sufficient. The bound is conservative if the two terms have opposite signs.
+    so one forward and one backward pass suffice. The bound is conservative if the two terms have opposite signs.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def squared_speeds(
     cruise
         Desired maximum speed [m/s], a number or (m,) values for the pieces.
     lateral
-        True to limit also the lateral acceleration |k| v^2.
+        True to limit the lateral acceleration |k| v^2 as well.
     enter
         Desired speed at the start [m/s]; reduced if the path ahead requires it.
     sense
@@ -60,10 +60,10 @@ def squared_speeds(
         )
         if lateral:
             cap = np.minimum(cap, limits.lateral_acceleration / bend)
-    # The bounds of both adjacent pieces apply to a node; the path ends at rest.
+    # The bounds of both adjacent pieces apply to a node, and the speed at the end is zero.
     square = np.concatenate([[min(enter**2, cap[0])], np.minimum(cap[:-1], cap[1:]), [0.0]])
-    # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
-    # In a loop, lists of floats are ten times faster than array elements.
+    # Increase of v^2 from b0 to b1 on a piece: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <=
+    # alpha_max, solved for b1. In a loop, lists of floats are ten times faster than array elements.
     rises = [(2 * acceleration * lengths).tolist() for acceleration in sides_of(limits.v_acceleration)]
     lever = (bend / (2 * lengths)).tolist()
     total = (bend_change + bend / (2 * lengths)).tolist()
@@ -71,16 +71,16 @@ def squared_speeds(
     omega_acceleration = limits.omega_acceleration
 
     def run_pass(pieces: Sequence[int], ahead: int) -> None:
-        """Reduce the speed at end `ahead` (0 or 1) of each piece to the maximum reachable from its other end."""
+        """Reduce the speed at the end `ahead` (0 or 1) of each piece to the maximum reachable from the other end."""
         behind = 1 - ahead
         rise = rises[behind]
         for i in pieces:
             start = speeds[i + behind]
-            free, room, share = start + rise[i], omega_acceleration + lever[i] * start, total[i]
-            reachable = free if share * free <= room else room / share
+            free, bound, factor = start + rise[i], omega_acceleration + lever[i] * start, total[i]
+            reachable = free if factor * free <= bound else bound / factor
             speeds[i + ahead] = min(speeds[i + ahead], reachable)
 
-    # The forward pass limits acceleration, the backward pass braking; see above for why one of each is enough.
+    # The forward pass limits acceleration, the backward pass braking; the docstring explains why one of each suffices.
     run_pass(range(lengths.size), 1)
     run_pass(range(lengths.size - 1, -1, -1), 0)
     return np.array(speeds)
@@ -99,7 +99,8 @@ def time_path(
     poses = np.column_stack([path.points, path.heading])
     along = sense * np.column_stack([np.cos(path.heading), np.sin(path.heading)])
     rates = v[:, None] * np.column_stack([along, path.curvature])
-    # Between the nodes the heading is cubic, so the yaw acceleration may slightly exceed the limit.
+    # Between the nodes the heading is cubic, so the yaw acceleration may slightly exceed the limit; a longer duration
+    # corrects the excess.
     time_factor = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
     return times * time_factor, poses, rates / time_factor
 

@@ -1,4 +1,4 @@
-"""Random smooth paths by seed, named `spline-0`, `spline-1`, and so on."""
+"""Random smooth paths, named by seed: `spline-0`, `spline-1`, and so on."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Timing
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 
 
 class RandomSplines(StrictModel):
-    """Distribution of random paths."""
+    """Parameters of the distribution of random paths, and of their timing."""
 
     timing: Timing = Field(description="timing of the path")
     legs: int = Field(ge=1, description="number of legs between waypoints")
@@ -39,21 +39,21 @@ class RandomSplines(StrictModel):
             points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
             try:
                 path = smooth_path(points, f"seed {seed}")
-            except ConfigError:  # a turn is nearly a cusp
+            except ConfigError:  # a turn is too tight for `smooth_path`
                 continue
-            # Otherwise the generator draws another path; the result still depends on the seed only.
+            # A path with a tight turn is drawn again; the result still depends only on the seed.
             if path.bend.max() * self.turn_radius <= 1:
                 return points
 
 
 @cache
 def random_splines() -> RandomSplines:
-    """Read the distribution of random paths of the package."""
+    """Load the parameters from `random_spline.yaml` of this package."""
     return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
 
 
-def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
-    """Build the trajectory of a seed within `limits` and the limits of the settings; it is reproducible bit for bit.
+def time_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
+    """Build the trajectory of a seed within `limits` and the limits of the settings; the result is bit-reproducible.
 
     `timing` replaces the timing of the settings. Raises ConfigError if the timing "commanded" exceeds the yaw limit.
     """
@@ -61,4 +61,4 @@ def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None
     reduced = replace(limits, v=min(side_of(limits.v, 1.0), settings.speed), omega=min(limits.omega, settings.omega))
     points = [(float(x), float(y)) for x, y in settings.waypoints(seed)]
     name = f"spline-{seed}"
-    return lay_waypoints(points, reduced, name=name, where=name, timing=timing or settings.timing, max_deviation=None)
+    return time_waypoints(points, reduced, name=name, where=name, timing=timing or settings.timing, max_deviation=None)

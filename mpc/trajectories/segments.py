@@ -1,8 +1,9 @@
 """Conversion of segments (v, omega, duration) to a timed reference, with `timing: stop` or `timing: commanded`.
 
 A segment defines geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards if
-v < 0; a turn on the spot if v = 0; a pause if both are zero. With `commanded`, each twist lasts for its duration. With
-`stop`, the robot starts and ends at rest, the geometry is exact, and the acceleration limits require additional time.
+v < 0; a turn on the spot if v = 0; a pause if v and omega are zero. With `commanded`, each twist lasts for its
+duration. With `stop`, the robot starts and ends at rest, the geometry is exact, and the acceleration limits require
+additional time.
 
 On an arc omega = curvature * v, so a jump of the curvature causes a jump of omega unless v = 0. With exact geometry and
 limited yaw acceleration, the robot must stop between segments of different curvature, at reversals, and before and
@@ -24,9 +25,9 @@ from diffdrive_mpc.models.two_sided import side_of, sides_of
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, PathStretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
-from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
+from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, rest_to_rest, trapezoid
 
-# Minimum rate of a moving segment; a slower twist counts as a pause, since its square would underflow.
+# Minimum rate of progress of a moving segment; a slower segment counts as a pause, since its square would underflow.
 _MIN_RATE = 1e-100
 
 
@@ -64,7 +65,7 @@ class SegmentFile(StrictModel):
     )
 
 
-def lay_segments(
+def time_segments(
     segments: Sequence[Segment],
     limits: TrajectoryLimits,
     *,
@@ -83,10 +84,10 @@ def lay_segments(
     """
     check_segments(segments, limits, where)
     segments = slow_down(segments, limits)
-    return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in time_run(run, limits)])
+    return ArcTrajectory.chain(name, start, [stretch for run in runs(segments) for stretch in time_run(run, limits)])
 
 
-def lay_commanded(
+def time_commands(
     segments: Sequence[Segment],
     limits: TrajectoryLimits,
     *,
@@ -94,10 +95,10 @@ def lay_commanded(
     start: Sequence[float] = (0.0, 0.0, 0.0),
     where: str = "trajectory",
 ) -> ArcTrajectory:
-    """Convert `segments` as a script would command them: each twist lasts for its duration, with steps in between.
+    """Convert `segments` to open-loop commands: each twist lasts for its duration, with steps between the twists.
 
-    Only the start and the end of the drive have ramps within the acceleration limits, which need additional time, since
-    a step from rest would contain no path. For arguments and errors see `lay_segments`.
+    Only the start and the end of the drive have ramps within the acceleration limits, which require additional time.
+    For arguments and errors see `time_segments`.
     """
     check_segments(segments, limits, where, exact=True)
     moving = [i for i, segment in enumerate(segments) if segment.cruise]
@@ -107,20 +108,20 @@ def lay_commanded(
         phases = [Phase(0.0, 0.0, 0.0, segment.duration)]
         if cruise:
             entry, leave = (0.0 if i == end else cruise for end in (moving[0], moving[-1]))
-            phases = between(length, cruise, entry, leave, _acceleration([segment], limits))
+            phases = trapezoid(length, cruise, entry, leave, _acceleration([segment], limits))
         stretches.append(PathStretch(*segment.direction, length, phases))
-    return ArcTrajectory.lay(name, start, stretches)
+    return ArcTrajectory.chain(name, start, stretches)
 
 
 def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str, *, exact: bool = False) -> None:
     """Raise ConfigError if there are no segments or too many, or if a segment exceeds `limits`.
 
-    `where` is the source of the segments. If `exact` is False, only the higher side of a limit is checked, since the
-    timing reduces the speed later.
+    `where` is the source of the segments in the message. If `exact` is False, a two-sided limit is checked only against
+    its higher side, since `slow_down` later reduces the speed to the lower side.
     """
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
-    maximum = load_settings().most_segments
+    maximum = load_settings().max_segments
     if len(segments) > maximum:
         raise ConfigError(f"{where}: {len(segments):,} segments, at most {maximum:,}; join segments, or split the file")
     for i, segment in enumerate(segments):
@@ -135,26 +136,26 @@ def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where:
 
 
 def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
-    """Group consecutive segments that can be joined without a stop."""
+    """Group consecutive segments that the robot can drive without a stop between them."""
     runs = [[segments[0]]]
     for previous, segment in pairwise(segments):
-        if previous.cruise and segment.cruise and _joins(previous, segment):
+        if previous.cruise and segment.cruise and _has_same_direction(previous, segment):
             runs[-1].append(segment)
         else:
             runs.append([segment])
     return runs
 
 
-def _joins(first: Segment, second: Segment) -> bool:
-    """Return True if the ratio of forward to yaw motion is the same in `first` and `second`."""
-    # Only rounding of omega / v is tolerated, since the yaw rate jumps by the difference.
+def _has_same_direction(first: Segment, second: Segment) -> bool:
+    """Return True if curvature and direction of travel are the same in `first` and `second`."""
+    # Only rounding of omega / v is tolerated, since a difference would be a jump of the yaw rate.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
     )
 
 
 def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStretch]:
-    """Compute the timing of a run from rest to rest."""
+    """Compute the timing of a run, see `runs`, from rest to rest."""
     if not run[0].cruise:
         return [PathStretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
     lengths = [segment.cruise * segment.duration for segment in run]
@@ -166,18 +167,18 @@ def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStret
 
 
 def slow_down(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
-    """Reduce the speed of segments that exceed the lower side of a limit, with a reserve for tracking."""
-    slowed = []
+    """Reduce the speed of segments that exceed their side of a two-sided limit, with a reserve for tracking."""
+    result = []
     for segment in segments:
         pairs = ((segment.v, limits.v), (segment.omega, limits.omega))
         excess = max((abs(value) / side_of(limit, value) for value, limit in pairs))
         if excess > 1.0:
             factor = excess / load_settings().reach_share
-            changed = {"v": segment.v / factor, "omega": segment.omega / factor, "duration": segment.duration * factor}
-            slowed.append(segment.model_copy(update=changed))
+            slower = {"v": segment.v / factor, "omega": segment.omega / factor, "duration": segment.duration * factor}
+            result.append(segment.model_copy(update=slower))
         else:
-            slowed.append(segment)
-    return slowed
+            result.append(segment)
+    return result
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:

@@ -1,4 +1,4 @@
-"""Paths of continuous curvature through waypoints, divided into short pieces."""
+"""Smooth paths of continuous curvature through waypoints, divided into short pieces."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """Path of m short pieces, with values at the ends of the pieces and bounds on each piece."""
+    """Path of m short pieces, with geometry at the ends of the pieces and bounds over each piece."""
 
     points: FloatArray
     """(m + 1, 2) x, y [m]."""
     heading: FloatArray
-    """(m + 1,) direction of the tangent [rad], unwrapped."""
+    """(m + 1,) direction of the tangent, or heading of a robot that drives backwards [rad, unwrapped]."""
     curvature: FloatArray
     """(m + 1,) curvature [1/m]."""
     lengths: FloatArray
@@ -46,9 +46,9 @@ def smooth_path(
 ) -> SmoothPath:
     """Fit a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and divide it into pieces.
 
-    `where` is the source of the waypoints in error messages. `pieces` is the number of pieces between two waypoints, by
-    default that of the settings. `ends` are the headings [rad] at the start and at the end; None leaves an end free.
-    With `max_deviation` [m] both ends are free, and the spline is that of `spline_near`.
+    `where` is the source of the waypoints in error messages. `pieces` is the number of pieces between two waypoints;
+    None selects the number of the settings. `ends` are the directions of the path [rad] at the start and at the end;
+    None leaves the direction free. With `max_deviation` [m], `spline_near` computes the spline, and `ends` is ignored.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def smooth_path(
     """
     settings = load_settings()
     if pieces is None:
-        minimum = settings.least_pieces_per_waypoint
+        minimum = settings.min_pieces_per_waypoint
         pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, minimum, where)
     chords = np.hypot(*np.diff(waypoints, axis=0).T)
     if chords.min() < _MIN_CHORD:
@@ -69,7 +69,7 @@ def smooth_path(
         spline = CubicSpline(along, waypoints, bc_type=bounds)
     else:
         spline = spline_near(waypoints, max_deviation)
-        # The additional knots do not change the total number of pieces.
+        # Keep the total number of pieces despite the additional knots of this spline.
         pieces = max(1, pieces * chords.size // (spline.x.size - 1))
     u = np.append((spline.x[:-1, None] + np.diff(spline.x)[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
     inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
@@ -79,8 +79,8 @@ def smooth_path(
     curvature, _, _ = bending(spline, u)
     bend, bend_change, stretch = (np.abs(values) for values in bending(spline, inside))
     lengths = np.diff(u) / 2 * (stretch @ _WEIGHTS)
-    # The nodes of the integration exclude the ends of a piece, where the curvature may be largest. Its derivative jumps
-    # at the knots and is taken inside the pieces only.
+    # The integration nodes exclude the ends of a piece, where the curvature may have its maximum. The derivative of the
+    # curvature jumps at the knots, so it is evaluated only inside the pieces.
     bend = np.maximum(bend.max(axis=1), np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:])))
     # At a cusp the heading jumps, although the curvature may be zero on both sides.
     mean_curvature = np.abs(np.diff(heading)) / lengths
@@ -100,7 +100,7 @@ def smooth_path(
 
 
 def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute curvature [1/m], its derivative by arc length [1/m^2], and the length of the tangent at `u`."""
+    """Compute curvature [1/m], its derivative by arc length [1/m^2], and the tangent length at parameters `u`."""
     first, second, third = (spline(u, order) for order in (1, 2, 3))
     stretch = np.hypot(first[..., 0], first[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):

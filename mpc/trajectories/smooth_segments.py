@@ -1,8 +1,8 @@
 """Smooth timing of segments: clothoids replace jumps of the curvature, so that the robot need not stop there.
 
-The path changes by at most a given distance. The robot still stops at cusps, and before and after turns on the spot
-and pauses, which do not change. A segment whose radius is below the minimum of the settings counts as a turn on the
-spot.
+The path deviates from the segments by at most a given distance. The robot still stops at cusps and before and after
+turns on the spot and pauses, which remain exact. A segment whose radius is below the minimum of the settings counts as
+a turn on the spot.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ _TURN_STEP = 0.05
 _MIN_ARC = 1e-9
 
 Nodes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Times (n,) [s] from the first node, poses (n, 3), rates (n, 3), and distances (n,) from the drawn path [m]."""
+"""Nodes of a trajectory: times (n,) [s] since the first node, poses (n, 3) [m, m, rad], time derivatives (n, 3) of the
+poses, and distances (n,) from the drawn path [m]."""
 
 
-def lay_smooth(
+def time_smooth_path(
     segments: Sequence[Segment],
     limits: TrajectoryLimits,
     *,
@@ -43,16 +44,17 @@ def lay_smooth(
     smoothing: float | None = None,
     caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
-    """Convert `segments` to a trajectory of continuous curvature from rest to rest, with as few stops as possible.
+    """Convert `segments` to a trajectory of continuous curvature from rest to rest, with a minimum number of stops.
 
     Parameters
     ----------
     segments, limits, name, start, where
-        See `segments.lay_segments`; `limits` includes the lateral acceleration.
+        See `segments.time_segments`; `limits` includes the lateral acceleration.
     smoothing
-        Maximum distance from the drawn path [m]; by default the value of the settings.
+        Maximum distance from the drawn path [m]; None selects the value of the settings.
     caps
-        Maximum speeds by curvature; turns on the spot are then not allowed.
+        Maximum speeds by curvature; None for no such limit. With caps, turns on the spot and backward driving are
+        rejected.
 
     Raises
     ------
@@ -74,10 +76,10 @@ def lay_smooth(
                 "drive forwards, or remove it"
             )
         pieces = (_drive_nodes(run, sense, pose, limits, distance, caps),) if sense else turn_nodes(run, pose, limits)
-        for times, poses, rates, drawn in pieces:
-            if time + float(times[-1]) == time:  # a phase of zero length, from rounding
+        for times, poses, rates, offsets in pieces:
+            if time + float(times[-1]) == time:  # rounding reduces a short phase to zero length
                 continue
-            node_groups.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
+            node_groups.append((time + times[1:], poses[1:], rates[1:], offsets[1:]))
             time, pose = time + float(times[-1]), poses[-1]
     return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*node_groups, strict=True)))
 
@@ -85,33 +87,36 @@ def lay_smooth(
 def _check_work(segments: Sequence[Segment], where: str) -> None:
     """Raise ConfigError if the path would have too many pieces or joints."""
     settings = load_settings()
-    driven = [(segment, bool(_sense(segment))) for segment in segments]
+    travelling = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
-        (abs(segment.v) / settings.smooth_piece if moves else abs(segment.omega) / _TURN_STEP) * segment.duration
-        for segment, moves in driven
+        (abs(segment.v) / settings.smooth_piece if travels else abs(segment.omega) / _TURN_STEP) * segment.duration
+        for segment, travels in travelling
     )
     settings.check_pieces(pieces, where, "split it, or choose another timing")
-    # `joint` stores its results, so only different joints need time.
+    # `joint` caches its results, so repeated joints take no time.
     joints = {
         (before.v, before.omega, after.v, after.omega)
-        for (before, first), (after, second) in pairwise(driven)
+        for (before, first), (after, second) in pairwise(travelling)
         if first and second
     }
-    if len(joints) > settings.most_joints:
+    if len(joints) > settings.max_joints:
         raise ConfigError(
-            f"{where}: {len(joints):,} different joints of segments, at most {settings.most_joints:,} are possible; "
+            f"{where}: {len(joints):,} different joints of segments, at most {settings.max_joints:,} are possible; "
             "split it, or choose another timing"
         )
 
 
 def _sense(segment: Segment) -> int:
-    """Return 1 forwards, -1 backwards, 0 for a pause or a turn on the spot, exact or approximate."""
-    turning = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
-    return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
+    """Return 1 forwards, -1 backwards, and 0 for a pause or a turn on the spot.
+
+    A segment whose radius is below the minimum of the settings counts as a turn on the spot.
+    """
+    is_turn = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
+    return 0 if is_turn or not segment.cruise else int(math.copysign(1, segment.v))
 
 
 def turn_nodes(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
-    """Yield the nodes of turns on the spot and pauses, which are not smoothed."""
+    """Yield the nodes of turns on the spot and pauses from `pose` (3,), without smoothing."""
     for stretch in (stretch for run in runs(group) for stretch in time_run(run, limits)):
         for phase in stretch.phases:
             turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
@@ -140,9 +145,9 @@ def _drive_nodes(
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
-    reaches = [0.0, *(rounded.reach for rounded in joints), 0.0]
-    # Blocks with one maximum speed each: what the joints leave of a segment, and the joints, at the speed of the slower
-    # segment.
+    reaches = [0.0, *(transition.reach for transition in joints), 0.0]
+    # Blocks with one maximum speed each: the segments without their joints, and the joints, whose speed is that of the
+    # slower segment.
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
         remaining = length - reaches[i] - reaches[i + 1]
@@ -154,25 +159,25 @@ def _drive_nodes(
     spacing = load_settings().smooth_piece
     distances_along: list[FloatArray] = [np.zeros(1)]
     cruises: list[FloatArray] = []
-    drawn: list[FloatArray] = [np.zeros(1)]
+    offsets: list[FloatArray] = [np.zeros(1)]
     joint_distances: dict[Joint, FloatArray] = {}
-    for parts, cruise, rounded in blocks:
+    for parts, cruise, transition in blocks:
         # Between two stops, at least one moving node is needed.
         min_pieces = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(min_pieces, math.ceil(part.length / spacing)) for part in parts]
-        travelled = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
-        distances_along.append(distances_along[-1][-1] + travelled)
-        cruises.append(np.full(travelled.size, cruise))
-        if rounded is None:
-            drawn.append(np.zeros(travelled.size))
+        along = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
+        distances_along.append(distances_along[-1][-1] + along)
+        cruises.append(np.full(along.size, cruise))
+        if transition is None:
+            offsets.append(np.zeros(along.size))
         else:
-            if rounded not in joint_distances:
-                joint_distances[rounded] = distances(sample_clothoids(parts, np.append(0.0, travelled))[0], rounded)[1:]
-            drawn.append(joint_distances[rounded])
+            if transition not in joint_distances:
+                poses, _ = sample_clothoids(parts, np.append(0.0, along))
+                joint_distances[transition] = distances(poses, transition)[1:]
+            offsets.append(joint_distances[transition])
     arc_lengths = np.concatenate(distances_along)
     local, curvature = sample_clothoids([part for parts, *_ in blocks for part in parts], arc_lengths)
-    # The local path is driven forwards. Backwards, it leaves the robot opposite to its heading: a rotation by half a
-    # turn.
+    # The local path starts in the direction of travel, so a backward path is rotated by half a turn.
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
     points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
     steps, size = np.diff(arc_lengths), np.abs(curvature)
@@ -181,4 +186,4 @@ def _drive_nodes(
     speeds = np.concatenate(cruises)
     max_speeds = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
     square = squared_speeds(steps, max_bend, change, limits, max_speeds, lateral=True, sense=sense)
-    return *time_path(path, square, limits, sense), np.concatenate(drawn)
+    return *time_path(path, square, limits, sense), np.concatenate(offsets)

@@ -10,11 +10,9 @@ from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
 
-# User-defined references; the shapes of their samples are checked before the core reads the samples.
-
 
 class CheckedReference:
-    """Wrapper of a reference that checks the shapes of its samples and converts them to floating-point numbers.
+    """Wrapper of a user-defined reference that checks the shapes of its samples and converts them to float arrays.
 
     Parameters
     ----------
@@ -55,17 +53,18 @@ class CheckedReference:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """Wrap `reference` in a `CheckedReference` unless the compiled core samples it."""
+    """Wrap `reference` in a `CheckedReference`, unless the compiled core can sample it."""
     return reference if getattr(reference, "native", None) is not None else CheckedReference(reference)
 
 
 # Tolerated ratio of a speed to its limit [-]; a spline through timed poses may overshoot slightly.
-_SPEED_EXCESS = 1.01
-# Tolerated ratio of the steady-state command for a twist to its limit [-]; the reference waits for a lagging robot.
-_COMMAND_EXCESS = 1.25
+_MAX_SPEED_RATIO = 1.01
+# Tolerated ratio of the steady-state command for a twist to its limit [-]; above the limit the robot lags, and the
+# reference waits.
+_MAX_COMMAND_RATIO = 1.25
 _MAX_SAMPLES = 100_000
 _MAX_DURATION = 1e9
-# Maximum position [m] and heading [rad]; with larger values, differences are rounding errors.
+# Maximum position [m] and heading [rad]; rounding errors dominate the differences of larger values.
 _MAX_POSE = 1e9
 # Tolerances of the turn radius check for rounding and overshoot of splines [-, m/s].
 _RADIUS_SHARE, _TURN_MARGIN = 0.99, 1e-3
@@ -74,12 +73,12 @@ _MAX_SPOT_TURN = 0.1
 
 
 def check_speeds(
-    reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None, after: float = 0.0
+    reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None, start_time: float = 0.0
 ) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
-    If the steady-state `gain` (2, 2) of the model is given, the command for the reference's twist is also compared. The
-    check starts at the time `after` [s] of the reference.
+    If the steady-state `gain` (2, 2) of the model is given, the commands for the reference's twist are also compared.
+    The check starts at the time `start_time` [s] of the reference.
 
     Raises
     ------
@@ -88,10 +87,10 @@ def check_speeds(
         message is one line with reference, time, value and limit.
     """
     times = _sample_times(reference, dt)
-    # Two samples remain, since the checks use their spacing.
-    times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
+    # At least two samples are kept, since the checks use their spacing.
+    times = times[min(int(np.searchsorted(times, start_time)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
-    # Negated, like the comparisons of the speeds below, so that NaN is invalid.
+    # This comparison and those of the speeds below are negated, so that NaN is invalid.
     invalid = np.flatnonzero(~(np.abs(sample.pose) <= _MAX_POSE).all(axis=1))
     if invalid.size:
         raise ValueError(
@@ -103,21 +102,21 @@ def check_speeds(
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(np.abs(twist[:, row]) / sides_at(limit, twist[:, row])))
         value, bound, side = at_side(twist[worst, row], limit)
-        if not value <= bound * _SPEED_EXCESS:
+        if not value <= bound * _MAX_SPEED_RATIO:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name}{side} = {bound:g}; slow the reference down or raise the limit"
             )
         worst = int(np.argmax(np.abs(commands[:, row]) / sides_at(limit, commands[:, row])))
         value, bound, side = at_side(commands[worst, row], limit)
-        if not value <= bound * _COMMAND_EXCESS:
+        if not value <= bound * _MAX_COMMAND_RATIO:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {abs(twist[worst, row]):.3g} at {times[worst]:.2f} s takes a "
                 f"command of {value:.3g} by the model's gain, more than limits.{name}{side} = {bound:g}; slow the "
                 "reference down, raise the limit, or identify the model on this robot"
             )
     twist = np.abs(twist)
-    _check_spots(reference.name, times, twist, limits)
+    _check_turns_on_the_spot(reference.name, times, twist, limits)
     radius = limits.min_turn_radius
     if radius is not None:
         excess = twist[:, 1] * radius * _RADIUS_SHARE - twist[:, 0]
@@ -132,12 +131,12 @@ def check_speeds(
 
 
 def at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
-    """Return the absolute value, the limit of its side, and the key suffix of the side if the sides differ."""
+    """Return the absolute value, the limit of its side, and the key suffix of this side if the sides differ."""
     suffix = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
     return abs(float(value)), side_of(limit, value), suffix
 
 
-def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
+def _check_turns_on_the_spot(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
     """Raise ValueError if commands have a minimum radius and the absolute `twist` (n, 2) has a turn on the spot."""
     radius = limits.min_commanded_radius
     if radius is None:
@@ -154,11 +153,11 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
             )
 
 
-def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
-    """Return a message if the reference turns more tightly than commands may turn; empty otherwise.
+def describe_tight_turns(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
+    """Return a message if the reference turns more tightly than the commands are allowed to; empty otherwise.
 
-    If the steady-state `gain` (2, 2) of the model is given, the commands for the reference's twist are checked. Such a
-    reference is not rejected, but the robot cuts its corners.
+    The twist is sampled every `dt` [s]. If the steady-state `gain` (2, 2) of the model is given, the commands for the
+    twist are checked instead of the twist. A reference with tight turns is valid, but the robot cuts its corners.
     """
     radius = limits.min_commanded_radius
     if radius is None:

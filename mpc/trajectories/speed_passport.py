@@ -19,7 +19,7 @@ from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.models.trust import check_trusted
 
 Share = Annotated[float, Field(gt=0, lt=1)]
-# Tolerance of a curvature for rounding [1/m].
+# Tolerance for rounding when a curvature is compared with the end of a class [1/m].
 _STRAIGHT = 1e-9
 
 
@@ -85,7 +85,7 @@ class SpeedCaps:
     def speeds_of(self, bend: FloatArray) -> FloatArray:
         """Return the maximum speed (m,) [m/s] for the absolute curvature `bend` (m,) [1/m].
 
-        The speed is the minimum over the classes up to that of the curvature.
+        The speed is the minimum over the class of the curvature and all classes of lower curvature.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class SpeedCaps:
                 f"{self.where}: the path turns with a curvature of {maximum:.3g} 1/m, the passport has none above "
                 f"{self.curvatures[-1]:.3g} 1/m; widen the turn, or measure a passport with such curvatures"
             )
-        # The speed must not increase with the curvature; in measurements, a tighter class may be faster by chance.
+        # The speed must not increase with the curvature; a measured speed of a tighter class may be higher by chance.
         speeds = np.minimum.accumulate(self.speeds)[np.searchsorted(self.curvatures + _STRAIGHT, bend)]
         if np.isnan(speeds).any():
             curvature = float(bend[np.isnan(speeds)].min())
@@ -112,7 +112,7 @@ class SpeedCaps:
 def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     """Load the passport of a trajectory in `folder`, and select the speeds for its tolerance and surface.
 
-    A tolerance between two values of the passport is rounded down.
+    If the passport does not contain the tolerance, the speeds for the next lower tolerance are used.
 
     Raises
     ------

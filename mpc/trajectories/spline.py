@@ -26,7 +26,7 @@ class SplineTrajectory(TableTrajectory):
         (16, m) coefficients of x, y, theta and arc length for each power of the time since the start of the piece,
         highest power first.
     drawn
-        (m + 1,) distances from the drawn path at the breaks [m]; None if the trajectory is on the drawn path.
+        (m + 1,) distances at the breaks from the drawn path, the path in the file [m]; None if both paths are equal.
     """
 
     drawn: FloatArray | None = None
@@ -37,7 +37,7 @@ class SplineTrajectory(TableTrajectory):
     ) -> SplineTrajectory:
         """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0.
 
-        `drawn` (m + 1,) are the distances from the drawn path [m]; None if the trajectory is on the drawn path.
+        `drawn` (m + 1,) are the distances from the drawn path [m]; None if both paths are equal.
         """
         motion, step = _hermite(times, poses, rates), np.diff(times)
         inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
@@ -71,7 +71,7 @@ class SplineTrajectory(TableTrajectory):
 def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
     """Compute the coefficients (4, m, n), as in `table`, of cubic pieces through values (m + 1, n) with given slopes.
 
-    SciPy is not used, since its import takes longer than that of the whole controller.
+    SciPy is not used, since its import takes longer than the import of the whole controller.
     """
     step = np.diff(times)[:, None]
     mean = np.diff(values, axis=0) / step

@@ -25,15 +25,15 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 
 _MAX_VALUES = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}
-"""Maximum values; larger values are due to a wrong unit, and their powers could overflow."""
-_COLUMNS = tuple(_MAX_VALUES)
+"""Maximum absolute values by column; larger values are due to a wrong unit, and their powers could overflow."""
+_COLUMN_NAMES = tuple(_MAX_VALUES)
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
-    """Read timed poses from a CSV file and fit a trajectory through them; see `lay_timed_poses`.
+    """Read timed poses from a CSV file and interpolate them by a trajectory, see `fit_timed_poses`.
 
     The header of the file contains the columns t [s], x, y [m] and theta [rad]; other columns are ignored.
 
@@ -43,22 +43,22 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
         If the file cannot be read, has fewer than two rows or a value that is not a finite number, times do not
         increase, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
-    return lay_timed_poses(_read(path), limits, name=path.stem, where=str(path))
+    return fit_timed_poses(_read(path), limits, name=path.stem, where=str(path))
 
 
-def lay_timed_poses(
+def fit_timed_poses(
     rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
 ) -> SplineTrajectory:
-    """Fit twice continuously differentiable splines through timed poses, or splines with given rates.
+    """Interpolate timed poses by twice continuously differentiable splines, or by splines with given rates.
 
     Parameters
     ----------
     rows
         (m, 4) finite values, m >= 2: increasing t [s], whose first value becomes time 0; x, y [m]; theta [rad], which
-        may be wrapped, since the turn from row to row is assumed to be less than pi.
+        may be wrapped, since the turn between consecutive rows is assumed to be less than pi.
     limits
-        Speed limits, which are checked at the rows and in between; with None only sideways travel is rejected.
-        Accelerations are not checked.
+        Speed limits, which are checked at and between the rows; None disables this check. Sideways travel is always
+        rejected, and accelerations are never checked.
     name
         Name in tables and figures.
     where
@@ -72,10 +72,10 @@ def lay_timed_poses(
         If there are too many rows, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
     settings = load_settings()
-    pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
-    nodes, through = rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])])
-    # Given rates leave no freedom for a continuous second derivative.
-    splines = CubicSpline(nodes, through) if rates is None else CubicHermiteSpline(nodes, through, rates)
+    pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.min_pieces_per_row, where)
+    nodes, values = rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])])
+    # A cubic spline with given rates cannot also have a continuous second derivative.
+    splines = CubicSpline(nodes, values) if rates is None else CubicHermiteSpline(nodes, values, rates)
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, slopes = splines(times), splines(times, 1)
@@ -85,22 +85,22 @@ def lay_timed_poses(
 
 
 def _read(path: Path) -> FloatArray:
-    """Read the columns t, x, y, theta (m, 4) of the file, with checks of the format."""
+    """Read the columns t, x, y, theta (m, 4) of the file, and check the format and the order of the times."""
     settings = load_settings()
-    max_rows = settings.max_pieces // settings.least_pieces_per_row
+    max_rows = settings.max_pieces // settings.min_pieces_per_row
     try:
         with open_input(path) as file:
             reader = csv.reader(_lines(path, file))
             header = [cell.strip() for cell in next(reader, [])]
-            missing = [name for name in _COLUMNS if name not in header]
+            missing = [name for name in _COLUMN_NAMES if name not in header]
             if missing:
-                remedy = f"the header must name {','.join(_COLUMNS)} (found {plain_line(','.join(header), 100)})"
+                remedy = f"the header must name {','.join(_COLUMN_NAMES)} (found {plain_line(','.join(header), 100)})"
                 raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {remedy}")
-            columns = [header.index(name) for name in _COLUMNS]
+            columns = [header.index(name) for name in _COLUMN_NAMES]
             lines, numbers = array("q"), array("d")
             for cells in reader:
                 if any(map(str.strip, cells)):
-                    numbers.extend(_numbers(path, reader.line_num, cells, columns))
+                    numbers.extend(_parse_row(path, reader.line_num, cells, columns))
                     lines.append(reader.line_num)
                 if len(lines) > max_rows:
                     raise ConfigError(
@@ -110,30 +110,30 @@ def _read(path: Path) -> FloatArray:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if len(lines) < 2:
         raise ConfigError(f"{path}: {len(lines)} timed poses; give at least two rows below the header")
-    rows = np.array(numbers).reshape(-1, len(_COLUMNS))
+    rows = np.array(numbers).reshape(-1, len(_COLUMN_NAMES))
     unsorted = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
     if unsorted.size:
         raise ConfigError(
             f"{path}, line {lines[unsorted[0] + 1]}: t = {rows[unsorted[0] + 1, 0]:g} s is not after the previous row; "
-            "sort the rows and drop duplicates"
+            "sort the rows and remove duplicates"
         )
     return rows
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
-    """Yield lines without line ends; a line that is too long is rejected before it is read completely."""
+    """Yield the lines of a file without line ends; the length of a line is limited, to limit the memory."""
     coding = "utf-8-sig"
     while line := rest_of_line(path, file):
         yield from line.decode(coding).removesuffix("\n").removesuffix("\r").split("\r")
         coding = "utf-8"
 
 
-def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:
+def _parse_row(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:
     """Parse the four numbers of a row."""
     if len(cells) <= max(columns):
         raise ConfigError(f"{path}, line {line}: {len(cells)} values, fewer than in the header; complete the row")
     numbers = []
-    for name, column in zip(_COLUMNS, columns, strict=True):
+    for name, column in zip(_COLUMN_NAMES, columns, strict=True):
         try:
             number = float(cells[column])
         except ValueError:
@@ -173,19 +173,16 @@ def _check_speeds(
             )
 
 
-# Trajectories from arrays, with checks of the input and default headings.
-
-
 _MOVING_SHARE = 0.01
-"""Share of the maximum speed [-] below which the direction of a path is undefined and the heading stays constant."""
-_MISFIT_SHARE, _MISFIT = 0.6, {"v": 0.05, "omega": 0.1}
-"""Tolerated difference between twists and changes of the poses, for noise [-, m/s, rad/s]."""
+"""Share of the maximum speed [-] below which the robot counts as at rest, without a direction of travel."""
+_MAX_TWIST_ERROR_SHARE, _TWIST_NOISE = 0.6, {"v": 0.05, "omega": 0.1}
+"""Maximum RMS difference between twists and changes of the poses: share of their RMS [-], and noise [m/s, rad/s]."""
 _MAX_SINE, _MAX_RADIAN_SINE = 0.3, 0.1
-"""Maximum RMS of the sine between heading and path [-], for headings in rad and after conversion from degrees."""
+"""Maximum RMS of the sine between heading and path [-], for headings in rad and for headings converted from degrees."""
 
 
 def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -> SplineTrajectory:
-    """Create a trajectory from columns by name, see `Trajectory.from_arrays`."""
+    """Create a trajectory from arrays by column name, see `Trajectory.from_arrays`."""
     where = f"trajectory '{name}'"
     arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
@@ -204,7 +201,7 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
         turning = omega
     has_twist = v is not None or omega is not None
     rows = np.column_stack([arrays["t"], points, theta])
-    return lay_timed_poses(
+    return fit_timed_poses(
         rows, None, name=name, where=where, rates=np.column_stack([rates, turning]) if has_twist else None
     )
 
@@ -243,13 +240,13 @@ def trajectory_from_waypoints(
         limits = replace(limits, v=max(limits.v, speed or 0.0))
     elif not isinstance(limits, TrajectoryLimits):
         raise wrong_type("limits", "a configuration or TrajectoryLimits", limits, "give load_config('config.yaml')")
-    return lay_waypoints(
+    return time_waypoints(
         list(map(tuple, array)), limits, name=name, speed=speed, where=where, timing=timing, max_deviation=max_deviation
     )
 
 
 def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
-    """Return the columns (n,) as arrays; raise ConfigError if lengths differ or times do not increase."""
+    """Convert the columns to arrays (n,); raise ConfigError if lengths differ or times do not increase."""
     optional = ("theta", "v", "omega")
     present = {name: values for name, values in columns.items() if values is not None or name not in optional}
     arrays = {name: _parse_array(where, name, values) for name, values in present.items()}
@@ -266,9 +263,9 @@ def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[
     if unsorted.size:
         raise ConfigError(
             f"{where}: t[{unsorted[0] + 1}] = {times[unsorted[0] + 1]:g} s is not after the previous time; "
-            "sort the rows and drop duplicates"
+            "sort the rows and remove duplicates"
         )
-    max_duration = load_settings().longest_duration
+    max_duration = load_settings().max_duration
     if times[-1] - times[0] > max_duration:
         raise ConfigError(
             f"{where}: the duration is {times[-1] - times[0]:.3g} s, at most {max_duration:g} s; are times in s?"
@@ -293,8 +290,8 @@ def _parse_array(where: str, name: str, values: ArrayLike | None) -> FloatArray:
 def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray | None) -> FloatArray:
     """Compute the headings (n,) [rad, unwrapped] from the direction of travel, reversed if `v` is negative.
 
-    The direction is that of `rates` (n, 2) of a spline, or that of `chords` (n, 2) if the spline swings back at a
-    sudden stop. At rest the heading is constant.
+    The direction is that of the spline's `rates` (n, 2), or that of the `chords` (n, 2) if the spline moves backwards,
+    as it does at a sudden stop. At rest the heading is constant.
     """
     speed = np.hypot(*chords.T)
     moving = np.flatnonzero(speed > _MOVING_SHARE * speed.max())
@@ -305,13 +302,13 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     if v is not None:
         headings = np.where(v < 0, headings + np.pi, headings)
     last_moving = np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)
-    # At rest the heading is that of the last moving row; before the first motion, that of the first moving row.
+    # At rest the heading is that of the last moving row, or that of the first moving row before the first motion.
     heading = headings[moving[last_moving]]
     return np.asarray(np.unwrap(heading) - 2 * np.pi * np.round(heading[0] / (2 * np.pi)))
 
 
 def _check_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return `theta` (n,); raise ConfigError if the headings match the path only after conversion from degrees."""
+    """Return `theta` (n,) unchanged; raise ConfigError if it matches the path only after conversion from degrees."""
 
     def sine(headings: FloatArray) -> float:
         sideways = rates[:, 1] * np.cos(headings) - rates[:, 0] * np.sin(headings)
@@ -326,7 +323,7 @@ def _check_fit(where: str, name: str, unit: str, twist: FloatArray, change: Floa
     """Raise ConfigError if a twist contradicts the poses, which indicates a wrong unit or sign."""
     gap = np.abs(twist - change)
     size = max(np.linalg.norm(twist), np.linalg.norm(change))
-    if np.linalg.norm(gap) > _MISFIT_SHARE * size + _MISFIT[name] * np.sqrt(len(gap)):
+    if np.linalg.norm(gap) > _MAX_TWIST_ERROR_SHARE * size + _TWIST_NOISE[name] * np.sqrt(len(gap)):
         worst = int(np.argmax(gap))
         raise ConfigError(
             f"{where}: {name} = {twist[worst]:.3g} {unit} at t = {times[worst]:.3g} s, but the poses change by "

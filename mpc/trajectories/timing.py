@@ -8,11 +8,11 @@ from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
 Timing = Literal["stop", "commanded", "smooth"]
-"""Kind of speed profile of a drawn path.
+"""Kind of speed profile along a path.
 
-stop: the exact path within the limits; the robot stops where the curvature jumps. commanded: the twists of the file,
-with steps in between and a ramp at both ends. smooth: clothoids replace jumps of the curvature, within the limits; the
-robot stops only at cusps and at turns on the spot.
+stop: exact path within the limits; the robot stops where the curvature jumps. commanded: twists of the file with steps
+between them, and a ramp at both ends. smooth: clothoids replace jumps of the curvature; the robot stops only at cusps
+and at turns on the spot, and the speed stays within the limits.
 """
 TIMINGS: tuple[Timing, ...] = get_args(Timing)
 
@@ -21,11 +21,11 @@ class Phase(NamedTuple):
     """Time interval of constant acceleration along a section of a path."""
 
     offset: float
-    """Distance from the start of the section to the start of the phase."""
+    """Progress at the start of the phase, in the unit of the section's length."""
     rate: float
-    """Speed at the start of the phase."""
+    """Rate of the progress at the start of the phase [unit of length/s]."""
     acceleration: float
-    """Constant acceleration of the phase."""
+    """Constant acceleration of the progress [unit of length/s^2]."""
     duration: float
     """Duration of the phase [s]."""
 
@@ -41,14 +41,14 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
     lengths
         Positive length of each section, in any unit.
     cruises
-        Positive maximum speed on each section, in this unit per second.
+        Positive maximum speed on each section [unit of length/s].
     acceleration
-        Positive maximum acceleration and deceleration, in this unit per second squared.
+        Positive maximum acceleration and deceleration [unit of length/s^2].
 
     Returns
     -------
     list of list of Phase
-        Phases of each section in order, without phases of zero duration.
+        Phases of each section in order of time; phases of zero duration are omitted.
     """
     joints = [0.0, *(min(pair) for pair in pairwise(cruises)), 0.0]
     for i, length in enumerate(lengths):
@@ -56,24 +56,25 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
     for i in reversed(range(len(lengths))):
         joints[i] = min(joints[i], _reachable(joints[i + 1], lengths[i], acceleration))
     return [
-        between(length, cruise, joints[i], joints[i + 1], acceleration)
+        trapezoid(length, cruise, joints[i], joints[i + 1], acceleration)
         for i, (length, cruise) in enumerate(zip(lengths, cruises, strict=True))
     ]
 
 
 def _reachable(rate: float, length: float, acceleration: float) -> float:
-    """Compute the maximum speed at the distance `length` after the speed `rate`."""
+    """Compute the maximum speed after acceleration from the speed `rate` over the distance `length`."""
     return math.sqrt(rate * rate + 2 * acceleration * length)
 
 
-def between(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
-    """Compute the phases from the speed `entry` via `cruise` to `leave`; a short length reduces the speeds at the ends.
+def trapezoid(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
+    """Compute the phases of a trapezoidal speed profile from the speed `entry` via `cruise` to the speed `leave`.
 
-    `entry` and `leave` must not exceed `cruise`. For units see `rest_to_rest`.
+    If the section is too short, the speeds at the ends are reduced. `entry` and `leave` must not exceed `cruise`. For
+    units see `rest_to_rest`.
     """
     leave = min(leave, _reachable(entry, length, acceleration))
     entry = min(entry, _reachable(leave, length, acceleration))
-    # The peak of the triangle follows from rise + fall = length.
+    # Lengths of the ramps are `rise` and `fall`; the peak of a triangle follows from rise + fall = length.
     peak = min(cruise, math.sqrt(acceleration * length + (entry**2 + leave**2) / 2))
     rise = (peak**2 - entry**2) / (2 * acceleration)
     fall = (peak**2 - leave**2) / (2 * acceleration)
@@ -82,5 +83,5 @@ def between(length: float, cruise: float, entry: float, leave: float, accelerati
         Phase(rise, peak, 0.0, (length - rise - fall) / cruise),
         Phase(length - fall, peak, -acceleration, (peak - leave) / acceleration),
     ]
-    # Due to rounding, the duration of a cruise or ramp that is not needed may be negative.
+    # Rounding may make the duration of an unnecessary cruise or ramp negative.
     return [phase for phase in phases if phase.duration > 0]

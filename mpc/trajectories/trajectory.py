@@ -1,4 +1,4 @@
-"""Base class of reference trajectories, with name, duration and sampling."""
+"""Base class of reference trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(ABC):
-    """Timed reference, see `models.interface.Reference`; created by `load_trajectory`, `from_arrays`, `from_waypoints`.
+    """Timed reference, see `models.interface.Reference`.
+
+    Create a trajectory by `load_trajectory`, `from_arrays` or `from_waypoints`.
 
     Attributes
     ----------
@@ -31,7 +33,7 @@ class Trajectory(ABC):
     duration
         Time from start to end [s].
     remark
-        Differences of duration and path from the file, in one line; empty without differences.
+        Differences between the trajectory and its file in duration and path, in one line; empty if there are none.
     """
 
     name: str
@@ -104,7 +106,7 @@ class Trajectory(ABC):
         timing
             "stop", "commanded" or "smooth", see `timing.Timing`.
         max_deviation
-            Maximum distance of the path from the polyline of the points, which determines the rounding of corners [m].
+            Maximum distance of the path from the polyline of the points [m]; determines the rounding of corners.
         name
             Name in tables and figures.
 
@@ -130,8 +132,8 @@ class Trajectory(ABC):
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Sample at `times` (n,) [s] since the start of the trajectory.
 
-        Before time 0 the trajectory is at rest at its start pose, after `duration` at its end pose. The pose at a NaN
-        time is NaN.
+        The trajectory is at rest at its start pose before time 0, and at its end pose after `duration`. The pose at a
+        NaN time is NaN.
 
         Returns
         -------
@@ -140,5 +142,8 @@ class Trajectory(ABC):
         """
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Compute the distance (n,) [m] from the drawn path (for waypoints, the polyline) at `times` (n,) [s]."""
+        """Compute the distances (n,) [m] from the drawn path at `times` (n,) [s].
+
+        The drawn path is the path in the file before smoothing; for waypoints, the polyline.
+        """
         return np.zeros(np.size(times))

@@ -18,10 +18,10 @@ from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Timing
 
-# Larger coordinates than 1000 km are due to a wrong unit, and their powers could overflow.
+# Coordinates above 1000 km are due to a wrong unit, and their powers could overflow.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 
-# Yaw acceleration that no robot reaches [rad/s^2].
+# Yaw acceleration limit that is never active [rad/s^2].
 _UNLIMITED = 1e9
 MAX_DEVIATION = 0.05
 """Default maximum distance of a path through waypoints from the polyline [m]."""
@@ -42,7 +42,7 @@ class WaypointFile(StrictModel):
     )
 
 
-def lay_waypoints(
+def time_waypoints(
     waypoints: Sequence[tuple[float, float]],
     limits: TrajectoryLimits,
     *,
@@ -55,11 +55,11 @@ def lay_waypoints(
 ) -> SplineTrajectory:
     """Create a timed trajectory on a smooth path through `waypoints` (x, y [m]).
 
-    The path is a natural cubic spline over chord length, with rounded corners wherever this spline is further than
-    `max_deviation` [m] from the polyline, see `spline_near`; None disables the rounding. The curvature is continuous.
-    The path is driven forwards, from rest to rest, as fast as `speed` [m/s] and `limits` allow. With the timing
-    "smooth" the lateral acceleration is also limited; with "commanded" the speed is constant except for the ramps at
-    both ends. `where` is the source of the waypoints in error messages; `caps` are maximum speeds by curvature.
+    The path is a natural cubic spline over chord length. Corners where this spline is further than `max_deviation` [m]
+    from the polyline are rounded, see `spline_near`; None disables the rounding. The curvature is continuous. The robot
+    drives forwards from rest to rest, as fast as `speed` [m/s] and `limits` permit. With the timing "smooth" the
+    lateral acceleration is also limited; with "commanded" the speed is constant except for the ramps at both ends.
+    `where` is the source of the waypoints in error messages; `caps` are maximum speeds by curvature.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def lay_waypoints(
 def _unlimited_yaw_acceleration(
     path: SmoothPath, speed: float, limits: TrajectoryLimits, where: str
 ) -> TrajectoryLimits:
-    """Return `limits` without a yaw acceleration limit, so that the speed is constant except for the ramps.
+    """Remove the yaw acceleration limit from `limits`, so that the speed is constant except for the ramps.
 
     Raises ConfigError if the yaw rate along the path exceeds its limit.
     """

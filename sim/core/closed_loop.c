@@ -5,7 +5,7 @@
 
 void plant_sample(velocity_plant *p, sensor_unit *s, const double *command)
 {
-    const double before = p->tick * s->sample_time;
+    const double start = p->tick * s->sample_time;
     double now, twist[2], speeds[4];
     int i;
     for (i = 0; i < 2; i++)
@@ -15,9 +15,9 @@ void plant_sample(velocity_plant *p, sensor_unit *s, const double *command)
     now = p->tick * s->sample_time;
     while (sensors_pose_due(s, now)) {
         double pose[3];
-        if (s->due != now)
-            velocity_plant_look(p, before, s->due, pose);
-        sensors_add_pose(s, s->due, s->due != now ? pose : p->pose);
+        if (s->due_time != now)
+            velocity_plant_past_pose(p, start, s->due_time, pose);
+        sensors_add_pose(s, s->due_time, s->due_time != now ? pose : p->pose);
     }
     /* BodySlip.turned */
     twist[0] = p->wheels[0];

@@ -6,7 +6,7 @@
 #include "sensors.h"
 #include "velocity_plant.h"
 
-/* Memory that is copied to row k of a table at tick k. */
+/* Memory that is copied to row k of a table at tick k; the rows are `stride` bytes apart. */
 typedef struct {
     const void *from;
     char *to;
@@ -14,14 +14,14 @@ typedef struct {
 } loop_column;
 
 typedef struct {
-    /* Controller: its step, which returns 0 after a complete tick, and the addresses of the fields of its input. */
+    /* Step of the controller, which returns 0 after a complete tick, and addresses of the fields of its input. */
     int (*step)(void *controller, double time, const void *input);
     void *controller;
     const void *input;
     sensor_reading *pose, *wheels, *yaw_rate;
     double start, *reference_time, *sent;
     int *has_sent;
-    /* Its result. A tick is ordinary if the four numbers are 0. */
+    /* Result of the step. A tick is ordinary if mode, reasons, notes and status are 0. */
     const double *command;
     const int *mode, *reasons, *notes, *status;
     int pending; /* return value of the last step */
@@ -31,8 +31,9 @@ typedef struct {
 
 /* Advance plant and sensors by one sample under a command [2], which is clipped to the limits. */
 void plant_sample(velocity_plant *p, sensor_unit *s, const double *command);
-/* Run up to `ticks` ticks, and record them from row `row` on. Returns the number of completed ticks. If this is smaller
- * than `ticks`, the next tick is not ordinary: the controller has made its step, and the caller has to complete it. */
+/* Run up to `ticks` ticks, and record them from row `row` on. Return the number of completed ticks. A number below
+ * `ticks` means that the next tick is not ordinary: the controller has made its step, and the caller must complete the
+ * tick. */
 int closed_loop_run(closed_loop *loop, velocity_plant *p, sensor_unit *s, int row, int ticks);
 
 #endif

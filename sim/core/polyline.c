@@ -2,10 +2,11 @@
 
 #include <math.h>
 
-/* Distances within which two segments count as equally near, and rounding errors of distances [m]. */
+/* Difference of distances up to which two segments count as equally near, and rounding error of distances [m]. */
 static const double TIE = 1e-12, ROUNDING = 1e-9;
 
-/* Compute the signed distance of a point from the segments `start` to `end`; returns the first nearest segment. */
+/* Compute the signed distance of a point from the segments `start` to `end`, excluding `end`; return the first of the
+ * nearest segments. */
 static int project(const polyline *line, const double *point, int start, int end, double *lateral)
 {
     double closest = INFINITY, minimum = INFINITY, side = 0.0;

@@ -7,31 +7,32 @@ static const double TURN = 6.283185307179586;
 int twin_send(twin_link *link, double time, const double *command)
 {
     int last;
-    if (link->count == link->room)
+    if (link->count == link->capacity)
         return 0;
-    last = (link->first + link->count++) % link->room;
+    last = (link->first + link->count++) % link->capacity;
     link->arrivals[last] = time + link->dead_time;
     link->commands[2 * last] = command[0];
     link->commands[2 * last + 1] = command[1];
     return 1;
 }
 
-void twin_arrived(twin_link *link, double start, double end, double *mean)
+void twin_mean_command(twin_link *link, double start, double end, double *mean)
 {
-    double total[2] = {0.0, 0.0}, since = start;
+    double total[2] = {0.0, 0.0}, last_time = start;
     int i;
     while (link->count && link->arrivals[link->first] < end) {
-        const double arrival = link->arrivals[link->first] < since ? since : link->arrivals[link->first];
+        const double arrival = link->arrivals[link->first] < last_time ? last_time : link->arrivals[link->first];
         for (i = 0; i < 2; i++) {
-            total[i] += (arrival - since) * link->acting[i];
-            link->acting[i] = link->commands[2 * link->first + i];
+            total[i] += (arrival - last_time) * link->effective[i];
+            link->effective[i] = link->commands[2 * link->first + i];
         }
-        since = arrival;
-        link->first = (link->first + 1) % link->room;
+        last_time = arrival;
+        link->first = (link->first + 1) % link->capacity;
         link->count--;
     }
     for (i = 0; i < 2; i++)
-        mean[i] = since == start ? link->acting[i] : (total[i] + (end - since) * link->acting[i]) / (end - start);
+        mean[i] = last_time == start ? link->effective[i]
+                                     : (total[i] + (end - last_time) * link->effective[i]) / (end - start);
 }
 
 void twin_shape(twin_shaper *shaper, const double *command, double *set_points)
@@ -46,16 +47,16 @@ void twin_shape(twin_shaper *shaper, const double *command, double *set_points)
             shaper->pulse;
 }
 
-static double quantised_angle(const twin_observer *observer, int wheel, double angle)
+static double quantise_angle(const twin_observer *observer, int wheel, double angle)
 {
     return floor(angle / observer->pulse + observer->phase[wheel]) * observer->pulse;
 }
 
-void twin_observe_rest(twin_observer *observer)
+void twin_reset_observer(twin_observer *observer)
 {
     int i;
     for (i = 0; i < 4; i++) {
-        observer->angle[i] = quantised_angle(observer, i, 0.0);
+        observer->angle[i] = quantise_angle(observer, i, 0.0);
         observer->speed[i] = 0.0;
     }
 }
@@ -65,7 +66,7 @@ void twin_observe(twin_observer *observer, const double *angles)
     int i;
     for (i = 0; i < 4; i++) {
         const double predicted = observer->angle[i] + observer->step * observer->speed[i];
-        const double error = quantised_angle(observer, i, angles[i]) - predicted;
+        const double error = quantise_angle(observer, i, angles[i]) - predicted;
         observer->angle[i] = predicted + observer->angle_gain * error;
         observer->speed[i] = observer->speed[i] + observer->speed_gain * error;
     }
@@ -81,8 +82,8 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
         const int is_resting = set_points[i] == 0.0 && fabs(estimates[i]) < loops->rest_speed;
         double requested, duty, requested_torque;
         if (is_resting)
-            loops->sum[i] = 0.0;
-        requested = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
+            loops->integrator[i] = 0.0;
+        requested = set_points[i] / loops->no_load_speed + loops->proportional_gain * error + loops->integrator[i];
         duty = is_resting ? 0.0 : requested < -1.0 ? -1.0 : requested > 1.0 ? 1.0 : requested;
         requested_torque = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
         torques[i] = requested_torque < -loops->torque_limit  ? -loops->torque_limit
@@ -90,7 +91,7 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
                                                               : requested_torque;
         /* Anti-windup: integrators are frozen while duty or current is saturated. */
         if (duty == requested && torques[i] == requested_torque)
-            loops->sum[i] += loops->integral * error;
+            loops->integrator[i] += loops->integral_gain * error;
     }
 }
 
@@ -103,7 +104,7 @@ static int all_within(const double *values, int count, double limit)
     return 1;
 }
 
-int twin_move(twin_chassis *chassis, const double *torques)
+int twin_step_physics(twin_chassis *chassis, const double *torques)
 {
     const double *q = chassis->position;
     double w, x, y, z, yaw;
@@ -111,28 +112,28 @@ int twin_move(twin_chassis *chassis, const double *torques)
     for (i = 0; i < 4; i++)
         chassis->torque[i] = torques[i];
     chassis->step(chassis->model, chassis->data);
-    if (!all_within(q, 11, chassis->largest) || !all_within(chassis->velocity, 10, chassis->largest))
+    if (!all_within(q, 11, chassis->max_state) || !all_within(chassis->velocity, 10, chassis->max_state))
         return TWIN_DIVERGED;
     w = q[3], x = q[4], y = q[5], z = q[6];
     if (1.0 - 2.0 * (x * x + y * y) < chassis->min_upright)
         return TWIN_TIPPED;
     yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
     chassis->yaw += remainder(yaw - chassis->yaw, TURN);
-    return TWIN_SOUND;
+    return TWIN_OK;
 }
 
 void twin_drive(twin *t, double start, double end, double *torques)
 {
     double command[2], set_points[4];
-    twin_arrived(t->link, start, end, command);
+    twin_mean_command(t->link, start, end, command);
     twin_shape(t->shaper, command, set_points);
     twin_torque(t->loops, set_points, t->observer->speed, t->chassis->velocity + 6, torques);
 }
 
 int twin_step(twin *t, const double *torques)
 {
-    const int state = twin_move(t->chassis, torques);
-    if (state == TWIN_SOUND)
+    const int state = twin_step_physics(t->chassis, torques);
+    if (state == TWIN_OK)
         twin_observe(t->observer, t->chassis->position + 7);
     return state;
 }
@@ -161,10 +162,10 @@ int twin_advance(twin *t, int steps, const double *edges, double *poses)
     for (k = 0; k < steps; k++) {
         twin_drive(t, edges[k], edges[k + 1], torques);
         state = twin_step(t, torques);
-        if (state != TWIN_SOUND)
+        if (state != TWIN_OK)
             return state;
         store_pose(t->chassis, poses + 3 * (k + 1));
         store_motors(t->chassis, torques, t->motors + 8 * k);
     }
-    return TWIN_SOUND;
+    return TWIN_OK;
 }

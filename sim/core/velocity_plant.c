@@ -5,8 +5,8 @@
 #include <string.h>
 
 static const double PI = 3.141592653589793;
-/* models/base_effects.py, _ROUNDING; models/slip_laws.py, _LEAST_ROOT. */
-static const double ON_STEP = 1e-9, LEAST_ROOT = 0.04;
+/* Constants of models/base_effects.py and models/slip_laws.py. */
+static const double ROUNDING = 1e-9, MIN_RADICAND = 0.04;
 
 static double clip(double value, double low, double high) { return fmin(fmax(value, low), high); }
 
@@ -23,9 +23,9 @@ static double limit_rate(double last, double command, double rise, double fall)
 
 static double quantise_speed(const velocity_plant *p, double speed)
 {
-    const double limited = clip(speed, -p->top_speed, p->top_speed);
+    const double limited = clip(speed, -p->max_wheel_speed, p->max_wheel_speed);
     return p->resolution == 0.0 ? limited
-                                : copysign(floor(fabs(limited) / p->resolution + ON_STEP) * p->resolution, limited);
+                                : copysign(floor(fabs(limited) / p->resolution + ROUNDING) * p->resolution, limited);
 }
 
 /* WheelCommand.apply */
@@ -39,7 +39,7 @@ static void apply_wheel_command(const velocity_plant *p, double *twist)
     twist[1] = (along_right - along_left) / p->track;
 }
 
-static void move_dynamics(velocity_plant *p, const double *requested)
+static void advance_dynamics(velocity_plant *p, const double *requested)
 {
     const int n = p->order, last = p->memory;
     double *current = p->state, *next_state = p->state + n;
@@ -68,27 +68,28 @@ static void move_dynamics(velocity_plant *p, const double *requested)
 /* YawRelaxation.advance */
 static double relax_yaw_rate(velocity_plant *p, double yaw_rate)
 {
-    const double side = (yaw_rate > 0.0) - (yaw_rate < 0.0), before = p->strain;
-    p->strain = side + (before - side) * exp(-fabs(yaw_rate) * p->step_time / p->angle);
-    return yaw_rate - p->angle * (p->strain - before) / p->step_time;
+    const double side = (yaw_rate > 0.0) - (yaw_rate < 0.0), previous = p->strain;
+    p->strain = side + (previous - side) * exp(-fabs(yaw_rate) * p->step_time / p->relaxation_angle);
+    return yaw_rate - p->relaxation_angle * (p->strain - previous) / p->step_time;
 }
 
 static void compute_body(velocity_plant *p)
 {
     p->body[0] = p->wheels[0];
-    p->body[1] = p->angle > 0.0 ? fabs(p->wheels[1]) * p->strain : p->wheels[1];
+    p->body[1] = p->relaxation_angle > 0.0 ? fabs(p->wheels[1]) * p->strain : p->wheels[1];
     p->body[1] += p->yaw_per_metre * p->body[0];
 }
 
 /* Compute the twist [3] of the body for an output [2] of the model: BodySlip.body and UnexplainedMotion.twist. */
-static void slip(const velocity_plant *p, const double *output, double *twist)
+static void compute_twist(const velocity_plant *p, const double *output, double *twist)
 {
     double v = p->longitudinal_gain * output[0], omega = p->yaw_gain * output[1], lateral = 0.0;
     int i, j;
     if (p->track_at_rest > 0.0) {
+        /* The factor cancels, but its rounding is that of the Python implementation. */
         const double settled = p->track_at_rest * omega / p->track_at_rest;
         const double growth = p->track_growth / p->track_at_rest;
-        omega = settled / (0.5 * (1.0 + sqrt(fmax(1.0 + 4.0 * growth * fabs(settled), LEAST_ROOT))));
+        omega = settled / (0.5 * (1.0 + sqrt(fmax(1.0 + 4.0 * growth * fabs(settled), MIN_RADICAND))));
     }
     if (p->has_polynomial) {
         const double *a = p->polynomial, v_c = v, w_c = omega;
@@ -105,13 +106,13 @@ static void slip(const velocity_plant *p, const double *output, double *twist)
         for (i = 0; i < 3; i++) {
             double variance = 0.0;
             for (j = 0; j < 6; j++)
-                variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->largest[j]);
+                variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->max_squares[j]);
             twist[i] += row[i] * sqrt(variance);
         }
     }
 }
 
-/* models/pose.py, integrate_pose; a crabbing body moves like a body that points in the direction of travel. */
+/* models/pose.py, integrate_pose; a body with side-slip moves like a body that points in the direction of travel. */
 static void integrate_pose(double *pose, const double *twist, double duration)
 {
     const double forward = copysign(1.0, twist[0]), crab = atan2(forward * twist[1], fabs(twist[0]));
@@ -127,49 +128,51 @@ void velocity_plant_reset(velocity_plant *p)
 {
     memset(p->state, 0, 2 * (size_t)p->order * sizeof *p->state);
     memset(p->commands, 0, 2 * (size_t)(p->memory + 1) * sizeof *p->commands);
-    memset(p->reached, 0, sizeof p->reached);
+    memset(p->limited_command, 0, sizeof p->limited_command);
     memset(p->rate, 0, sizeof p->rate);
     p->tick = p->has_sent = 0;
     p->strain = 0.0;
     memcpy(p->wheels, p->next, sizeof p->wheels);
     compute_body(p);
-    slip(p, p->body, p->twist);
+    compute_twist(p, p->body, p->twist);
 }
 
 void velocity_plant_advance(velocity_plant *p, const double *command)
 {
-    const double before[2] = {p->body[0], p->body[1]};
+    const double previous[2] = {p->body[0], p->body[1]};
     int step, i;
     for (step = 0; step < p->steps; step++) {
         double *arc = p->arcs + 6 * step, requested[2], mean[2];
         for (i = 0; i < 2; i++) {
-            p->reached[i] =
-                limit_rate(p->reached[i], clip(command[i], -p->lower[i], p->upper[i]), p->grows[i], p->falls[i]);
-            requested[i] = p->reached[i];
+            p->limited_command[i] = limit_rate(p->limited_command[i], clip(command[i], -p->lower[i], p->upper[i]),
+                                               p->max_rise[i], p->max_fall[i]);
+            requested[i] = p->limited_command[i];
             mean[i] = p->wheels[i];
         }
         if (p->track > 0.0)
             apply_wheel_command(p, requested);
-        move_dynamics(p, requested);
+        advance_dynamics(p, requested);
         for (i = 0; i < 2; i++)
             mean[i] = 0.5 * (mean[i] + p->wheels[i]);
-        if (p->angle > 0.0)
+        if (p->relaxation_angle > 0.0)
             mean[1] = relax_yaw_rate(p, mean[1]);
         mean[1] += p->yaw_per_metre * mean[0];
         memcpy(arc, p->pose, sizeof p->pose);
-        slip(p, mean, arc + 3);
+        compute_twist(p, mean, arc + 3);
         integrate_pose(p->pose, arc + 3, p->step_time);
     }
     compute_body(p);
-    slip(p, p->body, p->twist);
+    compute_twist(p, p->body, p->twist);
+    /* The gyro measures the sample that has ended, so its yaw rate precedes the update of tick and rate, which select
+     * the unexplained motion of the next sample. */
     p->yaw_rate = p->twist[2];
     for (i = 0; i < 2; i++)
-        p->rate[i] = (p->body[i] - before[i]) / (p->steps * p->step_time);
+        p->rate[i] = (p->body[i] - previous[i]) / (p->steps * p->step_time);
     p->tick++;
-    slip(p, p->body, p->twist);
+    compute_twist(p, p->body, p->twist);
 }
 
-void velocity_plant_look(const velocity_plant *p, double start, double time, double *pose)
+void velocity_plant_past_pose(const velocity_plant *p, double start, double time, double *pose)
 {
     int step = p->steps - 1;
     while (step > 0 && start + step * p->step_time > time)

@@ -47,7 +47,7 @@ class Window(StrictModel):
 
 
 class StartOffset(StrictModel):
-    """Offset of the robot's start pose from that of the reference."""
+    """Offset of the robot's start pose from the start of the reference, in the direction of the reference."""
 
     along: float = Field(0.0, description="offset ahead [m]")
     across: float = Field(0.0, description="offset to the left [m]")
@@ -70,7 +70,7 @@ class Patch(StrictModel):
         return self
 
     def coefficient(self, surface: float) -> float:
-        """Compute the sliding friction coefficient; `surface` is that of the surrounding surface."""
+        """Compute the sliding friction coefficient on a surface with the coefficient `surface`."""
         return self.friction if self.friction is not None else float(self.factor or 1.0) * surface
 
 
@@ -141,9 +141,9 @@ class StuckSensor(Window):
 
 
 class DeadEncoders(Window):
-    """Encoders of one or more wheels that read zero; the motor drivers still measure the wheel speeds."""
+    """Encoders of one or more wheels whose readings are zero; the motor drivers are not affected."""
 
-    wheels: Annotated[tuple[Wheel, ...], Field(min_length=1)] = Field(description="wheels that read zero")
+    wheels: Annotated[tuple[Wheel, ...], Field(min_length=1)] = Field(description="wheels whose encoder reads zero")
 
 
 class GyroBias(Window):
@@ -184,7 +184,7 @@ class Push(Window):
 class Blockade(Window):
     """Compliant obstacle that holds the body in place.
 
-    The physics step of 2 ms determines the upper bounds of stiffness and damping.
+    At the physics step of 2 ms, stiffness and damping above the upper bounds would be numerically unstable.
     """
 
     stiffness: float = Field(gt=0, le=2e4, description="horizontal stiffness [N/m]")

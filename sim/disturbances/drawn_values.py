@@ -13,16 +13,16 @@ _ONE_OF = "one_of"
 
 
 def draw_values(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, checked by a schema
-    """Replace each range and choice in `data` by a uniformly drawn value of `stream`, in the order of the file."""
+    """Replace each range and choice in `data` by a uniform random value of `stream`, in the order of the file."""
     return _replace(data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size)))
 
 
 def extremes(data: object) -> list[Any]:
-    """Return copies of `data` that contain, in total, both ends of every range and every value of every choice.
+    """Return copies of `data` without ranges and choices, which together contain all range ends and all choices.
 
-    A schema whose limits are intervals accepts all draws from `data` if it accepts the copies.
+    A schema with intervals as limits accepts all draws from `data` if it accepts all copies.
     """
-    max_choices = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
+    max_choices = max((len(node[_ONE_OF]) for _, node in _random_nodes(data) if isinstance(node, Mapping)), default=1)
 
     def copy(i: int) -> Any:  # noqa: ANN401 - plain YAML data
         return _replace(data, lambda ends: ends[i % 2], lambda size: i // 2 % size)
@@ -30,7 +30,7 @@ def extremes(data: object) -> list[Any]:
     return [copy(i) for i in range(2 * max_choices)]
 
 
-def check_drawn(data: object, where: str) -> None:
+def check_random_values(data: object, where: str) -> None:
     """Check the ranges and choices in `data`; `where` is the source of the data.
 
     Raises
@@ -38,9 +38,9 @@ def check_drawn(data: object, where: str) -> None:
     models.checked_yaml.ConfigError
         If the ends of a range are in the wrong order, or a choice has no values.
     """
-    for key_path, node in _random(data):
+    for key_path, node in _random_nodes(data):
         if isinstance(node, list) and not node[0] <= node[1]:
-            raise ConfigError(f"{where}: {key_path}: a range goes from low to high (found {node})")
+            raise ConfigError(f"{where}: {key_path}: give the lower end of a range first (found {node})")
         if isinstance(node, Mapping) and not (isinstance(node[_ONE_OF], list) and node[_ONE_OF]):
             raise ConfigError(
                 f"{where}: {key_path}: one_of needs a list of at least one value (found {node[_ONE_OF]!r})"
@@ -60,7 +60,7 @@ def _replace(data: object, from_range: Callable[[list[float]], float], from_choi
     return data
 
 
-def _random(data: object, key_path: str = "") -> Iterator[tuple[str, Any]]:
+def _random_nodes(data: object, key_path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield key path and node of every range and choice."""
     if _is_range(data) or _is_choice(data):
         yield key_path, data
@@ -69,9 +69,9 @@ def _random(data: object, key_path: str = "") -> Iterator[tuple[str, Any]]:
         # The list of a choice is not a range, but may contain ranges.
         if key == _ONE_OF and isinstance(value, list):
             for i, item in enumerate(value):
-                yield from _random(item, f"{key_path}.{key}.{i}")
+                yield from _random_nodes(item, f"{key_path}.{key}.{i}")
         else:
-            yield from _random(value, f"{key_path}.{key}" if key_path else str(key))
+            yield from _random_nodes(value, f"{key_path}.{key}" if key_path else str(key))
 
 
 def _is_range(data: object) -> bool:

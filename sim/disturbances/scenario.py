@@ -32,7 +32,7 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import (
     WeakMotor,
     Window,
 )
-from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, draw_values, extremes
+from diffdrive_mpc.sim.disturbances.drawn_values import check_random_values, draw_values, extremes
 
 SCENARIOS = EntryFile("scenario", Path(__file__).with_name("scenarios.yaml"))
 _SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
@@ -71,7 +71,7 @@ class Scenario(StrictModel):
 
     @property
     def physical(self) -> tuple[str, ...]:
-        """Names in `kinds` of disturbances that require a physical plant; the others are possible with any plant."""
+        """Names in `kinds` of disturbances that require a plant in the physics; all plants support the other kinds."""
         return tuple(name for name in self.kinds if name not in _ANY_PLANT)
 
     @property
@@ -96,7 +96,7 @@ class Scenario(StrictModel):
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """Checked scenario with ranges and choices, before values are drawn.
+    """Checked content of a scenario file, with ranges and choices from which `draw` draws values.
 
     Attributes
     ----------
@@ -117,12 +117,12 @@ class ScenarioFile:
 
 def combine(scenario: Scenario, second: Scenario) -> Scenario:
     """Combine two scenarios; for kinds that can occur only once, `scenario` takes precedence."""
-    joined = {
+    combined = {
         name: value + getattr(scenario, name) if isinstance(value, tuple) else getattr(scenario, name) or value
         for name in second.kinds
         for value in [getattr(second, name)]
     }
-    return scenario.model_copy(update=joined)
+    return scenario.model_copy(update=combined)
 
 
 def load_scenario(name: str | Path) -> ScenarioFile:
@@ -131,10 +131,10 @@ def load_scenario(name: str | Path) -> ScenarioFile:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the scenario does not exist, its file is invalid, or a drawn value could be out of range.
+        If the scenario does not exist, its file is invalid, or a random value may be out of range.
     """
     data, where = SCENARIOS.read(name)
-    check_drawn(data, where)
+    check_random_values(data, where)
     for values in extremes(data):
         check(Scenario, values, where)
     return ScenarioFile(data, where)

@@ -19,9 +19,9 @@ _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro":
 
 
 class SensorFaults:
-    """Sensor faults of a scenario; value errors are applied before stuck and missing readings.
+    """Sensor faults of a scenario: first wrong values, then stuck and missing readings.
 
-    The time of delivery of a measurement determines whether a fault is active.
+    A fault is active if its time window contains the time of delivery of a measurement.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class SensorFaults:
                 rates = np.array([error.x_rate, error.y_rate, error.heading_rate])
                 offset = np.array([error.x, error.y, error.heading]) + (time - error.start) * rates
                 measurement = replace(measurement, pose=_shift(measurement.pose, offset))
-        for biased in scenario.gyro_biases:
-            if biased.contains(time) and measurement.yaw_rate is not None:
-                rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
+        for gyro_bias in scenario.gyro_biases:
+            if gyro_bias.contains(time) and measurement.yaw_rate is not None:
+                rate = np.float64(measurement.yaw_rate.value) + gyro_bias.bias  # type: ignore[arg-type]
                 measurement = replace(measurement, yaw_rate=replace(measurement.yaw_rate, value=rate))
         dead_wheels = {
             wheel

@@ -20,14 +20,14 @@ from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
 TIME_TOLERANCE = 1e-9
-"""Tolerance of tick times [s], since sums of sample times do not equal the duration exactly."""
+"""Tolerance of tick times for rounding errors [s]."""
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 """Modes in which a controller has no new plan."""
-GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
-"""Modes in which a controller does not track its reference."""
+BRAKING_MODES = frozenset({"BRAKING", "STOPPED"})
+"""Modes in which a controller no longer tracks its reference."""
 
 # Minimum reference speed for the delay [m/s]; at lower speeds, millimetres of error would result in seconds.
-_MOVING = 0.1
+_MIN_SPEED = 0.1
 # Rows of the table: field of `Metrics`, unit, factor and number of decimals of a cell, and name of the row.
 _ROWS = (
     ("position", "m", 1.0, 4, "position [m]"),
@@ -44,10 +44,10 @@ class Metrics:
     """Statistics of a run; the names are those in `bench.json` and include units, and `str` formats a table.
 
     `heading_*` except the RMSE are statistics of the absolute error. A value that cannot be computed is NaN, for
-    instance if the robot never moved, a pose was not finite, or no problem was solved. Times and iterations cover the
-    ticks with such values. `stopped` is True if the controller braked or stopped after the start of the drive, which is
-    a false stop if no sensor was faulty. `behind_max_s` is the maximum delay of the robot relative to its moving
-    reference, that is the distance along the reference's heading divided by the reference's speed.
+    instance if the robot never moved, a pose was not finite, or no problem was solved. Times and iterations cover only
+    ticks with finite values. `stopped` is True if the controller braked or stopped after the start of the drive; in a
+    run without sensor faults, this is a false stop. `behind_max_s` is the maximum delay of the robot relative to its
+    moving reference: the distance along the heading of the reference, divided by its speed.
     """
 
     steps: int
@@ -221,12 +221,12 @@ def _percentiles(name: str, times: FloatArray) -> dict[str, float]:
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
 def _max_delay(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
     speed = run.reference_twist[:, 0]
-    moving = counted & (speed > _MOVING)
+    moving = counted & (speed > _MIN_SPEED)
     if not moving.any():
         return math.nan
     offset = run.reference_pose[moving] - run.true_pose[moving]
@@ -237,16 +237,16 @@ def _max_delay(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
 
 def _has_stopped(run: ScoredRun) -> bool:
     start = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
-    return not GIVEN_UP_MODES.isdisjoint(run.modes[start:])
+    return not BRAKING_MODES.isdisjoint(run.modes[start:])
 
 
 def _is_completed(run: ScoredRun) -> bool:
-    """Return True if the run tracked its reference to the end, ended near it, and has only finite values."""
+    """Return True if the run tracked its reference to the end, ended near the reference, and has only finite values."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(
         not run.ended
         and run.time[-1] >= run.reference.duration - TIME_TOLERANCE
         and all(np.isfinite(series).all() for series in (run.true_pose, run.true_twist, run.command))
-        and run.modes[last] not in GIVEN_UP_MODES
+        and run.modes[last] not in BRAKING_MODES
         and run.errors.position[last] < metric_settings().end_error
     )

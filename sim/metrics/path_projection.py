@@ -1,4 +1,4 @@
-"""Lateral error, which is the distance of a point from the path, by projection onto a polyline."""
+"""Lateral errors, which are signed distances of points from a path, by projection onto a polyline."""
 
 from __future__ import annotations
 
@@ -60,9 +60,10 @@ class Polyline:
         points, arc_length = np.ascontiguousarray(points[finite]), arc_length[finite]
         first = np.searchsorted(self.arc_end, arc_length - window)
         last = np.searchsorted(self.arc_start, arc_length + window, side="right")
-        # On the inside of a bend the projection moves faster than the point; the range after a jump is limited.
-        moved = np.diff(points, axis=0, prepend=points[:1])
-        margin = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
+        # The factor 2 is necessary because the projection moves faster than the point on the inside of a bend. The
+        # window limits the search range after a jump of the pose.
+        steps = np.diff(points, axis=0, prepend=points[:1])
+        margin = np.minimum(window, 2.0 * np.hypot(steps[:, 0], steps[:, 1]))
         ffi, library = load_twin()
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in self.__slots__}
         line = ffi.new("polyline *", {name: address(array) for name, array in arrays.items()})
@@ -90,17 +91,17 @@ def path_polyline(reference: Reference, spacing: float, extension: float) -> Pol
     # The speed between coarse samples may be slightly higher than at the samples, so twice as many vertices are used.
     steps = 2.0 * float(np.max(np.abs(coarse.twist[:, 0]))) * reference.duration / spacing
     path = reference.sample(np.linspace(0.0, reference.duration, max(2, int(np.ceil(steps)) + 1)))
-    moved = np.flatnonzero(np.diff(path.arc_length, prepend=-np.inf) > 1e-9)
-    points, arc = path.pose[moved, :2], path.arc_length[moved]
-    ends = path.pose[[0, -1], 2]
-    heading = np.column_stack([np.cos(ends), np.sin(ends)])
-    before = points[1] - points[0] if len(points) > 1 else heading[0]
-    after = points[-1] - points[-2] if len(points) > 1 else heading[1]
+    vertices = np.flatnonzero(np.diff(path.arc_length, prepend=-np.inf) > 1e-9)
+    points, arc = path.pose[vertices, :2], path.arc_length[vertices]
+    headings = path.pose[[0, -1], 2]
+    directions = np.column_stack([np.cos(headings), np.sin(headings)])
+    first = points[1] - points[0] if len(points) > 1 else directions[0]
+    last = points[-1] - points[-2] if len(points) > 1 else directions[1]
     points = np.vstack(
         [
-            points[0] - extension * before / np.linalg.norm(before),
+            points[0] - extension * first / np.linalg.norm(first),
             points,
-            points[-1] + extension * after / np.linalg.norm(after),
+            points[-1] + extension * last / np.linalg.norm(last),
         ]
     )
     arc = np.concatenate([[arc[0] - extension], arc, [arc[-1] + extension]])

@@ -1,7 +1,7 @@
 """Recovery metrics of a run after a disturbance: return to the path, and control effort.
 
-Errors are those of the true pose, without measurement noise. Only errors outside the lateral band count as an
-excursion; normal tracking errors of a few millimetres are within the band (Guffanti et al. 2026, PMC12845739).
+Errors are those of the true pose, without measurement noise. An excursion is a lateral error outside the band (Guffanti
+et al. 2026, PMC12845739); normal tracking errors of a few millimetres are within the band.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class Recovery:
     recovery_time_s
         Time from the end of the disturbance to the first tick from which |lateral| stays within the band until the end
         of the reference. The value is 0 if the robot does not leave the band after the disturbance, infinity if the
-        robot is outside the band at the end of the reference or the run ends early, and NaN if no disturbance ends or
-        the lateral error is not finite.
+        robot is outside the band at the end of the reference or the run ends early, and NaN if all disturbances last
+        until the end of the run or the lateral error is not finite.
     overshoot_m
         Maximum distance from the path on the side opposite to the excursion, after excursion and disturbance. The
-        excursion is the last tick outside the band during the disturbance, or else the first such tick after the
-        disturbance; for a disturbance without end, it is the first such tick after its start. The value is 0 if there
-        is no excursion or the robot does not cross the path, and NaN if there is no disturbance or the lateral error is
-        not finite. Normal tracking errors on the opposite side are included.
+        excursion is the last tick outside the band during the disturbance or, if there is none, the first tick outside
+        the band after the disturbance; for a disturbance without end, it is the first tick outside the band after the
+        start. The value is 0 if there is no excursion or the robot does not cross the path, and NaN if there is no
+        disturbance or the lateral error is not finite. Normal tracking errors on the opposite side are included.
     lateral_max_m
         Maximum |lateral| of the run.
     command_energy_v, command_energy_omega
@@ -87,8 +87,8 @@ def compute_recovery(
     sample_time
         Duration of each command [s].
     disturbance
-        Start of the first disturbance, and end of the last disturbance with an end [s], infinity if no disturbance
-        ends; None if there is no disturbance.
+        Start of the first disturbance, and end of the last disturbance that ends during the run [s]; the end is
+        infinite if no disturbance ends. None if there is no disturbance.
     band
         Half width of the lateral band [m].
     lost
@@ -110,8 +110,8 @@ def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], end: float) -> 
     rows = np.flatnonzero(outside & (time >= end))
     if not rows.size:
         return 0.0
-    recovered = int(rows[-1]) + 1
-    return float(time[recovered] - end) if recovered < len(time) else math.inf
+    return_row = int(rows[-1]) + 1
+    return float(time[return_row] - end) if return_row < len(time) else math.inf
 
 
 def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], start: float, end: float) -> float:
@@ -122,5 +122,5 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
     excursion = int(during[-1]) if during.size else int(after[0])
     opposite = -np.sign(lateral[excursion]) * lateral
     # Values are negative until the robot crosses the path, so the time of the crossing is not needed.
-    counted = opposite[(np.arange(len(time)) > excursion) & (time >= end)]
-    return float(max(0.0, np.max(counted, initial=0.0)))
+    later_values = opposite[(np.arange(len(time)) > excursion) & (time >= end)]
+    return float(max(0.0, np.max(later_values, initial=0.0)))

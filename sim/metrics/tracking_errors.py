@@ -22,7 +22,9 @@ class MetricSettings(StrictModel):
     band: Positive = Field(description="half width of the lateral band [m]")
     moving_speed: Positive = Field(description="minimum speed at which the course error is computed [m/s]")
     end_error: Positive = Field(description="maximum distance of a completed run from the end of the reference [m]")
-    path_window: Positive = Field(description="half the arc length in which the nearest point is searched [m]")
+    path_window: Positive = Field(
+        description="arc length before and after the reference in which the nearest point is searched [m]"
+    )
     path_spacing: Positive = Field(description="spacing of the polyline that approximates the path [m]")
     settled_arc: Positive = Field(description="duration of constant twist after which an arc counts as steady [s]")
 

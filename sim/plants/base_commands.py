@@ -1,4 +1,4 @@
-"""Effects of a base on commands before the motor set-points: rate limits, steps and coasting of the wheels."""
+"""Effects of a base on commands: speed limits, acceleration limits, steps of wheel speeds, and coasting."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from diffdrive_mpc.models.base_effects import TwistRange, TwistSlew, WheelComman
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 
-_HOLD = 0.005
-"""Maximum duration of the levels that approximate a ramp [s]."""
+_LEVEL_TIME = 0.005
+"""Maximum duration of each constant level that approximates a part of a ramp [s]."""
 
 
 class BaseCommands(StrictModel):
@@ -27,7 +27,7 @@ class BaseCommands(StrictModel):
 
 
 class CommandShaping:
-    """Shaping of commands by a base; it is time-invariant, so a dead time may be applied before or after it.
+    """Shaping of commands by a base. It is time-invariant, so a dead time may precede or follow it.
 
     Parameters
     ----------
@@ -40,19 +40,19 @@ class CommandShaping:
     def __init__(self, base: BaseCommands, sample_time: float) -> None:
         self._base = base
         has_ramps = base.twist_slew is not None
-        self._count = math.ceil(sample_time / _HOLD - 1e-9) if has_ramps else 1
-        self._hold = sample_time / self._count
+        self._count = math.ceil(sample_time / _LEVEL_TIME - 1e-9) if has_ramps else 1
+        self._level_time = sample_time / self._count
         self.reset()
 
     def reset(self) -> None:
         """Reset to the steady state for a zero command."""
-        self._reached = np.zeros(2)
+        self._limited = np.zeros(2)
 
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """Yield start time [s] and twist (2,) of each motor set-point for a command (2,) that starts at `time`."""
+        """Yield the twists (2,) for the motors, each with its start time [s], for a `command` (2,) sent at `time`."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
         if self._base.twist_range is not None:
             command = self._base.twist_range.apply(command)
         for part in range(self._count):
-            self._reached = command if slew is None else slew.step(self._reached, command, self._hold)
-            yield time + part * self._hold, self._reached if wheels is None else wheels.apply(self._reached)
+            self._limited = command if slew is None else slew.step(self._limited, command, self._level_time)
+            yield time + part * self._level_time, self._limited if wheels is None else wheels.apply(self._limited)

@@ -17,15 +17,16 @@ from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
-_TIPPED = math.pi / 4
+_MAX_TILT = math.pi / 4
 """Tilt above which a robot counts as tipped over [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
+"""Simulated time in which the robot settles on its soft tyres [s]."""
 _CASTOR = 0.01
 """Assumed ratio of the friction of a castor, including swivel and bearing, to that of a wheel [-]."""
 _CAPSULE = 1e-4
-"""Half length of a capsule wheel [m]; it is so short that the two contact points act like a single point."""
+"""Half length of a capsule wheel [m], so short that its two contact points act like a single point."""
 
 
 class Chassis:
@@ -66,20 +67,20 @@ class Chassis:
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency of this plant
 
-        # Prevent the log file of MuJoCo in the working directory; `step` detects and reports divergence.
-        mujoco.set_mju_user_warning(_ignore)
+        # Without a handler, MuJoCo writes warnings to a log file in the working directory. `step` reports divergence.
+        mujoco.set_mju_user_warning(lambda _warning: None)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
         self._scene = scene
         xml = _mjcf(robot, twin, step, payload, sideways != 1.0, scene)
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
-        # MuJoCo requires positive friction; that of castors is negligible.
+        # MuJoCo requires positive friction, so castors have a negligible friction instead of zero.
         self._friction_scale = np.array([1.0, 1.0, _CASTOR, _CASTOR]) if twin.chassis.castors else np.ones(4)
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
         self._position, self._velocity = self._data.qpos, self._data.qvel
-        # Velocities 0 to 5 and positions 0 to 6 belong to the free joint of the body; those of the wheels follow.
+        # Positions 0 to 6 and velocities 0 to 5 belong to the free joint of the body, and the following to the wheels.
         ffi, self._lib = load_twin()
         self.c = ffi.new(
             "twin_chassis *",
@@ -89,15 +90,15 @@ class Chassis:
                 "position": address(self._position),
                 "velocity": address(self._velocity),
                 "torque": address(self._data.qfrc_applied[6:10]),
-                "largest": mujoco.mjMAXVAL,
-                "min_upright": math.cos(_TIPPED),
+                "max_state": mujoco.mjMAXVAL,
+                "min_upright": math.cos(_MAX_TILT),
             },
         )
         self._step = _step_in_c(self._model, self._data, scene)
         self.c.step = self._step
         if scene is not None:
             scene.enter(self._model, self._data)
-        # The tyres are soft: the height at rest follows from the weight.
+        # The tyres are soft, so the height at rest depends on the weight.
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
@@ -109,7 +110,7 @@ class Chassis:
         """Reset the body to rest at `pose` (3,), at its settled height."""
         x, y, theta = checked_pose(pose)
         self._restart(self._model, self._data)
-        # Position, and unit quaternion of the yaw, of the free joint.
+        # Position of the free joint, and its orientation as a unit quaternion.
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
         self._position[7:] = 0.0
         if self._scene is not None:
@@ -126,7 +127,7 @@ class Chassis:
             If the robot has tipped over, or a position or speed is not finite or exceeds the range of MuJoCo.
         """
         applied = np.array(torques, dtype=float)
-        self.check(self._lib.twin_move(self.c, address(applied)))
+        self.check(self._lib.twin_step_physics(self.c, address(applied)))
 
     def check(self, state: int) -> None:
         """Raise RobotLostError if `state`, the result of a step in C, indicates a lost robot."""
@@ -138,7 +139,7 @@ class Chassis:
             raise RobotLostError(f"{self._now}: the robot has tipped over; {remedy}")
 
     def set_friction(self, friction: FloatArray) -> None:
-        """Set the sliding friction coefficients (4,) of the wheels in rolling direction; a reset preserves them."""
+        """Set the sliding friction coefficients (4,) along the rolling direction of the wheels, also after a reset."""
         # The first tangent of a contact is along the axle, the second along the rolling direction.
         self._model.pair_friction[:, 0] = self._sideways * friction * self._friction_scale
         self._model.pair_friction[:, 1] = friction * self._friction_scale
@@ -154,7 +155,7 @@ class Chassis:
         """
         c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         x, y = c * forward - s * left, s * forward + c * left
-        # MuJoCo applies forces at the centre of mass; a force above it also tips the robot.
+        # MuJoCo applies forces at the centre of mass, so a force at another height also causes a torque.
         lever = height - float(self._data.xipos[1, 2])
         self._data.xfrc_applied[1] += [x, y, 0.0, -lever * y, lever * x, yaw_torque]
 
@@ -222,7 +223,7 @@ class Chassis:
 
 
 def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - MuJoCo and cffi have no types
-    """Return `mj_step` for C, or a Python callback if there is a scene or the function was not found."""
+    """Return `mj_step` for C; return a Python callback if there is a scene, or if `mj_step` is not found."""
     import mujoco  # noqa: PLC0415 - an optional dependency
 
     ffi, _ = load_twin()
@@ -232,10 +233,6 @@ def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN4
     if step is not None:
         return ffi.cast(kind, step)
     return ffi.callback(kind, lambda _model, _data: mujoco.mj_step(model, data))
-
-
-def _ignore(_warning: str) -> None:
-    pass
 
 
 def _tilted_gravity(gravity: FloatArray, slope: Slope) -> FloatArray:
@@ -252,12 +249,12 @@ def _split_tyre(tyre: Tyre) -> Tyre:
     inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2). Two contacts need twice the regularisation at
     equal damping and stiffness.
     """
-    # Twice the regularisation (1 - d) / d, solved for d.
-    share = 1.0 / (1.0 + 2.0 * (1.0 / tyre.impedance - 1.0))
-    ratio = tyre.impedance / share
+    # Impedance d at which the regularisation (1 - d) / d is twice that of the tyre.
+    impedance = 1.0 / (1.0 + 2.0 * (1.0 / tyre.impedance - 1.0))
+    ratio = tyre.impedance / impedance
     return tyre.model_copy(
         update={
-            "impedance": share,
+            "impedance": impedance,
             "contact_time": tyre.contact_time * ratio,
             "contact_damping": tyre.contact_damping / ratio**0.5,
             "creep_time": tyre.creep_time * ratio,
@@ -272,10 +269,10 @@ def _mjcf(
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
     rear = front - chassis.wheel_base
-    rolling_radii = [share * radius for share in chassis.rolling_radii] * 2
-    shapes = [f'type="sphere" size="{wheel}"' for wheel in rolling_radii]
+    rolling_radii = [ratio * radius for ratio in chassis.rolling_radii] * 2
+    shapes = [f'type="sphere" size="{wheel_radius}"' for wheel_radius in rolling_radii]
     if aligned:
-        shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling_radii]
+        shapes = [f'type="capsule" size="{wheel_radius} {_CAPSULE}" euler="90 0 0"' for wheel_radius in rolling_radii]
         tyre = _split_tyre(tyre)
     wheel_positions = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
     # A friction loss of zero is omitted, so that the joints have no constraint.
@@ -285,7 +282,8 @@ def _mjcf(
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, shape, (x, y) in zip(WHEELS, shapes, wheel_positions, strict=True)
     )
-    # Friction has a separate time constant; with that of the normal direction, fast skidding would lift the wheels.
+    # Friction has a separate time constant; with the time constant of the normal direction, fast skidding would lift
+    # the wheels.
     contacts = "".join(
         f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
@@ -294,7 +292,7 @@ def _mjcf(
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
-    # Only the body is offset, by the amount that results in the specified total centre of mass.
+    # The wheels are symmetric, so the offset of the body alone determines the specified centre of mass of the robot.
     ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:

@@ -28,13 +28,13 @@ class DisturbedPlant(PlantAround):
     Parameters
     ----------
     plant
-        Plant, which applies all other disturbances of the scenario.
+        Plant that applies all other disturbances of the scenario.
     scenario
         Disturbances with their times.
     robot
         Robot with the command limits and the kinematics for encoder faults.
     patch_spans
-        Function that returns the time spans of the patches that the plant has reached.
+        Function that returns the time spans of the patches reached by the plant.
     """
 
     def __init__(
@@ -58,14 +58,14 @@ class DisturbedPlant(PlantAround):
     def disturbance(self) -> Span | None:
         """Start of the first and end of the last disturbance up to now [s]; None if no disturbance has started.
 
-        Disturbances that last until the end of the run have no end. If there are no others, the second value is
-        infinite.
+        Disturbances that last until the end of the run are ignored for the end; the end is infinite if all
+        disturbances last until the end of the run.
         """
-        started_spans = [span for span in (*self._scenario.spans, *self._patch_spans()) if span[0] <= self.time]
-        if not started_spans:
+        past_spans = [span for span in (*self._scenario.spans, *self._patch_spans()) if span[0] <= self.time]
+        if not past_spans:
             return None
-        ends = [end for _, end in started_spans if math.isfinite(end)]
-        return min(start for start, _ in started_spans), min(self.time, max(ends)) if ends else math.inf
+        ends = [end for _, end in past_spans if math.isfinite(end)]
+        return min(start for start, _ in past_spans), min(self.time, max(ends)) if ends else math.inf
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset to time 0 and to rest at `pose` (3,) plus the start offset, and restart the noise."""
@@ -86,12 +86,9 @@ class DisturbedPlant(PlantAround):
         """Send `command` (2,) or a false command, and advance by one sample; see `Plant.advance` for errors."""
         sent = clip_command(command, self._limits)
         false_commands = [item for item in self._scenario.false_commands if item.contains(self.time)]
-        # The controller is told the command that it sent, not the false one that the base executes.
+        # Measurements contain the command of the controller, since it does not know about the false command.
         self._plant.advance([false_commands[-1].v, false_commands[-1].omega] if false_commands else sent)
         self._sent = (float(sent[0]), float(sent[1]))
-
-
-# Disturbances that are applied at each physics step.
 
 
 class DisturbedPhysics:
@@ -125,7 +122,7 @@ class DisturbedPhysics:
         self._scenario, self._chassis, self._loops = scenario, chassis, loops
         self._friction, self._stall_torque = friction, stall_torque
         ahead = np.array([wheel_base / 2 if name.startswith("front") else -wheel_base / 2 for name in WHEELS])
-        self._patches = [(patch, _wheels_under(patch), *_edges(patch, ahead)) for patch in scenario.patches]
+        self._patches = [(patch, _wheels_under(patch), *_patch_ends(patch, ahead)) for patch in scenario.patches]
         self.reset()
 
     def reset(self) -> None:
@@ -141,7 +138,7 @@ class DisturbedPhysics:
 
     @property
     def patch_spans(self) -> list[Span]:
-        """First and last time of a wheel on each reached patch [s]; the last is infinite for a patch without end."""
+        """First and last time of a wheel on each reached patch [s]; the last is infinite for an endless patch."""
         return [span for span in self._patch_spans if span is not None]
 
     def advance(self, twin: Twin) -> None:
@@ -149,7 +146,7 @@ class DisturbedPhysics:
         edges = twin.edges.tolist()
         for k, (start, end) in enumerate(itertools.pairwise(edges)):
             self.before_step(start, end)
-            # Step by step instead of one call in C, because disturbances act between motors and wheels.
+            # The steps are not combined in one call in C, because disturbances change the torques of the motors.
             twin.step(k, self.motors(twin.torques(k), start))
 
     def before_step(self, start: float, end: float) -> None:
@@ -168,12 +165,12 @@ class DisturbedPhysics:
                 if blockade.contains(start):
                     self._apply_blockade(i, blockade)
         if scenario.battery:
-            # The current of the last step stands for that of this one.
+            # The torque of this step depends on the supply voltage, so the voltage drop is that of the last step.
             drop = scenario.battery.load_drop * self._torque_share
             self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
 
     def motors(self, torques: FloatArray, time: float) -> FloatArray:
-        """Compute the actual wheel torques (4,) [N m] at `time` [s] from the nominal `torques`."""
+        """Reduce the `torques` (4,) [N m] by the weak motors at `time` [s], in place, and return them."""
         for motor in self._scenario.weak_motors:
             if motor.contains(time):
                 torques[WHEELS.index(motor.wheel)] *= motor.factor
@@ -181,35 +178,35 @@ class DisturbedPhysics:
         return torques
 
     def _push(self, push: Push, share: float) -> None:
-        """Apply the mean force over a step, `share` times that of the push, so that the momentum is exact."""
+        """Apply the mean force over a step, `share` times the force of the push, so that the momentum is exact."""
         forward, left = push.force * math.cos(push.direction), push.force * math.sin(push.direction)
         self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
 
     def _apply_blockade(self, i: int, blockade: Blockade) -> None:
-        """Apply spring and damper of blockade `i`, which is anchored at the pose of the body at its start."""
+        """Apply spring and damper of blockade `i`; its anchor is the pose of the body at the start of the blockade."""
         pose, (v, lateral, omega) = self._chassis.pose, self._chassis.twist
         anchor = self._anchors[i]
         anchor = self._anchors[i] = pose if anchor is None else anchor
-        x, y, turned = pose - anchor
+        x, y, rotation = pose - anchor
         c, s = math.cos(pose[2]), math.sin(pose[2])
         forward = -blockade.stiffness * (c * x + s * y) - blockade.damping * v
         left = -blockade.stiffness * (c * y - s * x) - blockade.damping * lateral
-        torque = -blockade.yaw_stiffness * turned - blockade.yaw_damping * omega
+        torque = -blockade.yaw_stiffness * rotation - blockade.yaw_damping * omega
         self._chassis.push(forward, left, torque, blockade.height)
 
     def _set_friction(self, time: float) -> None:
         friction = np.full(4, self._friction)
-        for i, (patch, wheels, enters, leaves) in enumerate(self._patches):
-            inside = wheels & (enters <= self._travelled) & (self._travelled < leaves)
-            friction[inside] = patch.coefficient(self._friction)
-            self._record_crossing(i, time, bool(inside.any()), patch)
-        for slipping in self._scenario.slipping_wheels:
-            if slipping.contains(time):
-                friction[WHEELS.index(slipping.wheel)] = slipping.friction
+        for i, (patch, wheels, starts, ends) in enumerate(self._patches):
+            on_patch = wheels & (starts <= self._travelled) & (self._travelled < ends)
+            friction[on_patch] = patch.coefficient(self._friction)
+            self._record_crossing(i, time, bool(on_patch.any()), patch)
+        for slip in self._scenario.slipping_wheels:
+            if slip.contains(time):
+                friction[WHEELS.index(slip.wheel)] = slip.friction
         self._chassis.set_friction(friction)
 
-    def _record_crossing(self, i: int, time: float, is_inside: bool, patch: Patch) -> None:
-        if is_inside:
+    def _record_crossing(self, i: int, time: float, is_on_patch: bool, patch: Patch) -> None:
+        if is_on_patch:
             span = self._patch_spans[i]
             self._patch_spans[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
 
@@ -219,7 +216,10 @@ def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return np.array([patch.side == "both" or name.endswith(patch.side) for name in WHEELS])
 
 
-def _edges(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the distances (4,) [m] at which wheels `ahead` (4,) of the centre [m] enter and leave the patch."""
+def _patch_ends(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the travelled distances (4,) [m] at which wheels enter and leave the patch.
+
+    `ahead` (4,) are the distances of the wheels ahead of the centre [m].
+    """
     length = math.inf if patch.length is None else patch.length
     return patch.start - ahead, patch.start + length - ahead

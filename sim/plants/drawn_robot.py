@@ -18,9 +18,6 @@ from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
-# Ranges of the population of robots on the market, and requirements of the paths.
-
-
 _FILE = Path(__file__).with_name("market.yaml")
 
 
@@ -74,7 +71,7 @@ class DeadMotor(StrictModel):
 
 
 class PoseSources(StrictModel):
-    """Ranges of pose sources from the best to the worst value; a common quality interpolates between them."""
+    """Ranges of pose sources from best to worst value; a random quality of the source interpolates all ranges."""
 
     rate: Span = Field(description="rate of poses [Hz]")
     latency: Span = Field(description="latency of poses [s]")
@@ -96,7 +93,7 @@ class StatedRobot(StrictModel):
 
     track: StatedTrack = Field(description="stated track, which is the only value that may be wrong")
     yaw_acceleration: Share = Field(
-        description="ratio of stated omega_slew to the yaw acceleration that the grip of the usual surface permits [-]"
+        description="ratio of stated omega_slew to the yaw acceleration that the grip outside patches permits [-]"
     )
 
 
@@ -158,7 +155,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class DrawnRobot:
-    """Robot of the population.
+    """Random robot of the market.
 
     Attributes
     ----------
@@ -181,8 +178,8 @@ class DrawnRobot:
     truth: Mapping[str, float]
 
 
-def on_driven(build: SimulatedRobot) -> float:
-    """Compute the share of the weight on driven wheels."""
+def driven_weight_share(build: SimulatedRobot) -> float:
+    """Compute the share of the weight that is on the driven wheels [-]."""
     chassis = build.twin.chassis
     return 1.0 + chassis.centre_of_mass[0] / chassis.wheel_base if chassis.castors else 1.0
 
@@ -190,10 +187,10 @@ def on_driven(build: SimulatedRobot) -> float:
 def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
     """Compute the yaw acceleration [rad/s^2] that driven wheels with friction `grip` give a box of the robot's size."""
     chassis, track = build.twin.chassis, build.robot.track
-    behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
-    # Per mass: a homogeneous box, and the offset of its centre from the centre of rotation.
-    inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
-    return grip * GRAVITY * on_driven(build) * track / 2.0 / inertia
+    offset = chassis.centre_of_mass[0] if chassis.castors else 0.0
+    # Inertia of a homogeneous box per mass, about a centre of rotation at the distance `offset` from its centre.
+    inertia = (chassis.wheel_base**2 + track**2) / 12.0 + offset**2
+    return grip * GRAVITY * driven_weight_share(build) * track / 2.0 / inertia
 
 
 def skid_track(track: float, wheel_base: float) -> float:
@@ -215,7 +212,8 @@ def draw_robot(seed: int) -> DrawnRobot:
     castors = build["twin"]["chassis"]["castors"]
     build["twin"]["motor"]["spread"], scenario["weak_motors"] = _draw_motors(market, stream, castors=castors)
     build["friction"] = _logarithmic(stream, market.friction)
-    # All values are drawn, whether they are used or not: the rest of the stream must not depend on them.
+    # Values are drawn even for disturbances that this robot does not have, so that the numbers drawn afterwards do not
+    # depend on the disturbances.
     patch = {name: _uniform(stream, getattr(market.patches, name)) for name in ("start", "length", "factor")}
     if stream.random() < market.patches.often:
         scenario["patches"] = [patch]
@@ -224,8 +222,8 @@ def draw_robot(seed: int) -> DrawnRobot:
     if has_slope:
         scenario["slope"] = slope
     twin = digital_twin()
-    usual: Any = twin["robot"]
-    build["sensors"] = {"pose": _draw_pose_source(market.pose, stream, usual["sample_time"])}
+    default: Any = twin["robot"]
+    build["sensors"] = {"pose": _draw_pose_source(market.pose, stream, default["sample_time"])}
     factor = _uniform(stream, market.stated.track.factor)
     factor = factor if stream.random() < market.stated.track.wrong else 1.0
     build["twin"]["motor"]["stall_torque"] *= _uniform(stream, market.torque)
@@ -237,25 +235,25 @@ def draw_robot(seed: int) -> DrawnRobot:
 
 
 def _draw_build(market: Market, stream: np.random.Generator, description: str) -> dict[str, Any]:
-    """Draw body, drives, link and firmware as changes of the digital twin; torques are those of scaled motors."""
+    """Draw body, drives, link and firmware as changes of the digital twin; the motors are scaled with the robot."""
     twin = digital_twin()
-    usual_robot: Any = twin["robot"]
-    usual: Any = twin["twin"]
+    default_robot: Any = twin["robot"]
+    default: Any = twin["twin"]
     mass = _logarithmic(stream, market.mass)
     # Geometric similarity: lengths grow with the cube root of the mass.
-    track = usual_robot["track"] * (mass / usual_robot["mass"]) ** (1 / 3) * _uniform(stream, market.track)
+    track = default_robot["track"] * (mass / default_robot["mass"]) ** (1 / 3) * _uniform(stream, market.track)
     wheel_base = track * _uniform(stream, market.wheel_base)
     radius = track * _uniform(stream, market.wheel_radius)
     castors = bool(stream.random() < market.driven.castors / (market.driven.castors + market.driven.wheels_4))
     skidding_base = 0.0 if castors else wheel_base
     no_load = _uniform(stream, market.top_speed) * rim_speed(track, skidding_base) / radius
-    # With castors the origin is at the driven axle, and a part of the weight is on the castors behind it.
+    # With castors the origin is at the driven axle; the castors behind it carry 30 % of the weight on average.
     ahead = _uniform(stream, market.centre_of_mass) * wheel_base - (0.3 * wheel_base if castors else 0.0)
     left = _uniform(stream, market.centre_of_mass) * track
     difference = _uniform(stream, market.rolling_radii) / 2
     correction = _uniform(stream, market.skid_correction)
-    radius_ratio, mass_ratio = radius / usual_robot["wheel_radius"], mass / usual_robot["mass"]
-    speed_ratio = usual["motor"]["no_load_speed"] / no_load
+    radius_ratio, mass_ratio = radius / default_robot["wheel_radius"], mass / default_robot["mass"]
+    speed_ratio = default["motor"]["no_load_speed"] / no_load
     return {
         "description": description,
         "robot": {"mass": mass, "track": track, "wheel_radius": radius},
@@ -264,19 +262,19 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
                 "wheel_base": wheel_base,
                 "body_size": [wheel_base + radius, 0.8 * track, 0.3 * track],
                 "body_height": 0.1 * track,
-                "wheel_mass": usual["chassis"]["wheel_mass"] * mass_ratio,
+                "wheel_mass": default["chassis"]["wheel_mass"] * mass_ratio,
                 "centre_of_mass": [ahead, left],
                 "rolling_radii": [1.0 - difference, 1.0 + difference],
                 "castors": castors,
             },
             "motor": {
-                "stall_torque": usual["motor"]["stall_torque"] * mass_ratio * radius_ratio,
+                "stall_torque": default["motor"]["stall_torque"] * mass_ratio * radius_ratio,
                 "no_load_speed": no_load,
                 # Torque scales with mass times length, inertia with mass times length squared.
-                "rotor_inertia": usual["motor"]["rotor_inertia"] * mass_ratio * radius_ratio**2,
+                "rotor_inertia": default["motor"]["rotor_inertia"] * mass_ratio * radius_ratio**2,
             },
             # Gains are duty per speed, and full duty corresponds to the no-load speed.
-            "driver": {gain: usual["driver"][gain] * speed_ratio for gain in ("proportional_gain", "integral_gain")},
+            "driver": {gain: default["driver"][gain] * speed_ratio for gain in ("proportional_gain", "integral_gain")},
             "link": {"dead_time": _uniform(stream, market.dead_time)},
         },
         "firmware": {
@@ -288,18 +286,18 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
 
 
 def _true_settings(build: SimulatedRobot) -> dict[str, float]:
-    """Compute the true configuration values by dotted key, without the effect of patches and slopes."""
-    pose, link, usual = build.sensors.pose, build.twin.link, digital_twin()
-    usual_twin: Any = usual["twin"]
-    usual_robot: Any = usual["robot"]
-    extra = max(0.0, link.dead_time - usual_twin["link"]["dead_time"])
+    """Compute the true configuration values by dotted key, for a horizontal surface without patches."""
+    pose, link, default = build.sensors.pose, build.twin.link, digital_twin()
+    default_twin: Any = default["twin"]
+    default_robot: Any = default["robot"]
+    extra = max(0.0, link.dead_time - default_twin["link"]["dead_time"])
     interval = pose.period / (1.0 - pose.loss) if pose.period else 0.0
     slew = load_market().stated.yaw_acceleration * yaw_acceleration(build, float(build.friction or 0.0))
     return {
         "wheels.track": build.firmware.track,
         "wheels.encoder_track": build.robot.track,
         "limits.wheel_speed": 0.97 * build.twin.motor.no_load_speed * build.robot.wheel_radius,
-        "limits.omega_slew": min(usual_robot["command_slew"]["omega"], slew),
+        "limits.omega_slew": min(default_robot["command_slew"]["omega"], slew),
         "extra_dead_time.v": extra,
         "extra_dead_time.omega": extra,
         "estimator.history": max(0.4, 1.3 * pose.latency + 0.1),
@@ -318,19 +316,19 @@ def _logarithmic(stream: np.random.Generator, ends: tuple[float, float]) -> floa
 def _draw_motors(
     market: Market, stream: np.random.Generator, *, castors: bool
 ) -> tuple[list[float], list[dict[str, Any]]]:
-    """Draw the relative torque of each motor, and failing motors; motors of robots with castors do not fail."""
+    """Draw torque ratios and failures of motors; robots with castors have no failures, since two wheels are driven."""
     spread = [_uniform(stream, market.motor_spread) for _ in WHEELS]
     weak, dead = market.weak_motor, market.dead_motor
     weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak.factor)
     if stream.random() < weak.often:
         spread[weak_wheel] *= weak_factor
-    dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead.start)
+    dead_wheel, failure_time = int(stream.integers(4)), _uniform(stream, dead.start)
     has_failure = stream.random() < dead.often and not castors
-    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if has_failure else []
+    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": failure_time}] if has_failure else []
 
 
 def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
-    """Draw a pose sensor from a common quality and a deviation of each value from this quality."""
+    """Draw a pose sensor; all values have a common random quality, from which each value deviates randomly."""
     quality = stream.random()
 
     def draw(ends: tuple[float, float]) -> float:

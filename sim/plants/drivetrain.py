@@ -88,7 +88,7 @@ class SpeedObserver:
 
     def reset(self) -> None:
         """Reset to wheels at rest at angle zero."""
-        self._lib.twin_observe_rest(self.c)
+        self._lib.twin_reset_observer(self.c)
 
     def update(self, angles: FloatArray) -> FloatArray:
         """Update the observer with the counts at wheel `angles` (4,) [rad]; return the speeds (4,) [rad/s]."""
@@ -98,7 +98,7 @@ class SpeedObserver:
 
 
 class VelocityLoops:
-    """Velocity loop of each motor (feed-forward and PI with limited duty), and torque-speed line of the motor.
+    """Velocity loop of each motor, with feed-forward, PI and duty limit, and linear torque-speed curve of the motor.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ class VelocityLoops:
     def __init__(self, driver: Driver, motor: Motor, pulse: float, step: float) -> None:
         ffi, self._lib = load_twin()
         fields = {
-            "proportional": driver.proportional_gain,
-            "integral": step * driver.integral_gain,
+            "proportional_gain": driver.proportional_gain,
+            "integral_gain": step * driver.integral_gain,
             "no_load_speed": motor.no_load_speed,
             # Below about one count per control sample, motion cannot be distinguished from rest.
             "rest_speed": pulse / step / 10,
-            "stall_torque": [motor.stall_torque * share for share in motor.spread],
+            "stall_torque": [motor.stall_torque * ratio for ratio in motor.spread],
             "torque_limit": math.inf if driver.torque_limit is None else driver.torque_limit,
             "supply": 1.0,
         }
@@ -127,7 +127,7 @@ class VelocityLoops:
 
     @property
     def supply(self) -> float:
-        """Ratio of supply voltage to nominal voltage [-], which the driver does not measure."""
+        """Ratio of supply voltage to nominal voltage [-]; the driver does not measure the voltage."""
         return float(self.c.supply)
 
     @supply.setter
@@ -136,7 +136,7 @@ class VelocityLoops:
 
     def reset(self) -> None:
         """Reset the integrators to zero."""
-        self.c.sum = [0.0] * 4
+        self.c.integrator = [0.0] * 4
 
     def torque(self, set_points: FloatArray, measured: FloatArray, speeds: FloatArray) -> FloatArray:
         """Compute motor torques.
@@ -161,10 +161,7 @@ class VelocityLoops:
         return torques
 
 
-# Link from the onboard computer to the firmware, with a range check followed by a dead time.
-
-
-_INITIAL_ROOM = 16
+_INITIAL_CAPACITY = 16
 """Initial capacity for pending commands."""
 
 
@@ -223,18 +220,18 @@ class DelayLine:
         self._sent = np.zeros(2)
         self._sent_address = address(self._sent)
         self._arrivals, self._commands = np.empty(0), np.empty((0, 2))
-        self._make_room(_INITIAL_ROOM)
+        self._reserve(_INITIAL_CAPACITY)
 
     def reset(self) -> None:
         """Reset to a zero command without pending commands."""
         self.c.first = self.c.count = 0
-        self.c.acting = [0.0, 0.0]
+        self.c.effective = [0.0, 0.0]
 
     def send(self, time: float, command: FloatArray) -> None:
         """Send `command` (2,) at `time` [s]; times must not decrease."""
         self._sent[:] = command
         if not self._lib.twin_send(self.c, time, self._sent_address):
-            self._make_room(2 * self.c.room)
+            self._reserve(2 * self.c.capacity)
             self._lib.twin_send(self.c, time, self._sent_address)
 
     def mean(self, start: float, end: float) -> FloatArray:
@@ -243,29 +240,26 @@ class DelayLine:
         The mean represents a dead time exactly even if it is not a multiple of the physics step.
         """
         mean = np.empty(2)
-        self._lib.twin_arrived(self.c, start, end, address(mean))
+        self._lib.twin_mean_command(self.c, start, end, address(mean))
         return mean
 
-    def _make_room(self, room: int) -> None:
-        """Reserve memory for `room` pending commands, and copy the commands that are already pending."""
-        arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
+    def _reserve(self, capacity: int) -> None:
+        """Reserve memory for `capacity` pending commands, and copy the commands that are already pending."""
+        arrivals, commands, count = np.empty(capacity), np.empty((capacity, 2)), self.c.count
         if count:
-            # The pending commands form a ring, which starts again at place 0 in the new memory.
-            places = (self.c.first + np.arange(count)) % self.c.room
-            arrivals[:count], commands[:count] = self._arrivals[places], self._commands[places]
+            # The ring buffer is copied in order of arrival, so the new buffer starts at index 0.
+            indices = (self.c.first + np.arange(count)) % self.c.capacity
+            arrivals[:count], commands[:count] = self._arrivals[indices], self._commands[indices]
         self._arrivals, self._commands = arrivals, commands
         self.c.arrivals, self.c.commands = address(arrivals), address(commands)
-        self.c.room, self.c.first = room, 0
-
-
-# Motor work of a plant in a sample: torques, power, and squared torques, which heat the windings.
+        self.c.capacity, self.c.first = capacity, 0
 
 
 WHEELS = 4
 
 
 class MotorWork(NamedTuple):
-    """Means over the physics steps of a sample, (4,) each, in the order of the wheels."""
+    """Means of motor data over the physics steps of a sample, (4,) each, in the order of the wheels."""
 
     torque: FloatArray
     """Torque at the wheels [N m]; positive torque drives forward."""
@@ -277,15 +271,15 @@ class MotorWork(NamedTuple):
     """Square of the torque [N^2 m^2], which heats the windings."""
 
 
-NOTHING = MotorWork(*(np.full(WHEELS, np.nan) for _ in MotorWork._fields))
+NO_WORK = MotorWork(*(np.full(WHEELS, np.nan) for _ in MotorWork._fields))
 """Motor work of a plant without motors."""
 
 
 def motor_work(plant: Plant) -> MotorWork:
-    """Return the motor work of `plant` in the last sample; `NOTHING` for a plant without motors."""
+    """Return the motor work of `plant` in the last sample; `NO_WORK` for a plant without motors."""
     motors: FloatArray | None = getattr(plant, "motors", None)
     if motors is None:
-        return NOTHING
+        return NO_WORK
     torque, speed = motors[:, 0], motors[:, 1]
     mean_torque, mean_speed = motors.mean(axis=0)
     power, square = (np.einsum("sw,sw->w", torque, factor) / len(motors) for factor in (speed, torque))
@@ -294,6 +288,6 @@ def motor_work(plant: Plant) -> MotorWork:
 
 def stack(rows: Sequence[MotorWork]) -> FloatArray:
     """Stack the fields of n samples as an array (4, n, 4)."""
-    if all(row is NOTHING for row in rows):
+    if all(row is NO_WORK for row in rows):
         return np.full((len(MotorWork._fields), len(rows), WHEELS), np.nan)
     return np.array(rows, dtype=float).reshape(len(rows), len(MotorWork._fields), WHEELS).swapaxes(0, 1)

@@ -21,8 +21,8 @@ from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 ROBOT_FILE = "robot.yaml"
-SERIES = 60.0
-"""Duration of the motion that is drawn for a run, after which the motion repeats [s]."""
+MOTION_DURATION = 60.0
+"""Duration of the motion that is drawn for a run [s]; longer runs repeat the motion."""
 Model = VelocityModel | NonlinearModel
 _Deviations = tuple[NotNegative, NotNegative]
 _Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
@@ -45,7 +45,7 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class UnexplainedMotion:
-    """Motion of the body that the model does not explain and the encoders do not measure.
+    """Unexplained motion of the body: a difference from the model that the encoders do not measure.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class UnexplainedMotion:
     variance
         (3, 6) coefficients of `intensity_features` in the variances of forward speed, lateral speed and yaw rate.
     largest
-        (6,) maximum features in the log, at which the variance is bounded.
+        (6,) maximum of each feature in the log, to which features are clipped.
     """
 
     rows: FloatArray
@@ -89,9 +89,10 @@ class IdentifiedRobot(StrictModel):
         tables = [np.array(record, dtype=float).reshape(-1, 4) for record in self.motion]
         return [np.repeat(table[:, 1:], table[:, 0].astype(int), axis=0) for table in tables]
 
-    def drawn_model(self, model: Model, rng: np.random.Generator) -> Model:
+    def draw_model(self, model: Model, rng: np.random.Generator) -> Model:
         """Draw gains and delays of a linear model around the identified values; return a nonlinear model unchanged."""
-        # Drawn for every kind of model, so that the motion drawn afterwards is the same.
+        # Nonlinear models also use these random numbers, so that the kind of model does not change the motion that is
+        # drawn afterwards from the same stream.
         gains, delays = 1.0 + rng.normal(0.0, self.gain_deviation), rng.normal(0.0, self.delay_deviation)
         if isinstance(model, NonlinearModel):
             return model
@@ -100,7 +101,7 @@ class IdentifiedRobot(StrictModel):
 
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
-        rows = drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
+        rows = draw_motion(self.records, MOTION_DURATION, (self.sample_time, sample_time), self.block_time, rng)
         return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
 
 
@@ -117,14 +118,14 @@ def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
 
 
 def intervals(rows: FloatArray) -> list[_Interval]:
-    """Return the intervals of constant motion in `rows` (K, 3), with the rounding of `robot.yaml`."""
+    """Convert `rows` (K, 3) to intervals of constant motion, rounded as in `robot.yaml`."""
     rows = np.round(rows, 3)
     starts = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0.0).any(axis=1)])
     lengths = np.diff(np.r_[starts, len(rows)])
     return [(int(n), *map(float, rows[start])) for n, start in zip(lengths, starts, strict=True)]  # type: ignore[misc]
 
 
-def drawn_motion(
+def draw_motion(
     motion: Sequence[FloatArray],
     duration: float,
     rate: tuple[float, float],
@@ -140,18 +141,18 @@ def drawn_motion(
     duration
         Duration of the result [s].
     rate
-        Sample times of the motion and the result [s].
+        Sample times of `motion` and of the result [s].
     block_time
         Duration of a block [s].
     rng
         Random generator.
     """
-    measured, dt = rate
-    block = max(1, round(block_time / measured))
-    # Blocks instead of samples preserve the correlation of the motion in time.
+    motion_dt, dt = rate
+    block = max(1, round(block_time / motion_dt))
+    # Blocks are drawn instead of samples, to preserve the correlation of the motion in time.
     starts = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
     parts: list[FloatArray] = []
-    while sum(map(len, parts)) * measured < duration:
+    while sum(map(len, parts)) * motion_dt < duration:
         i, first = starts[rng.integers(len(starts))]
         parts.append(motion[i][first : first + block])
-    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / measured).astype(int)])
+    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / motion_dt).astype(int)])

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 _MODEL_PREFIX = f"{MODEL}:"
 _MAX_PERIOD = 0.5
 """Maximum sample time, as in a configuration [s]."""
-_IDENTIFIED = 57
-"""Key of the random stream of identified robots, which differs from that of the noise."""
+_IDENTIFIED_STREAM = 57
+"""Key of the random stream of identified robots; the noise of the sensors uses another stream."""
 
 
 @checked_call()
@@ -62,21 +62,21 @@ def make_plant(
         * "drawn:SEED": a robot of the market with its surface, slope, patches and motors.
         * "model:NAME": a velocity model with the base effects of its file; for NAME see `models.load_model`.
         * "model:NAME+SECONDS": a velocity model with additional dead time, for instance "model:sm+0.04". If
-          NAME+SECONDS is the path of a file, this file is used.
-        * "model:FOLDER/robot.yaml": a robot that `identify` has written, with surface and sensors of the log; model
+          NAME+SECONDS is the path of an existing file, the whole text is the name.
+        * "model:FOLDER/robot.yaml": a robot file written by `identify`, with surface and sensors of the log; model
           and unexplained motion are drawn from `seed`.
-        * "KIND:NAME", "KIND:NAME@PLANT": a plant of another package around one of the above plants, see
+        * "KIND:NAME", "KIND:NAME@PLANT": a plant of another package that extends one of the above plants, see
           `sim.plants.plug_ins`; for instance, "world:slalom@mujoco:heavy" adds obstacles around the robot "heavy".
     surface
         Name of a built-in surface or path of a surface file. The default surface of "mujoco:NAME" has the friction of
-        the robot file if this file contains a friction.
+        the robot file if this file specifies a friction coefficient.
     sensors
         Name of a built-in sensor set or path of a sensor file; the default of "mujoco:NAME" is that of the robot file.
     seed
         Non-negative seed of the noise; runs with the same seed are bitwise equal.
     extra_dead_time
-        Dead time of "model:" plants in addition to those of the model and of `name` [s]. The dead time of "mujoco"
-        plants is in the robot file.
+        Dead time of "model:" plants in addition to the dead times of the model and of `name` [s]. For "mujoco" plants,
+        the robot file specifies the dead time.
     scenario
         Disturbances of the run: name of a built-in scenario or path of a scenario file. Random values are drawn from
         `seed` in a separate stream. "model:" plants support disturbances that do not need mass, wheels or motors.
@@ -133,14 +133,14 @@ def make_plant(
         return _physics_plant(setting, scene, sample_time)
     if name.startswith(_MODEL_PREFIX):
         if scene is not None:
-            raise ConfigError(f"plant '{name}' has no body that obstacles could touch; use 'mujoco'")
+            raise ConfigError(f"plant '{name}' has no body that can touch obstacles; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
         return _model_plant(setting, model, extra_dead_time, _model_robot(sample_time, limits))
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
-        "file), 'drawn:SEED' (a robot of the market) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "
-        f"path of a model file), with more dead time 'model:NAME+SECONDS'{_near_plant(name)}"
+        "file), 'drawn:SEED' (a robot of the market), 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "
+        f"path of a model file) or, for additional dead time, 'model:NAME+SECONDS'{_suggest_plant(name)}"
     )
 
 
@@ -162,7 +162,8 @@ def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | 
     surface, disturbances = setting.surface, setting.disturbances
     if surface.friction is None:
         raise ConfigError(
-            f"surface '{setting.surface_name}' has no friction: use it with 'model:' plants; 'mujoco' needs friction"
+            f"surface '{setting.surface_name}' has no friction coefficient, which 'mujoco' plants need: use the "
+            "surface with 'model:' plants"
         )
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
@@ -199,22 +200,23 @@ def _model_plant(
 
     effects, slip, sensors, disturbance = BaseEffects(), setting.surface.slip, setting.sensors, None
     if model is None:
-        file, named_dead_time = _split_dead_time(setting.name.removeprefix(_MODEL_PREFIX))
-        extra_dead_time += named_dead_time
+        file, name_dead_time = _split_dead_time(setting.name.removeprefix(_MODEL_PREFIX))
+        extra_dead_time += name_dead_time
         identified = load_identified_robot(file)
         if identified is not None:
             # Explicit arguments replace the surface and the sensors of the log.
-            rng, file = np.random.default_rng([setting.seed, _IDENTIFIED]), str(Path(file).parent / identified.model)
+            rng = np.random.default_rng([setting.seed, _IDENTIFIED_STREAM])
+            file = str(Path(file).parent / identified.model)
             slip = identified.slip if setting.surface_name == DEFAULT else slip
             sensors = identified.sensors if setting.sensors_name == DEFAULT else sensors
-            model = identified.drawn_model(load_model(file), rng)
+            model = identified.draw_model(load_model(file), rng)
             disturbance = identified.disturbance(robot.sample_time, rng)
         effects, model = load_base_effects(file), model or load_model(file)
     disturbances = setting.disturbances
     if disturbances.physical:
         raise ConfigError(
             f"scenario '{setting.scenario_name}' needs a plant with mass, wheels and motors "
-            f"({', '.join(disturbances.physical)}): '{setting.name}' has none; use 'mujoco'"
+            f"({', '.join(disturbances.physical)}), unlike '{setting.name}'; use 'mujoco'"
         )
     plant = ModelPlant(
         model,
@@ -229,8 +231,8 @@ def _model_plant(
     return DisturbedPlant(plant, disturbances, load_robot()) if disturbances.kinds else plant
 
 
-def _near_plant(name: str) -> str:
-    """Format the suggestion of a similar name in the message about an unknown plant; empty if there is none."""
+def _suggest_plant(name: str) -> str:
+    """Format a similar name as a suggestion for the message about an unknown plant; empty if no name is similar."""
     from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
 
     names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
@@ -239,7 +241,7 @@ def _near_plant(name: str) -> str:
 
 
 def plant_body(name: str) -> tuple[Robot, TwinParameters]:
-    """Return robot and physical parameters of the plant `name`; for "model:NAME" those of the papers' robot.
+    """Return robot and physical parameters of the plant `name`; for "model:NAME", return those of the papers' robot.
 
     Raises ConfigError if the robot file is invalid.
     """
@@ -302,14 +304,14 @@ def simulated_robot(name: str) -> SimulatedRobot | None:
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
     robot = load_robot()
-    # The limits of the link are symmetric.
+    # The link has symmetric limits, so the larger limit of both directions is used.
     symmetric = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
     bounds = robot.limits.model_copy(update=symmetric)
     return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
 
 
 def _split_dead_time(text: str) -> tuple[str, float]:
-    """Split NAME or NAME+SECONDS into model and extra dead time [s]; the path of a file may contain a plus."""
+    """Split NAME or NAME+SECONDS into model and extra dead time [s]; the path of a file may contain a plus sign."""
     model, plus, seconds = text.rpartition("+")
     if not plus or is_file(text):
         return text, 0.0
@@ -319,7 +321,7 @@ def _split_dead_time(text: str) -> tuple[str, float]:
         dead_time = math.nan
     if not (math.isfinite(dead_time) and dead_time >= 0):
         raise ConfigError(
-            f"plant 'model:{text}': '{seconds}' is not a dead time; write model:NAME+SECONDS, as model:sm+0.04, or "
-            "the path of an existing model file"
+            f"plant 'model:{text}': '{seconds}' is not a dead time; write model:NAME+SECONDS, such as model:sm+0.04, "
+            "or the path of an existing model file"
         )
     return model, dead_time

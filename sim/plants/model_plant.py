@@ -1,4 +1,4 @@
-"""Plant that moves according to a velocity model, with a fast closed-form solution."""
+"""Plant whose motion is the closed-form solution of a velocity model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 _NO_LIMIT = 1e6
-"""Limit that no command reaches; it is finite, so that ratios of limits are finite."""
+"""Limit above all commands; it is finite, so that ratios of limits are finite."""
 
 
 class ModelPlant:
@@ -50,7 +50,7 @@ class ModelPlant:
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        Unexplained motion of the body, which the encoders do not measure; None if there is no such motion.
+        Motion of the body that the model does not explain and the encoders do not measure; None if it is absent.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class ModelPlant:
         disturbance: UnexplainedMotion | None = None,
     ) -> None:
         self._robot, self._name = robot or load_robot(), model.name
-        delayed = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
-        self._function = _Function(delayed) if isinstance(delayed, NonlinearModel) else None
+        delayed_model = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
+        self._nonlinear = _NonlinearState(delayed_model) if isinstance(delayed_model, NonlinearModel) else None
         kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self.sensors = Sensors(sensors, kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
-        self.c, self._memory = _plant_in_c(delayed, effects or BaseEffects(), slip, disturbance, self.sample_time)
+        self.c, self._memory = _plant_in_c(delayed_model, effects or BaseEffects(), slip, disturbance, self.sample_time)
         self.c.limits, self.c.wheel_yaw_gain = [self._robot.limits.v, self._robot.limits.omega], slip.wheel_yaw_gain
         self._sample = load_twin()[1].plant_sample
         self._pose, self._twist = view(self.c.pose), view(self.c.twist)
@@ -103,8 +103,8 @@ class ModelPlant:
     def reset(self, pose: ArrayLike) -> None:
         """Reset the robot to rest at `pose` (3,) at time 0 and restart the noise."""
         self._pose[:] = checked_pose(pose)
-        if self._function is not None:
-            self.c.next = self._function.rest()
+        if self._nonlinear is not None:
+            self.c.next = self._nonlinear.rest()
         load_twin()[1].velocity_plant_reset(self.c)
         self.sensors.reset(self._pose, np.zeros(4))
 
@@ -115,13 +115,13 @@ class ModelPlant:
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,) and advance by one sample; raise ValueError for an invalid command."""
         sent = clip_command(command, self._robot.limits).tolist()
-        if self._function is not None:
-            self.c.next = self._function.advance(sent)
+        if self._nonlinear is not None:
+            self.c.next = self._nonlinear.advance(sent)
         self.sensors.draw_noise(1)
         self._sample(self.c, self.sensors.c, sent)
 
 
-class _Function:
+class _NonlinearState:
     """Simulation state of a nonlinear model."""
 
     def __init__(self, model: NonlinearModel) -> None:
@@ -156,14 +156,14 @@ def _plant_in_c(
     """
     has_no_effects = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
     c = load_twin()[0].new("velocity_plant *")
-    # The mean twist of a step is computed from its ends, so the step is at most the sample time of the papers' robot.
+    # The mean twist of a step is computed from both ends, so a step is at most the sample time of the papers' robot.
     c.steps = max(1 if has_no_effects else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
     matrices: dict[str, FloatArray] = {}
     if isinstance(model, NonlinearModel):
         if not (has_no_effects and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
             raise ModelError(
-                f"model '{model.name}': it requires samples of {model.dt} s without effects of a base; for a plant "
-                f"with {sample_time} s use another model, or set sample_time to {model.dt} s"
+                f"model '{model.name}' requires samples of {model.dt} s and a base without effects; for samples of "
+                f"{sample_time} s use another model, or set sample_time to {model.dt} s"
             )
         c.steps = 1
     else:
@@ -178,14 +178,14 @@ def _plant_in_c(
         setattr(c, name, address(array))
     if disturbance is not None:
         c.count = len(disturbance.rows)
-        c.variance, c.largest = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
+        c.variance, c.max_squares = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
     c.upper, c.lower = _both_sides(effects.twist_range).tolist()
-    c.grows, c.falls = (_both_sides(effects.twist_slew) * c.step_time).tolist()
+    c.max_rise, c.max_fall = (_both_sides(effects.twist_slew) * c.step_time).tolist()
     if effects.wheel_command is not None:
-        motors = effects.wheel_command
-        c.track, c.resolution, c.coasting = motors.track, motors.resolution, motors.coasting_speed
-        c.top_speed = motors.top_speed or _NO_LIMIT
-    c.angle = effects.yaw_relaxation.angle if effects.yaw_relaxation else 0.0
+        wheel_command = effects.wheel_command
+        c.track, c.resolution, c.coasting = wheel_command.track, wheel_command.resolution, wheel_command.coasting_speed
+        c.max_wheel_speed = wheel_command.top_speed or _NO_LIMIT
+    c.relaxation_angle = effects.yaw_relaxation.angle if effects.yaw_relaxation else 0.0
     c.yaw_per_metre = effects.veer.yaw_per_metre if effects.veer else 0.0
     for name in ("longitudinal_gain", "yaw_gain", "side_slip"):
         setattr(c, name, getattr(slip, name))
@@ -193,12 +193,12 @@ def _plant_in_c(
         c.track_at_rest, c.track_growth = slip.virtual_track.p0, slip.virtual_track.p1
     if slip.polynomial is not None:
         c.polynomial, c.has_polynomial = slip.polynomial.coefficients, 1
-    # The structure holds only addresses of the arrays.
+    # The structure contains only addresses, so the caller must keep the arrays.
     return c, [*arrays.values()]
 
 
 def _both_sides(limits: TwistRange | TwistSlew | None) -> FloatArray:
-    """Return the limits (2, 2) of v and omega; row 0 contains the first side, row 1 the second side."""
+    """Return the limits (2, 2) of v and omega; the rows are the first and second side, see `models.two_sided`."""
     channels: tuple[float | None, float | None] = (None, None) if limits is None else (limits.v, limits.omega)
     sides = [sides_of(math.inf if limit is None else limit) for limit in channels]
     return np.asarray(np.minimum(sides, _NO_LIMIT).T)

@@ -91,7 +91,7 @@ class MujocoPlant:
         if scenario is not None:
             wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
             self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
-        # Encoder noise comes from the counts of the observer; a sensor set without noise reads the true speeds.
+        # The counts of the observer cause the encoder noise; a sensor set without encoder noise reads the true speeds.
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
@@ -136,7 +136,7 @@ class MujocoPlant:
 
     @property
     def patch_spans(self) -> list[Span]:
-        """First and last time on each patch that was reached since the last reset [s]."""
+        """First and last time on each patch reached since the last reset [s]."""
         return self._disturbances.patch_spans if self._disturbances else []
 
     def reset(self, pose: ArrayLike) -> None:
@@ -171,18 +171,18 @@ class MujocoPlant:
                 self._delay_line.send(start, twist)
         edges, poses = self._twin.edges, self._twin.poses
         np.add(self.time, self._offsets, out=edges)
-        # Exactly the time of the next tick: the sum of steps differs by rounding.
+        # The last edge is exactly the time of the next tick, from which the sum of steps differs by rounding.
         edges[-1] = (self._tick + 1) * self.sample_time
         if self._disturbances is None:
             self._twin.advance()
         else:
             self._disturbances.advance(self._twin)
         self._tick += 1
-        for due in self._sensors.poses_due(edges[-1]):
+        for time in self._sensors.poses_due(edges[-1]):
             # The pose is interpolated in the first physics step that ends after its time.
-            k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, due))
-            start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
-            self._sensors.add_pose(due, before + (due - start) / (end - start) * (after - before))
+            k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, time))
+            share = (time - edges[k]) / (edges[k + 1] - edges[k])
+            self._sensors.add_pose(time, poses[k] + share * (poses[k + 1] - poses[k]))
         for part in self.parts.values():
             part.take(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed

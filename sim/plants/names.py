@@ -1,4 +1,4 @@
-"""Names of plants, which the command line uses without an import of the simulator."""
+"""Names of plants; the module does not import the simulator, so the command line loads quickly."""
 
 from __future__ import annotations
 
@@ -35,6 +35,6 @@ def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
     if not hasattr(part, "make_plant"):
         return None
     argument, separator, plant = rest.rpartition("@")
-    # A path may contain the separator.
+    # NAME may be a path that contains "@", so the text after "@" counts as PLANT only if it is the name of a plant.
     is_plant = bool(separator) and plant.partition(":")[0] in BUILT_IN
     return (part, argument, plant) if is_plant else (part, rest, PHYSICS)

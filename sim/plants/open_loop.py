@@ -57,7 +57,8 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
     Parameters
     ----------
     kind
-        "wheels": straight motion at the pulse rates of the papers' experiments for MBM; "v" and "omega": steps for SM.
+        "wheels": straight motion at the pulse rates of the papers' identification of MBM; "v" and "omega": steps of the
+        identification of SM.
     robot
         Robot with wheel radius, encoder and sample time; by default that of the papers.
     """
@@ -75,14 +76,14 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
 def random_commands(
     seed: int, smooth: bool = True, duration: float | None = None, sample_time: float | None = None
 ) -> FloatArray:
-    """Draw random set-points (K, 2) with random durations, for a robot that starts from rest.
+    """Draw random set-points (K, 2) with random durations, for a drive that starts from rest.
 
     Parameters
     ----------
     seed
         Seed of set-points and durations.
     smooth
-        True for the moving average over the last half second; otherwise set-points change in steps.
+        True to apply a moving average over the last half second; otherwise set-points change in steps.
     duration, sample_time
         Duration and sample time [s]; by default from the parameter file and the robot.
     """

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 
 
 class RobotLostError(DiffdriveMpcError, ValueError):
-    """Error for a robot that tips over or whose motion diverges; one line with time, reason and remedy."""
+    """Error if the robot tips over or its motion diverges; the message is one line with time, reason and remedy."""
 
 
 class Plant(Protocol):
@@ -66,7 +66,7 @@ class Plant(Protocol):
 
 
 class PlantAround:
-    """Base class of wrappers of a plant, with the clock and the true motion of the inner plant."""
+    """Base class of plants that wrap an inner plant and use its clock and its true motion."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant

@@ -1,7 +1,7 @@
 """Plants and simulator parts of other packages, from the entry points of the group `diffdrive_mpc.plants`.
 
-An entry is a `PlantKind` for plants named "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind`, which sensor files list
-under `parts:`. The entry of the same name in `diffdrive_mpc.columns` is a `RunColumns`, which presents the records.
+An entry is a `PlantKind` for plants named "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind` for parts that sensor files
+list under `parts:`. An entry of the same name in `diffdrive_mpc.columns` is a `RunColumns`, which presents the records.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from diffdrive_mpc.sim.plants.plant import Plant
 
 
 class PlantKind(Protocol):
-    """Kind of plants around other plants."""
+    """Kind of plants that extend other plants, for instance by obstacles."""
 
     def make_plant(self, name: str, plant: str, **options: Any) -> Plant:  # noqa: ANN401 - see `make_plant`
-        """Build the plant `name` around the plant named `plant`; the options are those of `sim.make_plant`."""
+        """Build the plant `name`, which extends the plant named `plant`; for options see `sim.make_plant`."""
         ...
 
     def settings(self, name: str, plant: str) -> Mapping[str, object]:
@@ -26,7 +26,7 @@ class PlantKind(Protocol):
         ...
 
     def reference(self, name: str, seed: int, limits: Any) -> Any:  # noqa: ANN401 - trajectories are types of `mpc`
-        """Return the trajectory of the plant within the limits of the robot; None if it has no trajectory."""
+        """Return the trajectory of the plant within the limits of the robot; None if the plant has no trajectory."""
         ...
 
 
@@ -91,7 +91,7 @@ class PartKind(Protocol):
 
 @runtime_checkable
 class Surrounded(Protocol):
-    """Plant with surroundings that the controller observes; it can end a run."""
+    """Plant with surroundings that the controller observes; the plant can end a run."""
 
     @property
     def time_limit(self) -> float:
@@ -103,7 +103,7 @@ class Surrounded(Protocol):
         ...
 
     def is_over(self, goal: FloatArray) -> bool:
-        """Return True if the run is complete; called after the end of the reference, whose end pose is `goal` (3,)."""
+        """Return True if the run is complete; called after the end of the reference at the pose `goal` (3,)."""
         ...
 
 
@@ -119,7 +119,7 @@ class RunColumns:
         return {}
 
     def row(self, run: Any) -> Mapping[str, object]:  # noqa: ANN401
-        """Return columns for the row of the run in comparisons."""
+        """Return values for the row of the run in comparisons, by column."""
         del run
         return {}
 
@@ -133,7 +133,7 @@ class RunColumns:
         del rows
 
     def draw(self, axes: Any, run: Any) -> None:  # noqa: ANN401 - axes of matplotlib
-        """Draw marks into the axes with the driven path."""
+        """Draw marks into the axes of the path figure."""
 
 
 def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - importing Run would be circular
@@ -142,6 +142,9 @@ def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - importing Run wo
 
 
 def make_part(name: str, sensor: object, robot: object, seed: int) -> SimulatorPart:
-    """Build the simulator part `name`; raise MissingPackageError or ConfigError if it cannot be used."""
+    """Build the simulator part `name`.
+
+    Raises MissingPackageError if its package is not installed, and ConfigError if its values are invalid.
+    """
     kind: PartKind = plug_in("plants", name)
     return kind.make_part(sensor, robot, seed)

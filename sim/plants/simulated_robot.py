@@ -17,11 +17,11 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 ROBOTS = EntryFile("robot", Path(__file__).with_name("robots.yaml"))
 DEFAULT = "default"
-"""Name of the surface and the sensor set that a robot file may replace."""
+"""Name of the default surface and sensor set, which the values of a robot file replace."""
 
 
 class SimulatedRobot(StrictModel):
-    """Parameters of a robot in the physics; keys and units are those of the files of the digital twin."""
+    """Parameters of a robot in the physics, with the keys and units of the files of the digital twin."""
 
     description: str = Field(min_length=1, description="description in one line")
     robot: Robot = Field(description="robot, as in models/parameters/robot.yaml")
@@ -47,11 +47,11 @@ class SimulatedRobot(StrictModel):
         return merge_mappings(values, {"parts": {"power": former}})
 
     @model_validator(mode="after")
-    def _stands_on_its_wheels(self) -> SimulatedRobot:
+    def _check_weight(self) -> SimulatedRobot:
         chassis, robot = self.twin.chassis, self.robot
         if not robot.mass > 4 * chassis.wheel_mass:
             raise ValueError(
-                f"robot.mass {robot.mass} kg: must exceed that of the wheels, {4 * chassis.wheel_mass:g} kg"
+                f"robot.mass {robot.mass} kg: must exceed the mass of the wheels, {4 * chassis.wheel_mass:g} kg"
             )
         ahead, left = chassis.centre_of_mass
         middle = -chassis.wheel_base / 2 if chassis.castors else 0.0

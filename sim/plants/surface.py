@@ -49,15 +49,15 @@ class BodySlip(StrictModel):
     The gains are applied first; the result is the input (v_c, w_c) of an optional slip law of the papers.
     """
 
-    yaw_gain: Positive = Field(description="ratio of true yaw rate to that of the velocity model")
-    wheel_yaw_gain: Positive = Field(description="ratio of true yaw rate to that of encoders and geometric track")
-    longitudinal_gain: Positive = Field(description="ratio of true forward speed to that of the encoders")
+    yaw_gain: Positive = Field(description="ratio of true yaw rate to yaw rate of the velocity model")
+    wheel_yaw_gain: Positive = Field(description="ratio of true yaw rate to yaw rate of encoders and geometric track")
+    longitudinal_gain: Positive = Field(description="ratio of true forward speed to speed of the encoders")
     side_slip: NotNegative = Field(description="ratio of outward lateral speed to v * omega [s]")
     polynomial: Polynomial | None = Field(default=None, description="polynomial slip law of the surface")
     virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
 
     def body(self, output: FloatArray) -> FloatArray:
-        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body from a model's output (2,)."""
+        """Compute forward speed, lateral speed [m/s] and yaw rate [rad/s] (3,) of the body from a model output (2,)."""
         v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track
@@ -74,7 +74,7 @@ class BodySlip(StrictModel):
         return self.longitudinal_gain * v, self.yaw_gain * omega
 
     def sideways(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - numbers or symbols
-        """Compute the lateral speed to the left that is due to side-slip [m/s]."""
+        """Compute the lateral speed due to side-slip [m/s], positive to the left."""
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
@@ -92,9 +92,9 @@ class Surface(StrictModel):
     slip: BodySlip = Field(description="slip of plants with a velocity model")
 
     @model_validator(mode="after")
-    def _both_ways(self) -> Surface:
+    def _require_friction(self) -> Surface:
         if self.sideways_friction is not None and self.friction is None:
-            raise ValueError("sideways_friction: also give friction, which is along the rolling direction")
+            raise ValueError("sideways_friction: also give friction, the coefficient along the rolling direction")
         return self
 
     @property

@@ -1,4 +1,4 @@
-"""Drivetrain and physics of a robot, of which a call in C computes a whole control sample."""
+"""Drivetrain and physics of a robot, with one call in C per control sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedO
 
 
 class Twin:
-    """Interface to `twin_advance` of `sim/core/twin.c`, and to its single steps for disturbances in between.
+    """Interface to `sim/core/twin.c`: whole control samples, or single steps if disturbances act between the steps.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Twin:
         (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at the times `edges`.
     motors
         (steps, 2, 4) torque of each motor during each step [N m], and speed of the wheel at the end of the step
-        [rad/s]. Their product is the exact mean power, since the physics integrates the wheel angles with the new
-        speed.
+        [rad/s]. Torque times speed is the exact mean power of a step, since the physics integrates the wheel angles
+        with the speed at the end of the step.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Twin:
     ) -> None:
         ffi, self._lib = load_twin()
         self._chassis, self._steps = chassis, steps
-        self._parts = line, shaper, observer, loops, chassis  # keeps the structures alive, which C reads
+        self._parts = line, shaper, observer, loops, chassis  # keep the structures of the twin in memory
         self.edges, self.poses, self._torques = np.zeros(steps + 1), np.zeros((steps + 1, 3)), np.zeros(4)
         self.motors = np.zeros((steps, 2, 4))
         self._c = ffi.new("twin *", [*(part.c for part in self._parts), address(self.motors)])

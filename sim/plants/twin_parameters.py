@@ -45,7 +45,7 @@ class Tyre(StrictModel):
 
     contact_time: Positive = Field(description="time constant normal to the surface [s]")
     contact_damping: Positive = Field(description="damping ratio normal to the surface [-]")
-    impedance: float = Field(gt=0, lt=1, description="share of the constraint that is enforced at once [-]")
+    impedance: float = Field(gt=0, lt=1, description="share of the constraint that is enforced immediately [-]")
     creep_time: Positive = Field(description="time constant along the surface [s]")
     creep_stiffness: Positive = Field(description="ratio of tangential to normal stiffness [-]")
 
@@ -56,7 +56,9 @@ class Motor(StrictModel):
     stall_torque: Positive = Field(description="torque at standstill and full duty [N m]")
     no_load_speed: Positive = Field(description="speed without load at full duty [rad/s]")
     rotor_inertia: Positive = Field(description="inertia of rotor and gear at the output shaft [kg m^2]")
-    spread: tuple[Positive, Positive, Positive, Positive] = Field(description="ratio of torque to nominal torque")
+    spread: tuple[Positive, Positive, Positive, Positive] = Field(
+        description="ratio of the torque of each motor to the nominal torque [-]"
+    )
 
 
 class Driver(StrictModel):

@@ -54,16 +54,17 @@ def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
 
 
 def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
-    """Build sensor_msgs/Imu with the yaw rate; orientation and acceleration are marked as not measured."""
+    """Build sensor_msgs/Imu with the yaw rate, and without orientation and acceleration."""
     message = Imu(header=_header(now, IMU_LINK))
     message.angular_velocity.z = float(np.asarray(yaw_rate.value))
+    # By ROS convention, -1 marks values that are not measured.
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
     if yaw_rate.covariance is not None:
         message.angular_velocity_covariance[8] = float(np.asarray(yaw_rate.covariance)[0, 0])
     return message
 
 
-def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
+def measured_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
     """Build geometry_msgs/PoseWithCovarianceStamped in map; `stamp` is the time of the measured pose [ns]."""
     message = PoseWithCovarianceStamped(header=_header(stamp, MAP))
     message.pose.pose = pose_message(pose.value)
@@ -111,7 +112,7 @@ def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def set_prefix(message: Any, prefix: str) -> None:  # noqa: ANN401
-    """Add `prefix` to the frames of a message except map, which all robots share."""
+    """Add `prefix` to the frames of a message, except to map, which all robots share."""
     if message.header.frame_id not in ("", MAP):
         message.header.frame_id = prefix + message.header.frame_id
     if getattr(message, "child_frame_id", ""):
@@ -130,9 +131,6 @@ def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> list[float]:
     return [float(value) for value in matrix.ravel()]
 
 
-# Recording of messages in a rosbag2 with the package `rosbags`, without a ROS recorder.
-
-
 Storage = Literal["mcap", "sqlite3"]
 MessageRecorder = Callable[[str, Any, int], None]
 """Function that is called with topic, message and time of receipt [ns]."""
@@ -143,7 +141,9 @@ _BAG_VERSION: Literal[9] = 9
 
 @contextmanager
 def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRecorder]:
-    """Open a new bag, which is closed and readable at the end of the context, even after an error.
+    """Open a new rosbag2 for recording; the bag is closed and readable at the end of the context, even after an error.
+
+    The package `rosbags` writes the bag, so that no ROS recorder is needed.
 
     Raises
     ------

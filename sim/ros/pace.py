@@ -37,7 +37,7 @@ class SteppedClock:
 
     def __init__(self, first_tick: int, sample_time: float) -> None:
         self._sample = sample_time
-        # The origin is a whole number of samples, so that the timer of a node, which starts at 0, fires at the ticks.
+        # Timers of nodes start at 0, so they fire at the ticks only if the origin is a whole number of samples.
         self.origin = round(1e9 * first_tick * sample_time)
         self._now = self.origin
 
@@ -69,14 +69,14 @@ class WallClock:
         return time.monotonic_ns() + self._offset
 
 
-class CommandRhythm:
-    """Detector of a controller with a longer period than the robot, so that ticks without a command alternate."""
+class CommandPeriodCheck:
+    """Detector of a controller whose period is longer than that of the robot, so that some ticks have no command."""
 
     def __init__(self) -> None:
         self._ticks: list[int] = []
         self._reported = False
 
-    def differs(self, tick: int, *, has_command: bool) -> bool:
+    def is_slower(self, tick: int, *, has_command: bool) -> bool:
         """Record whether a tick had a command; return True once if the controller has a longer period."""
         if has_command:
             self._ticks = [*self._ticks[-2:], tick]
@@ -86,11 +86,11 @@ class CommandRhythm:
         self._reported = second > first + 1 and third > second + 1
         return self._reported
 
-    def words(self, sample_time: float) -> str:
-        """Return the message with both periods [s] and the remedy."""
+    def message(self, sample_time: float) -> str:
+        """Format a warning with the period of the commands, the sample time of the robot [s] and a remedy."""
         period = 0.5 * (self._ticks[-1] - self._ticks[0]) * sample_time
         return (
-            f"lock step: commands arrive about every {1e3 * period:.3g} ms, but the robot's sample time is "
+            f"lock step: commands arrive approximately every {1e3 * period:.3g} ms, but the robot's sample time is "
             f"{1e3 * sample_time:.4g} ms, so the robot waits at each tick without a command; start the robot with the "
             "node's configuration (--config FILE)"
         )
@@ -102,8 +102,8 @@ def drive_in_lock_step(
     """Drive until `is_running` returns False.
 
     The clock does not advance until a publisher of commands is connected. Each tick then waits for its command until
-    the answer timeout, or for the repeat time of the clock if no publisher is connected any more. After the controller
-    has stopped, the simulation therefore continues slowly, and the base stops by its command timeout.
+    the answer timeout, or until the repeat time of the clock if the publisher has disconnected. After the end of the
+    controller, the simulation therefore continues slowly, and the base stops after its command timeout.
 
     Raises
     ------
@@ -112,40 +112,40 @@ def drive_in_lock_step(
     """
     clock_publisher = base.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
     # The clock starts one sample before the first tick, so that a timer that fires now fires again at the first tick.
-    before = messages.clock(clock.set_tick(-1))
-    _wait_for_connections(base, lambda: clock_publisher.publish(before), settings, spin, is_running)
-    rhythm = CommandRhythm()
+    start = messages.clock(clock.set_tick(-1))
+    _wait_for_connections(base, lambda: clock_publisher.publish(start), settings, spin, is_running)
+    period_check = CommandPeriodCheck()
     while is_running():
         now = clock.set_tick(base.tick)
         base.publish_sensors(now, clock.origin)
         _wait_for_command(base, now, clock_publisher.publish, settings, spin, is_running)
-        if rhythm.differs(base.tick, has_command=base.inbox.has_command_for(now)):
-            base.node.get_logger().warning(rhythm.words(base.plant.sample_time))
+        if period_check.is_slower(base.tick, has_command=base.inbox.has_command_for(now)):
+            base.node.get_logger().warning(period_check.message(base.plant.sample_time))
         base.advance(now)
 
 
 def _wait_for_connections(
     base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, is_running: Callable[[], bool]
 ) -> None:
-    """Wait until commands have a publisher and, for a limited time, until odometry has a subscriber.
+    """Wait for a publisher of commands and, until the answer timeout, for a subscriber of odometry.
 
-    Then wait for the settling time without a new connection, so that all nodes receive the first tick.
+    The function returns after the settling time without a new connection, so that all nodes receive the first tick.
     """
-    if not base.commanded:
+    if not base.has_command_publisher:
         base.node.get_logger().info(f"lock step: waiting for a publisher of commands on {base.command_topic}")
     deadline: float | None = None
     connected: tuple[int, ...] = ()
-    settled_at = math.inf
+    settled_time = math.inf
     while is_running():
-        now_s = time.monotonic()
+        real_time = time.monotonic()
         if connected != base.connections:
-            connected, settled_at = base.connections, now_s + settings.settling_time
-        if base.commanded:
-            deadline = deadline or now_s + settings.answer_timeout
-            if now_s >= settled_at and (base.observed or now_s >= deadline):
+            connected, settled_time = base.connections, real_time + settings.settling_time
+        if base.has_command_publisher:
+            deadline = deadline or real_time + settings.answer_timeout
+            if real_time >= settled_time and (base.has_odometry_subscriber or real_time >= deadline):
                 return
         publish()
-        while is_running() and (remaining := now_s + settings.clock_repeat - time.monotonic()) > 0:
+        while is_running() and (remaining := real_time + settings.clock_repeat - time.monotonic()) > 0:
             spin(remaining)
 
 
@@ -159,14 +159,14 @@ def _wait_for_command(
 ) -> None:
     start = repeat = time.monotonic()
     while is_running() and not base.inbox.has_command_for(now):
-        now_s = time.monotonic()
-        end = start + (settings.answer_timeout if base.commanded else settings.clock_repeat)
-        if now_s >= end:
+        real_time = time.monotonic()
+        end = start + (settings.answer_timeout if base.has_command_publisher else settings.clock_repeat)
+        if real_time >= end:
             break
-        if now_s >= repeat:
+        if real_time >= repeat:
             publish(messages.clock(now))
-            repeat = now_s + settings.clock_repeat
-        spin(min(end, repeat) - now_s)
+            repeat = real_time + settings.clock_repeat
+        spin(min(end, repeat) - real_time)
 
 
 def drive_in_real_time(
@@ -175,7 +175,8 @@ def drive_in_real_time(
     """Drive until `is_running` returns False.
 
     Like the firmware of the robot, the plant applies a command at its next sample. Stamps are the times of the samples,
-    so on a slow computer messages are late but have correct stamps. A delay above `settings.most_behind` is skipped.
+    so on a slow computer messages are late but have correct stamps. If the delay relative to real time exceeds
+    `settings.most_behind`, the plant skips the lost time.
 
     Raises
     ------
@@ -190,7 +191,7 @@ def drive_in_real_time(
             spin(remaining)
         delay = 1e-9 * (clock() - now)
         if delay > settings.most_behind:
-            base.node.get_logger().warning(f"{delay:.2f} s behind real time: this time is skipped")
+            base.node.get_logger().warning(f"{delay:.2f} s behind real time: the robot skips this time")
             clock.origin += round(1e9 * delay)
             now += round(1e9 * delay)
         spin(0.0)

@@ -38,7 +38,7 @@ def run_robot(
     ros_arguments: Sequence[str] = (),
     driver: str = "",
 ) -> None:
-    """Reset `plant` to `start`, and run it on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
+    """Reset `plant` to `start`, and run it as a ROS node until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
 
     The function must be called from the main thread, which receives signals.
 
@@ -80,9 +80,7 @@ def run_robot(
         memory = math.ceil(sensors.pose.latency / plant.sample_time)
         base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
         commands = f"commands, such as those of: {driver}" if driver else "commands"
-        node.get_logger().info(
-            f"ready, in {'lock step' if lock_step else 'real time'}; it stands and waits for {commands}"
-        )
+        node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}; waiting for {commands}")
         if isinstance(clock, SteppedClock):
             drive_in_lock_step(base, clock, settings.lock_step, spin, is_running)
         else:
@@ -91,20 +89,20 @@ def run_robot(
 
 @contextmanager
 def _run_until_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns True while the run continues; a signal ends the run between samples."""
-    ended = False
+    """Yield a function that returns True until `duration` or a signal ends the run."""
+    has_ended = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        nonlocal ended
-        ended = True
+        nonlocal has_ended
+        has_ended = True
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    handlers = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     end_time = math.inf if duration is None else duration
     try:
-        # The tolerance of half a sample covers rounding errors of sums of sample times.
-        yield lambda: not ended and plant.time < end_time - 0.5 * plant.sample_time
+        # The times of ticks have rounding errors, so the comparison has a tolerance of half a sample.
+        yield lambda: not has_ended and plant.time < end_time - 0.5 * plant.sample_time
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 

@@ -29,16 +29,13 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import MessageRecorder
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
-# Settings of the simulated base: message rates, command timeout, lock step.
-
-
-SHIPPED = Path(__file__).parent / "base.yaml"
+SETTINGS_FILE = Path(__file__).parent / "base.yaml"
 
 Ticks = Annotated[int, Field(ge=1, le=1000)]
 Seconds = Annotated[float, Field(gt=0, le=60)]
 
 
-class Every(StrictModel):
+class TopicIntervals(StrictModel):
     """Number of control samples between messages of a topic."""
 
     odometry: Ticks = Field(description="interval of odom [samples]")
@@ -71,9 +68,9 @@ class BaseSettings(StrictModel):
     transforms: Literal["none", "odom", "map"] = Field(
         "none", description="odom: odom -> base_link on /tf; map: also map -> odom, like an error-free localisation"
     )
-    command_timeout: Seconds = Field(description="robot time without a command after which the base stops [s]")
+    command_timeout: Seconds = Field(description="time without a command after which the base stops, robot clock [s]")
     odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="source of the pose in odom")
-    every: Every
+    every: TopicIntervals
     lock_step: LockStep
     real_time: RealTime
 
@@ -93,16 +90,13 @@ def load_base_settings(path: str | Path | None = None, changes: Mapping[str, obj
     models.checked_yaml.ConfigError
         If the file cannot be read, or a value is missing, unknown or out of range.
     """
-    settings = load_checked(BaseSettings, path or SHIPPED)
+    settings = load_checked(BaseSettings, path or SETTINGS_FILE)
     values = settings.model_dump()
     for key, value in (changes or {}).items():
         if value is not None:
             *groups, name = key.split(".")
             reduce(dict.__getitem__, groups, values)[name] = value
     return check(BaseSettings, values, "base settings")
-
-
-# Received commands: valid command, and assignment of commands to ticks.
 
 
 STOP = (0.0, 0.0)
@@ -141,23 +135,23 @@ class CommandInbox:
             Reason for a refusal; empty if the command is accepted.
         """
         if not (math.isfinite(v) and math.isfinite(omega)):
-            return f"command v = {v}, omega = {omega} is not finite; it is ignored"
+            return f"command v = {v}, omega = {omega} is not finite and is ignored"
         if stamp and abs(now - stamp) > self._timeout:
             age = f"{1e-9 * abs(now - stamp):.3f} s {'old' if stamp < now else 'ahead'}"
-            return f"the stamp of the command is {age}; it is ignored: has the sender the same clock (use_sim_time)?"
+            return f"the stamp of the command is {age}; the command is ignored: use the robot's clock (use_sim_time)"
         self._command, self._stamp, self._received = (v, omega), stamp, now
         return ""
 
     def command(self, now: int) -> tuple[float, float]:
         """Return the effective command v [m/s], omega [rad/s] at `now`; zero after the timeout."""
-        return STOP if self.lapsed(now) or self._received is None else self._command
+        return STOP if self.timed_out(now) or self._received is None else self._command
 
-    def lapsed(self, now: int) -> bool:
+    def timed_out(self, now: int) -> bool:
         """Return True if the last command has timed out."""
         return self._received is not None and now - self._received > self._timeout
 
     def has_command_for(self, tick: int) -> bool:
-        """Return True if the newest command, by its stamp or arrival time, belongs to the tick at the time `tick`."""
+        """Return True if stamp or arrival time of the newest command belong to the tick at the time `tick` [ns]."""
         if self._received is None:
             return False
         return abs((self._stamp or self._received) - tick) <= self._tolerance
@@ -165,10 +159,10 @@ class CommandInbox:
 
 # Topics with reports of the controller's node, which allow an exact replay of real-time recordings.
 _CONTROLLER_TOPICS = (TICK, DRIVE)
-# Minimum time between repeated warnings [s].
-_WARN_EVERY = 1.0
+# Minimum time between equal warnings [s].
+_WARNING_PERIOD = 1.0
 # Period of the check for publishers of the unsupported command type [s].
-_CHECK_EVERY = 0.5
+_CHECK_PERIOD = 0.5
 
 
 class BaseTopics(Protocol):
@@ -193,7 +187,7 @@ class BaseTopics(Protocol):
         ...
 
 
-def _further_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[BaseTopics]:
+def _additional_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[BaseTopics]:
     """Create the topics that settings and plant require; raise MissingPackageError if a package is not installed."""
     names = [] if settings.transforms == "none" else ["transforms"]
     names += getattr(plant, "base_topics", ())
@@ -243,7 +237,7 @@ class SimulatedBase:
         self.tick = 0
         tolerance = round(0.5e9 * plant.sample_time)
         self.inbox = CommandInbox(round(1e9 * settings.command_timeout), tolerance)
-        self._was_lapsed = False
+        self._had_timed_out = False
         kinds = {
             "odom": OdometryMessage,
             "imu": Imu,
@@ -252,26 +246,26 @@ class SimulatedBase:
             "ground_truth/pose": PoseStamped,
             "ground_truth/twist": TwistStamped,
         }
-        self._topics = _further_topics(node, plant, settings)
+        self._topics = _additional_topics(node, plant, settings)
         self._publishers = {
             topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
         }
         kind = TwistStamped if settings.stamped else Twist
         self._rejected_senders = ""
         self._check = node.create_timer(
-            _CHECK_EVERY, self._check_senders, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            _CHECK_PERIOD, self._check_senders, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self._commands = node.create_subscription(kind, "cmd_vel", self._receive, QoSProfile(depth=1))
         if record is not None:
             self._records = [self._subscribe_recorder(node, topic, record) for topic in _CONTROLLER_TOPICS]
 
     @property
-    def commanded(self) -> bool:
+    def has_command_publisher(self) -> bool:
         """True if commands have a publisher."""
         return self._commands.get_publisher_count() > 0
 
     @property
-    def observed(self) -> bool:
+    def has_odometry_subscriber(self) -> bool:
         """True if odometry has a subscriber."""
         return bool(self._publishers["odom"].get_subscription_count() > 0)
 
@@ -333,7 +327,7 @@ class SimulatedBase:
             self._publish("ground_truth/twist", messages.true_twist(now, self.plant.true_twist))
         if measurement.pose is not None:
             stamp = origin + round(1e9 * measurement.pose.time)
-            self._publish("pose", messages.sensed_pose(stamp, measurement.pose))
+            self._publish("pose", messages.measured_pose(stamp, measurement.pose))
         if measurement.yaw_rate is not None and due["imu"]:
             self._publish("imu", messages.imu(now, measurement.yaw_rate))
         has_odometry = measurement.wheel_twist is not None and due["odometry"]
@@ -352,12 +346,12 @@ class SimulatedBase:
         sim.plants.plant.RobotLostError
             If the robot tips over or its motion diverges.
         """
-        lapsed = self.inbox.lapsed(now)
-        if lapsed and not self._was_lapsed:
+        timed_out = self.inbox.timed_out(now)
+        if timed_out and not self._had_timed_out:
             self.node.get_logger().warning(
                 f"no command on {self.command_topic} for {self._settings.command_timeout} s: the robot stops"
             )
-        self._was_lapsed = lapsed
+        self._had_timed_out = timed_out
         self.plant.advance(self.inbox.command(now))
         self.tick += 1
 
@@ -369,7 +363,7 @@ class SimulatedBase:
         twist = message.twist if self._settings.stamped else message
         refusal = self.inbox.put(twist.linear.x, twist.angular.z, stamp, now)
         if refusal:
-            self.node.get_logger().warning(refusal, throttle_duration_sec=_WARN_EVERY)
+            self.node.get_logger().warning(refusal, throttle_duration_sec=_WARNING_PERIOD)
 
     def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
         publisher = self._publishers[topic]

@@ -15,7 +15,6 @@ SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
 """Standard deviation [m, rad or rad/s], with an upper bound that detects typing errors."""
 
-
 Scale = Annotated[float, Field(ge=-100, le=100)]
 
 

@@ -23,8 +23,8 @@ _BLOCK = 256
 class Sensors:
     """Simulated sensors that convert true motion to measurements.
 
-    The plant reports its motion at each sample, and `collect` returns the delivered measurements. Every sensor has a
-    separate random stream, so the rate of a sensor does not change the noise of other sensors.
+    The plant passes its motion to the sensors at each sample, and `collect` returns the delivered measurements. Every
+    sensor has a separate random stream, so the rate of a sensor does not change the noise of other sensors.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ class Sensors:
         self.c = c = ffi.new("sensor_unit *")
         """Parameters and state in C, see `sim/core/sensors.h`."""
         c.sample_time, c.period = sample_time, pose.period or sample_time
-        c.latency, c.loss, c.turned = pose.latency, pose.loss, pose.turned
+        c.latency, c.loss, c.heading_offset = pose.latency, pose.loss, pose.turned
         c.stamped_on_arrival = pose.stamped_on_arrival
         c.pose_signs = [1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign]
-        c.gyro_scale, c.gyro_noise, c.largest = gyro.scale, gyro.noise_sd, gyro.largest
+        c.gyro_scale, c.gyro_noise, c.max_gyro_reading = gyro.scale, gyro.noise_sd, gyro.largest
         # The order is front left, front right, rear left, rear right.
         c.wheels = [1, 0, 3, 2] if encoders.swapped else [0, 1, 2, 3]
         c.wheel_signs = [encoders.left, encoders.right] * 2
@@ -80,12 +80,12 @@ class Sensors:
             np.random.default_rng, np.random.SeedSequence(self._seed).spawn(4)
         )
         self._pose_noise = _Noise(c.pose_noise, self._pose_sd, pose_noise.standard_normal)
-        self._losses = _Noise(c.losses, np.ones(1), losses.random)
+        self._losses = _Noise(c.loss_noise, np.ones(1), losses.random)
         self._wheel_noise = _Noise(c.wheel_noise, np.full(4, self._speed_noise), wheel_noise.standard_normal)
         c.gyro_bias = self._parameters.gyro.bias_sd * gyro_noise.standard_normal()
         self._yaw_rate_noise = _Noise(c.yaw_rate_noise, np.ones(1), gyro_noise.standard_normal)
-        c.first = c.poses = 0
-        # The first pose is the first that arrives by time 0.
+        c.first_pending = c.pending_count = 0
+        # The first pose is the latest one that arrives by time 0; with latency, it was measured before time 0.
         c.next_pose = -int(np.ceil((c.latency - TIME_TOLERANCE) / c.period))
         for time in self.poses_due(0.0):
             self.add_pose(time, pose)
@@ -109,7 +109,7 @@ class Sensors:
         """Return the times of pose measurements up to `until` [s]; `add_pose` must be called for each time."""
         due = []
         while self._lib.sensors_pose_due(self.c, until):
-            due.append(self.c.due)
+            due.append(self.c.due_time)
         return due
 
     def add_pose(self, time: float, pose: ArrayLike) -> None:
@@ -139,7 +139,7 @@ class _Noise:
     Parameters
     ----------
     c
-        Its `sensor_noise` in C.
+        Structure `sensor_noise` of the sensor in C.
     scale
         (k,) factors of the samples.
     stream
@@ -151,11 +151,11 @@ class _Noise:
         c.next = c.count = 0
 
     def draw(self, count: int) -> None:
-        """Draw more samples if fewer than `count` remain."""
+        """Draw further samples if fewer than `count` samples remain."""
         c = self._c
         if c.count - c.next < count:
-            fresh = self._scale * self._stream((max(count, _BLOCK), len(self._scale)))
-            self._rows = np.vstack([self._rows[c.next :], fresh])
+            new_rows = self._scale * self._stream((max(count, _BLOCK), len(self._scale)))
+            self._rows = np.vstack([self._rows[c.next :], new_rows])
             c.rows, c.next, c.count = address(self._rows), 0, len(self._rows)
 
 
@@ -168,14 +168,14 @@ class _Reading:
         view(c.covariance)[: covariance.size] = covariance.ravel()
 
     def stamped(self, size: int | None = None) -> Stamped | None:
-        """Return the reading with `size` values, by default as a number; None if there is no new reading."""
+        """Return the reading with `size` values, by default as a single number; None if there is no new reading."""
         if not self._c.present:
             return None
         return Stamped(self._value[0] if size is None else self._value[:size].copy(), self._c.stamp, self._covariance)
 
 
 def _published_covariance(covariance: FloatArray) -> FloatArray | None:
-    """Return a covariance for measurements; None for an exact sensor, since a filter must not divide by zero."""
+    """Return a covariance for measurements; None for an exact sensor, so that filters do not divide by zero."""
     if not covariance.any():
         return None
     covariance.setflags(write=False)

@@ -191,7 +191,7 @@ def _hold_commands(parameters: FeedForward, twist: FloatArray, n: int) -> FloatA
     """Compute the steady-state commands (n, 2) for the twist of the reference without slip."""
     rows = np.arange(n)[:, None] + parameters.whole
     current, following = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
-    desired = (current + parameters.rest * (following - current)).T
+    desired = (current + parameters.fraction * (following - current)).T
     return np.asarray(formula("feed_forward").map(n)(desired, Slip().flat, parameters.inverse_gain)).T
 
 

@@ -11,7 +11,7 @@ from diffdrive_mpc import ControllerConfig, load_config, load_model
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import parse_seeds
 from diffdrive_mpc.mpc.config.described import schema_rows
-from diffdrive_mpc.mpc.config.rooms import side_by_side
+from diffdrive_mpc.mpc.config.rooms import merge_sections
 
 runner = CliRunner()
 
@@ -21,7 +21,7 @@ def test_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> N
     path = tmp_path / "mine.yaml"
     path.write_text(result.stdout)
     assert load_config(path) == load_config("ssm")
-    assert side_by_side(yaml.safe_load(result.stdout)) == load_config("ssm").model_dump()
+    assert merge_sections(yaml.safe_load(result.stdout)) == load_config("ssm").model_dump()
     checked = invoke(app, "config", "check", path)
     assert "valid, horizon 30 steps" in checked.stdout
 

@@ -11,7 +11,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.controllers import load_reference
-from diffdrive_mpc.mpc.config.typed_settings import parse_setting, single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_setting, parse_single_settings
 
 
 @pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
@@ -58,4 +58,4 @@ def test_every_finite_number_is_read_exactly(numbers: list[float]) -> None:
 
 
 def test_single_run_has_one_value_for_each_key() -> None:
-    assert single_settings(["horizon=5", "weights.along=2"]) == (("horizon", 5), ("weights.along", 2))
+    assert parse_single_settings(["horizon=5", "weights.along=2"]) == (("horizon", 5), ("weights.along", 2))

@@ -32,9 +32,9 @@ from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
-from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands, time_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path
+from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 from fuzz import odd
 from fuzz.case import Case, FaultError
 from fuzz.configs import Overrides, draw_overrides, draw_value, fields
@@ -432,13 +432,13 @@ def make_reference(spec: Case) -> Any:
             segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in spec["segments"]]
         except ValueError as error:  # pydantic's message has several lines
             raise ValueError("no such segment") from error
-        lay = {"stop": lay_segments, "commanded": lay_commanded, "smooth": lay_smooth}[spec["way"]]
+        lay = {"stop": time_segments, "commanded": time_commands, "smooth": time_smooth_path}[spec["way"]]
         return checked_reference(lay(segments, limits, name="segments"), limits)
     if spec["kind"] == "waypoints":
         points = [tuple(point) for point in spec["points"]]
         if not all(abs(value) <= 1e6 for point in points for value in point):
             raise ValueError("the schema of trajectory files rejects these points")
-        return checked_reference(lay_waypoints(points, limits, name="waypoints", timing=spec["way"]), limits)
+        return checked_reference(time_waypoints(points, limits, name="waypoints", timing=spec["way"]), limits)
     return UserReference(
         duration=spec["duration"],
         pose=tuple(spec["pose"]),

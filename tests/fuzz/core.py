@@ -136,7 +136,7 @@ def main(core: str, seed: str, count: str) -> None:
     def copy_arrays(layout: Any) -> Any:
         """Copy each array; the gaps between the arrays must not be read."""
         block = np.zeros_like(layout.live)
-        for rows, _ in layout.places.values():
+        for rows, _ in layout.slices.values():
             block[rows] = layout.live[rows]
         return block
 

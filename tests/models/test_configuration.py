@@ -20,7 +20,7 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc.mpc.config.rooms import side_by_side
+from diffdrive_mpc.mpc.config.rooms import merge_sections
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
 WHEELS = {"track": 0.5, "top_speed": 0.4}
@@ -100,7 +100,7 @@ def test_file_and_mapping_have_equal_values(slew, geometry):
         "robot", model_with(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
     )
     text = configuration.text()
-    assert side_by_side(yaml.safe_load(text)) == configuration.mapping()
+    assert merge_sections(yaml.safe_load(text)) == configuration.mapping()
     assert configuration.mapping()["sample_time"] == 0.05
     assert ("does not determine v_slew" in text) == (slew is None)
     assert ("does not determine wheels.track" in text) == (geometry is None)

@@ -47,21 +47,21 @@ class KeptProcess(SideProcess):
     _spare = None
     _busy = False
 
-    def _begin(self):
+    def _start_process(self):
         process_and_link, KeptProcess._spare = KeptProcess._spare, None
         if process_and_link is None or process_and_link[0].poll() is not None:
-            return super()._begin()
+            return super()._start_process()
         self._process, self._link = process_and_link
         return self._link
 
-    def _ask(self, job):
+    def _run_job(self, job):
         self._busy = True
-        response = super()._ask(job)
+        response = super()._run_job(job)
         self._busy = False
         return response
 
     def close(self):
-        with self._changed:
+        with self._condition:
             if self._link is not None and not self._busy and KeptProcess._spare is None:
                 KeptProcess._spare, self._process, self._link = (self._process, self._link), None, None
         super().close()

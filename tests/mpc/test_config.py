@@ -14,8 +14,8 @@ from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
-from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place
-from diffdrive_mpc.mpc.config.rooms import USER, is_for_users, plain_key, shown_key, side_by_side
+from diffdrive_mpc.mpc.config.former_keys import current_place, former_keys
+from diffdrive_mpc.mpc.config.rooms import USER, is_for_users, merge_sections, plain_key, shown_key
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS
 
 
@@ -78,7 +78,7 @@ def test_constants_are_accepted_with_their_values_only():
         assert getattr(getattr(ControllerConfig(), group), name) == value
         with pytest.raises(ConfigError, match=f"{key}: .* differs from the constant {value} in .*remove it"):
             load_config("sm", {key: 1.5 * value})
-        assert present_place(key) == f"the constant {key} in mpc/config/fixed_values.yaml"
+        assert current_place(key) == f"the constant {key} in mpc/config/fixed_values.yaml"
     assert load_config({"model": "sm", **groups}) == load_config({"model": "sm"})
 
 
@@ -104,7 +104,7 @@ def test_keys_are_accepted_with_and_without_expert_and_by_former_names():
 
 def test_commented_yaml_contains_every_key():
     config = ControllerConfig()
-    assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
+    assert merge_sections(yaml.safe_load(commented_yaml(config))) == config.model_dump()
 
 
 def test_yaw_rate_limit_in_degrees_gives_a_warning():

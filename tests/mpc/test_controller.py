@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
 DT = 0.0202
 MODEL = load_model("ssm")
@@ -68,7 +68,7 @@ def two_speed_curves():
     """Return curves to both sides, each at two speeds."""
     twists = [(0.8, 0.8), (0.3, 0.8), (0.9, -0.8), (0.3, -0.8)] * 4
     segments = [Segment(v=v, omega=omega, duration=1.2) for v, omega in twists]
-    return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
+    return time_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
 def compare_side_slip(first_share=0.5, noise=1.0, slip=None, **settings):

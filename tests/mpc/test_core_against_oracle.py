@@ -21,7 +21,7 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands
 
 DT = 0.0202
 HARD = {"limits.v": 0.5, "limits.omega": 1.05, "limits.v_slew": 0.5, "limits.omega_slew": 1.5}
@@ -133,7 +133,7 @@ def foreign_commands(k, t, m, both):
 @pytest.mark.parametrize("solver", [{}, {"solver.method": "daqp"}])
 def test_change_of_direction_with_two_sided_limits_agrees(solver):
     """The reference reverses direction and turn at once: commands pass through zero within a tick."""
-    reference = lay_commanded(
+    reference = time_commands(
         [Segment(v=0.3, omega=0.5, duration=0.8), Segment(v=-0.18, omega=-0.5, duration=1.2)],
         TrajectoryLimits.of_robot(),
         name="back and forth",

@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.problem.formulas import body_twist
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
-from diffdrive_mpc.mpc.trajectories.segments import lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import time_segments
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 DT = load_config("ssm").sample_time
@@ -99,7 +99,7 @@ def estimate_after_excitation(surface, seed):
         | {"crab_uncertainty": 0.03, "veer_uncertainty": 0.02, "forward_coupling_uncertainty": 0.03}
         | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
     )
-    reference = lay_segments(load_segments("excitation"), TrajectoryLimits.of_robot(), name="excitation")
+    reference = time_segments(load_segments("excitation"), TrajectoryLimits.of_robot(), name="excitation")
     controller, plant = Controller(load_config("ssm", PROMPT | settings)), make_plant("model:ssm", surface, seed=seed)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)

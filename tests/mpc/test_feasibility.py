@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc import Controller, Trajectory, load_config, load_trajecto
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands, time_segments
 
 FAST = TrajectoryLimits(v=2.0, omega=3.0, v_acceleration=1.0, omega_acceleration=2.0)
 
@@ -43,7 +43,7 @@ def drive(segments, **limits):
     controller = Controller(
         replace_values(load_config("ssm"), {f"limits.{key}": value for key, value in limits.items()})
     )
-    reference = lay_segments([Segment(v=v, omega=omega, duration=t) for v, omega, t in segments], FAST, name="drive")
+    reference = time_segments([Segment(v=v, omega=omega, duration=t) for v, omega, t in segments], FAST, name="drive")
     return controller, reference, controller.find_shortfall(reference)
 
 
@@ -94,7 +94,7 @@ def test_start_at_speed_is_reported():
     model = Controller(config).model
     shortfall = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
     assert shortfall.key == "limits.v_slew" and shortfall.time < 0.3
-    steady = lay_commanded([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
+    steady = time_commands([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
     moving = PartOfReference(steady, 2.0)
     assert find_shortfall(moving, config, model) is not None
     assert find_shortfall(moving, config, model, is_moving=True) is None
@@ -104,7 +104,7 @@ def test_start_at_speed_is_reported():
 def test_reference_of_a_minute_is_checked_within_two_ticks():
     config = replace_values(load_config("ssm"), {"limits.omega": 0.5, "sample_time": 0.05, "horizon": 15})
     model = Controller(config).model
-    path = lay_segments([Segment(v=0.5, omega=side, duration=10.0) for side in 3 * (0.7, -0.7)], FAST, name="minute")
+    path = time_segments([Segment(v=0.5, omega=side, duration=10.0) for side in 3 * (0.7, -0.7)], FAST, name="minute")
     durations = []
     for _ in range(3):
         start = time.process_time()

@@ -9,7 +9,7 @@ from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands
 
 DT = 0.0202
 SIZE = np.array([2.4, 1.6])
@@ -18,7 +18,7 @@ FENCE = {"fence.enabled": True, "fence.length": SIZE[0], "fence.width": SIZE[1],
 
 def leaving_path(v=0.6, omega=0.2, heading=0.0):
     segments = [Segment(v=v, omega=omega, duration=8.0)]
-    return lay_commanded(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
+    return time_commands(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
 
 
 def distance_outside(poses, centre=(0.0, 0.0, 0.0), size=SIZE):

@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.margin import MIN_WEIGHTS
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
 DT = 0.0202
 TICKS = 370
@@ -96,7 +96,7 @@ ROUTE = [(0.45, 0.9, 1.0), (0.0, -1.1, 0.6), (0.5, -0.6, 1.5), (-0.3, 0.2, 0.6),
 
 def route():
     segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in ROUTE]
-    return lay_segments(segments, TrajectoryLimits.of_robot(), name="route")
+    return time_segments(segments, TrajectoryLimits.of_robot(), name="route")
 
 
 class FaultyRobot:

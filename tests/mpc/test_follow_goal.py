@@ -8,7 +8,7 @@ import pytest
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.ros import follow_goal
 from diffdrive_mpc.mpc.ros.control_loop import LoopState, LoopTick
-from diffdrive_mpc.mpc.ros.follow_goal import Code, FollowGoal, Following, GoalOutcome, lay_for_robot, path_limits
+from diffdrive_mpc.mpc.ros.follow_goal import Code, FollowGoal, Following, GoalOutcome, path_limits, plan_for_robot
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 X = np.linspace(0.0, 1.0, 21)
@@ -25,7 +25,7 @@ class Loop:
         self.wait_reason = ""
         self.calls = []
 
-    def missing(self):
+    def drive_fault(self):
         return ""
 
     def pose_and_twist(self):
@@ -53,7 +53,7 @@ class SideProcess:
     def respond(self):
         arguments, done, failed = self.requests.pop(0)
         try:
-            done(lay_for_robot(*arguments))
+            done(plan_for_robot(*arguments))
         except ValueError as error:
             failed(str(error))
 
@@ -67,7 +67,7 @@ def parts():
 
 def followed_goal(following, side):
     """Return a goal that the loop follows."""
-    following.take(goal := FollowGoal(STRAIGHT, "odom"))
+    following.receive(goal := FollowGoal(STRAIGHT, "odom"))
     side.respond()
     return goal
 
@@ -79,7 +79,7 @@ def idle_tick():
 def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
     loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
-    following.take(goal)
+    following.receive(goal)
     following.update(idle_tick())
     assert loop.calls == [] and goal.end is None
     side.respond()
@@ -99,7 +99,7 @@ def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
 def test_goal_at_the_position_of_the_robot_succeeds(parts, robot, poses):
     loop, side, following = parts
     loop.pose_and_twist = lambda: (np.array(robot), (0.0, 0.0))
-    following.take(goal := FollowGoal(poses, "odom"))
+    following.receive(goal := FollowGoal(poses, "odom"))
     side.respond()
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.SUCCEEDED, Code.NONE)
     assert loop.calls == []
@@ -110,7 +110,7 @@ def test_empty_path_is_rejected_if_the_robot_moves_or_is_not_at_the_goal(parts, 
     loop, side, following = parts
     old = followed_goal(following, side)
     loop.pose_and_twist = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if state is None else state[1])
-    following.take(goal := FollowGoal(STRAIGHT, "odom"))
+    following.receive(goal := FollowGoal(STRAIGHT, "odom"))
     loop.pose_and_twist = lambda: state and (np.array(state[0]), state[1])
     side.respond()
     code = Code.TF_ERROR if state is None else Code.INVALID_PATH
@@ -123,8 +123,8 @@ def test_empty_path_is_rejected_if_the_robot_moves_or_is_not_at_the_goal(parts, 
 def test_newer_goal_aborts_a_goal_that_has_not_started(parts):
     loop, side, following = parts
     first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
-    following.take(first)
-    following.take(second)
+    following.receive(first)
+    following.receive(second)
     assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
     # The path of the first goal arrives after the second goal.
     side.respond()
@@ -136,12 +136,12 @@ def test_newer_goal_aborts_a_goal_that_has_not_started(parts):
 def test_cancellation_before_the_start_ends_the_drive_of_the_replaced_goal(parts):
     loop, side, following = parts
     old = followed_goal(following, side)
-    following.take(newer := FollowGoal(STRAIGHT, "odom"))
+    following.receive(newer := FollowGoal(STRAIGHT, "odom"))
     newer.cancelled = True
     following.update(idle_tick())
     assert newer.end.outcome is GoalOutcome.CANCELED
     assert loop.calls == ["follow", "brake", "release"]
-    assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
+    assert (old.end.outcome, old.end.message) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
     side.respond()
     assert loop.calls == ["follow", "brake", "release"]
 
@@ -149,11 +149,11 @@ def test_cancellation_before_the_start_ends_the_drive_of_the_replaced_goal(parts
 def test_goal_whose_path_never_arrives_times_out(parts, monkeypatch):
     _, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
-    following.take(goal)
+    following.receive(goal)
     goal.received_at -= follow_goal._MAX_PLANNING_TIME + 1.0
     following.update(idle_tick())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
-    following.take(second := FollowGoal(STRAIGHT, "odom"))
+    following.receive(second := FollowGoal(STRAIGHT, "odom"))
     side.requests[-1][2]("its conversion takes longer than 10 s")
     assert second.end.code is Code.CONTROLLER_TIMED_OUT
 
@@ -162,7 +162,7 @@ def test_fault_of_the_loop_ends_the_goal(parts):
     _, side, following = parts
     goal = followed_goal(following, side)
     following.update(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
-    assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
+    assert (goal.end.code, goal.end.message) == (Code.UNKNOWN, "ValueError: nothing")
 
 
 def test_goal_without_pose_ends_after_the_follow_patience(parts):
@@ -173,7 +173,7 @@ def test_goal_without_pose_ends_after_the_follow_patience(parts):
     assert goal.end is None
     loop.inbox.now = 1.1 * SETTINGS.follow_patience
     following.update(idle_tick())
-    assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
+    assert (goal.end.code, goal.end.message) == (Code.TF_ERROR, "no pose arrives")
 
 
 def test_path_limits_stay_below_the_limits_of_the_robot():
@@ -207,7 +207,7 @@ def test_robot_waits_for_a_silent_client_continues_and_finally_aborts(parts, mon
     goal.missed_checks = 3
     monkeypatch.setattr(follow_goal.time, "monotonic", lambda: goal.alive_at + 5.1)
     following.update(idle_tick())
-    assert goal.end.outcome is GoalOutcome.ABORTED and "its client has ended" in goal.end.words
+    assert goal.end.outcome is GoalOutcome.ABORTED and "its client has ended" in goal.end.message
 
 
 def test_speed_of_a_path_is_limited_so_that_the_blind_distance_suffices():
@@ -215,6 +215,6 @@ def test_speed_of_a_path_is_limited_so_that_the_blind_distance_suffices():
         path_limits(CONFIG, np.eye(2), NodeSettings(follow_speed_share=1.0, follow_blind_distance=distance)).v
         for distance in (0.2, 0.0)
     )
-    delay = follow_goal._SILENCE + follow_goal._REACTION
+    delay = follow_goal._SILENCE + follow_goal._REACTION_TIME
     assert limited * delay + limited**2 / (2.0 * CONFIG.limits.v_braking) == pytest.approx(0.2)
     assert unlimited == min(CONFIG.limits.v, CONFIG.limits.wheel_speed) > limited

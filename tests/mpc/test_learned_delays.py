@@ -9,12 +9,12 @@ from ideal_robot import PROMPT, IdealRobot, drive
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, simulate
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 from diffdrive_mpc.sim import make_plant
 
 DT = 0.0202
 SM = load_model("sm")
-BENDS = lay_segments(
+BENDS = time_segments(
     [Segment(v=v, omega=omega, duration=1.0) for v, omega in [(0.5, 0.8), (0.3, -0.8)] * 12],
     TrajectoryLimits.of_robot(),
     name="bends",

@@ -21,8 +21,8 @@ from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.rejoin import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
-from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
+from diffdrive_mpc.mpc.trajectories.speed_check import describe_tight_turns
 from diffdrive_mpc.sim import simulate
 
 DT = 0.0202
@@ -48,7 +48,7 @@ def paths(draw):
         v = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(0.2, 0.8))
         omega = draw(st.sampled_from([-1.0, 0.0, 1.0])) * draw(st.floats(0.2, 1.4))
         segments.append(Segment(v=v, omega=omega, duration=draw(st.floats(0.5, 1.5))))
-    return lay_segments(segments, TrajectoryLimits.of_robot(), name="drawn")
+    return time_segments(segments, TrajectoryLimits.of_robot(), name="drawn")
 
 
 @settings(max_examples=40, deadline=None)
@@ -88,7 +88,7 @@ def test_every_command_satisfies_range_slew_and_radius(path, radius, slew, braki
 def test_foreign_tight_turn_ends_at_the_slew_limit_without_acceleration(foreign, max_speed):
     """The yaw rate is reduced; the speed is not raised to satisfy the radius."""
     config = load_config("ssm", {KEY: 2.0, "limits.omega_slew": 2.0})
-    reference = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
+    reference = time_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
     controller = Controller(config)
     controller.start(reference, 0.0)
     controller.set_applied_commands([foreign])
@@ -104,14 +104,14 @@ def test_foreign_tight_turn_ends_at_the_slew_limit_without_acceleration(foreign,
 
 def test_robot_cuts_a_tight_curve_and_returns_to_its_path():
     """The reference has a quarter turn of radius 0.5 m; the minimum radius of commands is 0.7 m."""
-    reference = lay_segments(
+    reference = time_segments(
         [Segment(v=0.5, omega=0.0, duration=3.0), Segment(v=0.5, omega=1.0, duration=np.pi / 2)]
         + [Segment(v=0.5, omega=0.0, duration=6.0)],
         TrajectoryLimits.of_robot(),
         name="corner",
     )
     config = load_config("ssm", {KEY: 0.7})
-    warning = sharper_than_commands(reference, config.limits, config.sample_time)
+    warning = describe_tight_turns(reference, config.limits, config.sample_time)
     assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in warning
     run = simulate_drive(config, reference, name="model:ssm", sensors="perfect")
     assert excess(run.command, 0.7).max() <= 1e-12
@@ -153,7 +153,7 @@ def with_radius(radius, **overrides):
 
 def circle(radius, v=0.5, turn=1.0):
     segment = Segment(v=v, omega=turn * abs(v) / radius, duration=6.0)
-    return lay_segments([segment], TrajectoryLimits.of_robot(), name="circle")
+    return time_segments([segment], TrajectoryLimits.of_robot(), name="circle")
 
 
 def drive(config, reference, surface, start=(0.0, 0.0, 0.0), seconds=None):

@@ -13,7 +13,7 @@ from diffdrive_mpc import ConfigError, Trajectory, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
-from diffdrive_mpc.mpc.trajectories.waypoints import MAX_DEVIATION, lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import MAX_DEVIATION, time_waypoints
 
 LIMITS = TrajectoryLimits.of_robot()
 CHORD = 0.7 / np.sqrt(2)
@@ -55,9 +55,9 @@ def random_polyline(seed: int) -> FloatArray:
 @pytest.mark.parametrize("points", [AISLE, SQUARE, ZIGZAG], ids=["aisle", "square", "every half metre"])
 @pytest.mark.parametrize("timing", ["stop", "smooth"])
 def test_path_stays_near_its_polyline_within_all_limits(points, timing):
-    spline = lay_waypoints(points, LIMITS, name="spline", timing=timing, max_deviation=None)
+    spline = time_waypoints(points, LIMITS, name="spline", timing=timing, max_deviation=None)
     assert distances(dense_points(spline), np.array(points, float)).max() > 0.05
-    trajectory = lay_waypoints(points, LIMITS, name="near", timing=timing)
+    trajectory = time_waypoints(points, LIMITS, name="near", timing=timing)
     distance = distances(dense_points(trajectory), np.array(points, float)).max()
     assert distance <= MAX_DEVIATION
     # The reported deviation equals the measured deviation except for sampling.
@@ -104,6 +104,6 @@ def test_deviation_from_a_file_is_used_and_errors_for_hairpins_name_its_key(tmp_
         "errors refer to its path"
     )
     with pytest.raises(ConfigError, match=r"between waypoints.1 and waypoints.2; .* or raise max_deviation = 0.05$"):
-        lay_waypoints([(0, 0), (4, 0), (0, 0.1)], LIMITS, name="hairpin")
+        time_waypoints([(0, 0), (4, 0), (0, 0.1)], LIMITS, name="hairpin")
     with pytest.raises(ConfigError, match="max_deviation = 0 m; give a positive number"):
         Trajectory.from_waypoints(SQUARE, max_deviation=0)

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.node_part import NodePart
-from diffdrive_mpc.mpc.ros.parameters import declare, name_parts, read
+from diffdrive_mpc.mpc.ros.parameters import declare, read, with_parts
 from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
 
 
@@ -105,7 +105,7 @@ class StubNode:
 
 def test_parameters_of_a_configured_part_are_declared_and_read(parts):
     node = StubNode(parts__probe__current=2.5)
-    settings = name_parts(node, NodeSettings(), ())
+    settings = with_parts(node, NodeSettings(), ())
     declare(node, settings)
     assert {name for name in node.known if name.startswith("parts.")} == {
         f"parts.probe.{key}" for key in ("enabled", "refuse", "refuse_activation", "current")
@@ -117,15 +117,15 @@ def test_parameters_of_a_configured_part_are_declared_and_read(parts):
 
 def test_part_of_a_configured_feature_is_loaded_and_unnamed_parts_are_not(parts):
     parts["unused"] = SimpleNamespace(name="unused", load=lambda: pytest.fail("an unnamed part is loaded"))
-    assert name_parts(StubNode(), NodeSettings(), ()).parts == {}
-    assert name_parts(StubNode(), NodeSettings(), ("probe", "feature_without_part")).parts == {"probe": ProbeSettings()}
+    assert with_parts(StubNode(), NodeSettings(), ()).parts == {}
+    assert with_parts(StubNode(), NodeSettings(), ("probe", "feature_without_part")).parts == {"probe": ProbeSettings()}
     settings = NodeSettings(parts={"probe": {"current": 3.0}})
-    assert name_parts(StubNode(), settings, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
+    assert with_parts(StubNode(), settings, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
 
 
 def test_error_for_a_missing_part_contains_its_package(parts):
     with pytest.raises(MissingPackageError, match=r"^node part 'energy' is in the package diffdrive-mpc-extras: pip "):
-        name_parts(StubNode(parts__energy__use_battery=True), NodeSettings(), ())
+        with_parts(StubNode(parts__energy__use_battery=True), NodeSettings(), ())
     with pytest.raises(MissingPackageError, match=r"^node part 'mine': no installed package has it"):
         NodeSettings(parts={"mine": {}})
 

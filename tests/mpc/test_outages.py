@@ -63,12 +63,12 @@ class Rig:
         message.pose.pose = pose_message(self.pose())
         message.twist.twist.linear.x, message.twist.twist.angular.z = map(float, measurement.wheel_twist.value)
         if self.on:
-            self.inbox.take_odometry(message)
+            self.inbox.receive_odometry(message)
         if self.settings.poses_from == "topic":
             pose = PoseWithCovarianceStamped()
             pose.header.stamp, pose.header.frame_id = time_message(self.now), "map"
             pose.pose.pose = message.pose.pose
-            self.inbox.take_pose(pose)
+            self.inbox.receive_pose(pose)
         result = self.loop.tick()
         # A base that is switched off coasts to rest.
         self.plant.advance(result.command if self.on else (0.0, 0.0))
@@ -234,7 +234,7 @@ def test_only_a_waiting_robot_accepts_resume_and_rejects_a_new_reference():
     rig.on = True
     rig.run(1.0)
     with pytest.raises(RefusedError, match="call start or resume before a new reference"):
-        rig.loop.offer(load_trajectory("square"))
+        rig.loop.set_reference(load_trajectory("square"))
     assert not rig.run(1.0).any()
     rig.loop.pause()
     assert rig.loop.start() == "resumed"
@@ -247,6 +247,6 @@ def test_reference_offered_during_a_goal_stays_after_the_goal():
     rig.loop.follow(load_trajectory("s"))
     rig.run(1.0)
     offered = load_trajectory("square")
-    rig.loop.offer(offered)
+    rig.loop.set_reference(offered)
     rig.loop.release()
     assert rig.loop.reference is offered

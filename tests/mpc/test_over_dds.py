@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, open_bag, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
+from diffdrive_mpc.sim.ros.simulated_base import SETTINGS_FILE
 
 pytestmark = pytest.mark.system
 
@@ -33,7 +33,7 @@ def drive(tmp_path_factory):
     """Return a drive over DDS and its missed samples; the base repeats the clock often, as for late responses."""
     folder = tmp_path_factory.mktemp("drive")
     base = folder / "base.yaml"
-    shipped = SHIPPED.read_text(encoding="utf-8")
+    shipped = SETTINGS_FILE.read_text(encoding="utf-8")
     base.write_text(shipped.replace("clock_repeat: 0.05 ", "clock_repeat: 0.0005 "), encoding="utf-8")
     assert base.read_text(encoding="utf-8") != shipped
     _, plant, reference = build(CASE)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import lay_poses
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import time_poses
 
 LIMITS = TrajectoryLimits(v=0.6, omega=0.8, v_acceleration=0.5, omega_acceleration=1.5)
 DEVIATION = 0.05
@@ -19,7 +19,7 @@ X = np.linspace(0.0, 3.0, 61)
 
 
 def lay(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
-    return lay_poses(
+    return time_poses(
         np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, max_offset=0.08, **options
     )
 

@@ -18,16 +18,16 @@ from diffdrive_mpc.mpc.reentry.path_window import MotionLine, PathWindow, path_s
 from diffdrive_mpc.mpc.reentry.quintic_path import quintic_paths
 from diffdrive_mpc.mpc.reentry.rejoin import rejoin
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
 LIMITS = TrajectoryLimits(v=0.625, omega=1.5, v_acceleration=1.0, omega_acceleration=2.0)
 ROBOT = TrajectoryLimits.of_robot()
 REFERENCES = {name: load_trajectory(name) for name in ("circle", "square", "s", "cane")}
-REFERENCES["backwards"] = lay_segments([Segment(v=-0.4, omega=0.3, duration=8.0)], ROBOT, name="backwards")
-REFERENCES["back and forth"] = lay_segments(
+REFERENCES["backwards"] = time_segments([Segment(v=-0.4, omega=0.3, duration=8.0)], ROBOT, name="backwards")
+REFERENCES["back and forth"] = time_segments(
     [Segment(v=0.4, omega=0.0, duration=4.0), Segment(v=-0.4, omega=0.2, duration=4.0)], ROBOT, name="back and forth"
 )
-REFERENCES["turning"] = lay_segments([Segment(v=0.0, omega=0.8, duration=9.0)], ROBOT, name="turning")
+REFERENCES["turning"] = time_segments([Segment(v=0.0, omega=0.8, duration=9.0)], ROBOT, name="turning")
 
 angles, curvatures = st.floats(-np.pi, np.pi), st.floats(-2.0, 2.0)
 ends = st.tuples(st.floats(0.3, 2.0), st.floats(-1.0, 1.0), angles)
@@ -140,11 +140,11 @@ def test_return_path_connects_any_pose_to_the_reference(offset):
     pose, path, nearest = connect(*offset)
     reference = path.reference
     # The path starts at the robot.
-    first = path.sample([path.begins])
+    first = path.sample([path.starts])
     assert first.pose[0, :2] == pytest.approx(pose[:2], abs=1e-9)
     assert wrap_angle(first.pose[0, 2] - pose[2]) == pytest.approx(0.0, abs=1e-6)
     # The path is continuous.
-    times = np.arange(path.begins, path.joins + 0.3, 0.002)
+    times = np.arange(path.starts, path.joins + 0.3, 0.002)
     sample = path.sample(times)
     assert np.isfinite(sample.pose).all()
     assert np.hypot(*np.diff(sample.pose[:, :2], axis=0).T).max() < 0.0101 + 0.002

@@ -233,5 +233,5 @@ def test_gyro_axis_is_the_vertical_axis_of_its_frame(mount, yaw_rate):
     message = Imu()
     message.header.frame_id, message.header.stamp = "imu_link", time_message(10**9)
     message.angular_velocity.x, message.angular_velocity.y, message.angular_velocity.z = math.nan, 2.0, 3.0
-    inbox.take_imu(message)
+    inbox.receive_imu(message)
     assert inbox.measurement().yaw_rate.value == pytest.approx(yaw_rate)

@@ -236,7 +236,7 @@ def test_rejected_reference_is_a_warning_until_another_is_accepted():
         s.base.until(lambda: s.base.silent(1) and s.loop.refusal, "the refusal")
         assert status().level == DiagnosticStatus.WARN
         assert status().message == "IDLE: reference refused: it has 1 poses; give 2 to 1000"
-        s.loop.offer(load_trajectory("circle"))
+        s.loop.set_reference(load_trajectory("circle"))
         assert (status().level, status().message) == (DiagnosticStatus.OK, "IDLE")
 
 
@@ -361,7 +361,7 @@ def detection_time(messages, series=None):
     """Return the time of detection of a second publisher [s], or None without detection."""
     series = series or MessageSeries()
     for arrival, number, stamp in sorted(messages, key=lambda message: message.arrival):
-        series.take(number, stamp, arrival)
+        series.add(number, stamp, arrival)
         if series.is_shared:
             return arrival
     return None

@@ -176,4 +176,4 @@ def test_diagnostics_contain_the_name_of_each_robot(alternating_drives):
 
 def test_robots_of_other_namespaces_are_not_reported(alternating_drives):
     _, _, loops = alternating_drives
-    assert all(loop.warning == loop.objection == "" for loop in loops)
+    assert all(loop.warning == loop.stop_reason == "" for loop in loops)

@@ -88,7 +88,7 @@ def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():
         received = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
         teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
-        s.base.until(lambda: s.loop.objection, "the objection")
+        s.base.until(lambda: s.loop.stop_reason, "the reason")
         assert not s.base.run(60)[-1].any()
         assert "or set exclusive_cmd_vel to false" in s.loop.last.message
         received.clear()

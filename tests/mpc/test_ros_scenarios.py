@@ -220,7 +220,7 @@ class Scenario:
         assert text in fault if text else not fault
 
     def objection(self, text):
-        self.base.until(lambda: text in self.s.loop.objection if text else not self.s.loop.objection, "objection")
+        self.base.until(lambda: text in self.s.loop.stop_reason if text else not self.s.loop.stop_reason, "objection")
 
     def warning(self, text):
         self.base.until(lambda: text in self.s.loop.warning if text else not self.s.loop.warning, "warning")

@@ -52,16 +52,16 @@ def test_node_brakes_for_the_third_message_of_a_twin(topic):
         s.base.until(lambda: twin.publisher.get_subscription_count() == 1, "the node's subscription")
         # A publisher without messages does not count.
         s.base.run(20)
-        assert not s.loop.objection
+        assert not s.loop.stop_reason
         for _ in range(3):
             twin.publisher.publish(message_of(topic, time_message(s.base.now)))
             s.base.run(1)
         s.base.run(1)
-        assert s.loop.objection == SHARED.format(topic)
+        assert s.loop.stop_reason == SHARED.format(topic)
         braking = s.base.run(60)
         assert not braking[-1].any() and commands[-1, 0] > 0.1
         twin.close()
-        s.base.until(lambda: not s.loop.objection, "the end of the objection")
+        s.base.until(lambda: not s.loop.stop_reason, "the end of the reason")
         s.base.run(2)
         assert s.trigger("resume").success
         assert s.base.run(40)[-1, 0] > 0.1
@@ -72,6 +72,8 @@ def test_publisher_of_commands_under_the_name_of_the_node_is_reported():
     with stack(drive=True, exclusive_cmd_vel=True) as s:
         s.base.run(20)
         twin = Twin(TwistStamped, "cmd_vel", "diffdrive_mpc")
-        s.base.until(lambda: s.loop.objection.startswith("/diffdrive_mpc also publishes on /cmd_vel"), "the objection")
+        s.base.until(
+            lambda: s.loop.stop_reason.startswith("/diffdrive_mpc also publishes on /cmd_vel"), "the objection"
+        )
         assert not s.base.run(60)[-1].any()
         twin.close()

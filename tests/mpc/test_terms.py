@@ -12,9 +12,9 @@ from diffdrive_mpc import ConfigError, Controller, Term, load_config, load_model
 from diffdrive_mpc.mpc.problem.terms import MAX_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
-LINE = lay_segments([Segment(v=0.5, omega=0.0, duration=8.0)], TrajectoryLimits.of_robot(), name="line")
+LINE = time_segments([Segment(v=0.5, omega=0.0, duration=8.0)], TrajectoryLimits.of_robot(), name="line")
 GOAL = LINE.sample([LINE.duration]).pose[0]
 CONFIG = load_config("ssm")
 DT, N, LIMITS = CONFIG.sample_time, CONFIG.horizon, CONFIG.limits

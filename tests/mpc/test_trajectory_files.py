@@ -17,11 +17,11 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
-from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.timed_poses import fit_timed_poses
+from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 
 
 def write(folder: Path, name: str, text: str) -> Path:
@@ -116,7 +116,7 @@ def _wave(count: int) -> list[tuple[float, float]]:
 
 def test_legs_with_few_pieces_satisfy_the_limits() -> None:
     """Speed, yaw rate and accelerations from differences of the twist, between and at the nodes."""
-    path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
+    path = time_waypoints(_wave(12_000), _LIMITS, name="wave")
     times = np.arange(10.0, 40.0, 0.001)
     twist = path.sample(times).twist
     rate = np.diff(twist, axis=0) / 0.001
@@ -137,7 +137,7 @@ def test_path_with_too_many_pieces_is_rejected_before_its_computation(rows: list
     segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in rows]
     tracemalloc.start()
     with pytest.raises(ConfigError, match=r"^here: its length requires .* pieces"):
-        lay_smooth(segments, _LIMITS, name="x", where="here")
+        time_smooth_path(segments, _LIMITS, name="x", where="here")
     assert tracemalloc.get_traced_memory()[1] < 1e6
     tracemalloc.stop()
 
@@ -146,17 +146,17 @@ def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> N
     """Each count is checked before the computation of the path."""
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
-        lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
-    rows = np.zeros((settings.max_pieces // settings.least_pieces_per_row + 1, 4))
+        time_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
+    rows = np.zeros((settings.max_pieces // settings.min_pieces_per_row + 1, 4))
     rows[:, 0] = np.arange(len(rows))
     with pytest.raises(ConfigError, match=r"here: 500,001 points"):
-        lay_timed_poses(rows, _LIMITS, name="x", where="here")
+        fit_timed_poses(rows, _LIMITS, name="x", where="here")
     segment = Segment(v=0.1, omega=0.0, duration=1.0)
     with pytest.raises(ConfigError, match=r"here: 100,001 segments"):
-        lay_segments([segment] * (settings.most_segments + 1), _LIMITS, name="x", where="here")
-    curved = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.most_joints + 2)]
+        time_segments([segment] * (settings.max_segments + 1), _LIMITS, name="x", where="here")
+    curved = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.max_joints + 2)]
     with pytest.raises(ConfigError, match=r"here: 5,001 different joints"):
-        lay_smooth(curved, _LIMITS, name="x", where="here")
+        time_smooth_path(curved, _LIMITS, name="x", where="here")
 
 
 def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatc
 
 def test_path_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
     """The path has one piece: without an inner node its speed would be zero everywhere."""
-    path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
+    path = time_smooth_path([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
     end = path.sample([path.duration]).pose[0]
     assert end == pytest.approx([0.002, 0.0, 0.0], abs=1e-9)
     assert 0.0 < path.duration < 1.0

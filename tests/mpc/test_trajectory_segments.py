@@ -14,9 +14,9 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 
 LIMITS = TrajectoryLimits(v=1.5, omega=2.0, v_acceleration=1.0, omega_acceleration=2.0)
 
@@ -28,18 +28,18 @@ _start = st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(-4, 4))
 
 def lay(*twists: tuple[float, float, float]) -> ArcTrajectory:
     segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in twists]
-    return lay_segments(segments, LIMITS, name="test")
+    return time_segments(segments, LIMITS, name="test")
 
 
 @given(_segments)
 def test_random_sequences_satisfy_every_limit(segments: list[Segment]) -> None:
-    shares = largest_shares(lay_segments(segments, LIMITS, name="test"), LIMITS)
+    shares = largest_shares(time_segments(segments, LIMITS, name="test"), LIMITS)
     assert np.all(shares <= 1 + 1e-8), shares
 
 
 @given(_segments)
 def test_speeds_do_not_exceed_the_maximum_of_the_segments(segments: list[Segment]) -> None:
-    trajectory = lay_segments(segments, LIMITS, name="test")
+    trajectory = time_segments(segments, LIMITS, name="test")
     twist = np.abs(trajectory.sample(np.linspace(0, trajectory.duration, 500)).twist)
     max_twist = np.max([(abs(s.v), abs(s.omega)) for s in segments], axis=0)
     assert np.all(twist <= max_twist * (1 + 1e-9))
@@ -47,7 +47,7 @@ def test_speeds_do_not_exceed_the_maximum_of_the_segments(segments: list[Segment
 
 @given(_segments, _start)
 def test_end_equals_the_end_of_the_exact_arcs(segments: list[Segment], start: tuple[float, float, float]) -> None:
-    trajectory = lay_segments(segments, LIMITS, name="test", start=start)
+    trajectory = time_segments(segments, LIMITS, name="test", start=start)
     expected: FloatArray = np.array(start)
     for segment in segments:
         expected = pose_kinematics.integrate_pose(expected, segment.v, segment.omega, segment.duration)
@@ -58,13 +58,13 @@ def test_end_equals_the_end_of_the_exact_arcs(segments: list[Segment], start: tu
 
 @given(_segments, _start)
 def test_twist_integrates_to_pose_and_arc_length(segments: list[Segment], start: tuple[float, float, float]) -> None:
-    trajectory = lay_segments(segments, LIMITS, name="test", start=start)
+    trajectory = time_segments(segments, LIMITS, name="test", start=start)
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=4) < 1e-9
 
 
 @given(_segments)
 def test_arc_length_never_decreases_and_the_robot_rests_beyond_the_ends(segments: list[Segment]) -> None:
-    trajectory = lay_segments(segments, LIMITS, name="test")
+    trajectory = time_segments(segments, LIMITS, name="test")
     arc_length = trajectory.sample(np.linspace(-1, trajectory.duration + 1, 2000)).arc_length
     assert np.all(np.diff(arc_length) >= -1e-14)
     assert_holds_its_ends(trajectory)
@@ -159,7 +159,7 @@ def test_bounds_of_each_piece_cover_its_curvature(waypoints: list[tuple[float, f
 
 
 def test_slalom_reaches_the_limits_without_exceeding_them() -> None:
-    trajectory = lay_waypoints([(0, 0), (0.5, 0.5), (1, 0), (1.5, -0.5), (2, 0), (6, 0)], LIMITS, name="test")
+    trajectory = time_waypoints([(0, 0), (0.5, 0.5), (1, 0), (1.5, -0.5), (2, 0), (6, 0)], LIMITS, name="test")
     shares = largest_shares(trajectory, LIMITS)
     assert np.all(shares <= 1 + 1e-3), shares
     assert shares[0] > 0.99
@@ -170,14 +170,14 @@ def test_slalom_reaches_the_limits_without_exceeding_them() -> None:
 @settings(max_examples=25, deadline=None)
 @given(winding_waypoints())
 def test_random_paths_satisfy_every_limit_within_one_percent(waypoints: list[tuple[float, float]]) -> None:
-    shares = largest_shares(lay_waypoints(waypoints, LIMITS, name="test"), LIMITS)
+    shares = largest_shares(time_waypoints(waypoints, LIMITS, name="test"), LIMITS)
     assert np.all(shares <= 1.01), shares
 
 
 @settings(max_examples=25, deadline=None)
 @given(winding_waypoints())
 def test_random_paths_pass_their_waypoints_and_agree_with_their_twist(waypoints: list[tuple[float, float]]) -> None:
-    trajectory = lay_waypoints(waypoints, LIMITS, name="test", max_deviation=None)
+    trajectory = time_waypoints(waypoints, LIMITS, name="test", max_deviation=None)
     path = trajectory.sample(trajectory.breaks).pose[:, :2]
     gaps = np.hypot(*(path[:, None, :] - np.array(waypoints)).transpose(2, 0, 1)).min(axis=0)
     assert gaps.max() < 1e-9
@@ -187,7 +187,7 @@ def test_random_paths_pass_their_waypoints_and_agree_with_their_twist(waypoints:
 
 
 def test_straight_line_takes_the_shortest_time() -> None:
-    trajectory = lay_waypoints([(0, 0), (1, 1), (3, 3)], LIMITS, name="test")
+    trajectory = time_waypoints([(0, 0), (1, 1), (3, 3)], LIMITS, name="test")
     length = np.hypot(3, 3)
     assert trajectory.duration == pytest.approx(length / 1.5 + 1.5 / 1.0, rel=1e-3)
     assert trajectory.sample([trajectory.duration]).arc_length[0] == pytest.approx(length)

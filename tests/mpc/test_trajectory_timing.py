@@ -24,11 +24,11 @@ from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
-from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands, time_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from diffdrive_mpc.mpc.trajectories.waypoints import MAX_DEVIATION, lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import MAX_DEVIATION, time_waypoints
 
 LIMITS = TrajectoryLimits.of_robot()
 PATHS_IN_FILES = [name for name in BUILT_IN if name not in {"circle", "square", "s", "cane"}]
@@ -70,7 +70,7 @@ def drawn_path(segments: list[Segment]) -> FloatArray:
 def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
     # The straight segments before and after contain the ramps.
     straights = [segment(0.5, 0.0, 1.0)]
-    trajectory = lay_commanded([*straights, *segments, *straights], LIMITS, name="test")
+    trajectory = time_commands([*straights, *segments, *straights], LIMITS, name="test")
     start = trajectory.duration - 1.25 - sum(piece.duration for piece in segments)
     assert start == pytest.approx(1.25)
     for piece in segments:
@@ -82,21 +82,21 @@ def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
 def test_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Segment]) -> None:
-    trajectory = lay_commanded(segments, LIMITS, name="test")
+    trajectory = time_commands(segments, LIMITS, name="test")
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=20) < 1e-9
     end = np.zeros(3)
     for segment in segments:
         end = integrate_pose(end, segment.v, segment.omega, segment.duration)
     np.testing.assert_allclose(trajectory.sample([trajectory.duration]).pose[0], end, rtol=0, atol=1e-12)
     assert_holds_its_ends(trajectory)
-    stopping = lay_segments(segments, LIMITS, name="test")
+    stopping = time_segments(segments, LIMITS, name="test")
     assert trajectory.duration <= stopping.duration + 1e-9
 
 
 def test_reference_beyond_the_reachable_speed_of_the_model_raises_error() -> None:
     """A robot with a yaw gain of 0.7 reaches 0.7 of the limit; the start reports the excess."""
     config = load_config("ssm", {"limits.omega": 1.0})
-    turning = lay_segments([segment(0.5, 1.0, 3.0)], LIMITS, name="arc")
+    turning = time_segments([segment(0.5, 1.0, 3.0)], LIMITS, name="arc")
     max_omega = float(np.abs(turning.sample(np.linspace(0, turning.duration, 400)).twist[:, 1]).max())
     check_speeds(turning, config.limits, config.sample_time, np.diag([1.0, max_omega]))
     with pytest.raises(ValueError, match=r"'arc': omega = .* takes a command of 1\.43 .* limits\.omega = 1"):
@@ -113,7 +113,7 @@ def test_every_shipped_reference_is_within_reach_of_every_shipped_model() -> Non
 
 def test_steps_of_the_twist_are_accepted() -> None:
     config = load_config("ssm")
-    stepping = lay_commanded([segment(0.5, 1.0, 2.0), segment(0.5, -1.0, 2.0)], LIMITS, name="two arcs")
+    stepping = time_commands([segment(0.5, 1.0, 2.0), segment(0.5, -1.0, 2.0)], LIMITS, name="two arcs")
     check_speeds(stepping, config.limits, config.sample_time)
 
 
@@ -123,7 +123,7 @@ def test_steps_of_the_twist_are_accepted() -> None:
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
 def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment]) -> None:
-    trajectory = lay_smooth(segments, LIMITS, name="test", smoothing=0.02)
+    trajectory = time_smooth_path(segments, LIMITS, name="test", smoothing=0.02)
     times = sample_times(trajectory, 1500)
     points = trajectory.sample(times).pose[:, :2]
     nearest, _ = cKDTree(drawn_path(segments)).query(points)
@@ -131,7 +131,7 @@ def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment])
     assert reported.max() <= 0.02
     # Another part of the path may be nearer than reported; the tolerance is the sampling of the drawn path.
     assert np.all(nearest <= reported + 6e-4)
-    end = lay_segments(segments, LIMITS, name="test")
+    end = time_segments(segments, LIMITS, name="test")
     np.testing.assert_allclose(
         trajectory.sample([trajectory.duration]).pose, end.sample([end.duration]).pose, rtol=0, atol=1e-7
     )
@@ -140,7 +140,7 @@ def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment])
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
 def test_smooth_trajectory_satisfies_every_limit(segments: list[Segment]) -> None:
-    trajectory = lay_smooth(segments, LIMITS, name="test")
+    trajectory = time_smooth_path(segments, LIMITS, name="test")
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.002)
     v, omega = trajectory.sample(sample_times(trajectory)).twist.T
     assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.002
@@ -151,7 +151,7 @@ def test_smooth_trajectory_satisfies_every_limit(segments: list[Segment]) -> Non
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
 def test_smooth_pose_twist_and_arc_length_agree(segments: list[Segment]) -> None:
-    trajectory = lay_smooth(segments, LIMITS, name="test")
+    trajectory = time_smooth_path(segments, LIMITS, name="test")
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=1) < 2e-5
 
 
@@ -159,7 +159,7 @@ def test_smooth_path_has_continuous_curvature_and_uses_its_tolerance() -> None:
     distances, durations = [], []
     for smoothing in (0.005, 0.01, 0.02):
         arcs = [segment(1.0, 0.5, 3.0), segment(1.0, -0.5, 6.0), segment(1.0, 0.5, 3.0)]
-        trajectory = lay_smooth(arcs, LIMITS, name="test", smoothing=smoothing)
+        trajectory = time_smooth_path(arcs, LIMITS, name="test", smoothing=smoothing)
         middle = np.linspace(1.5, trajectory.duration - 1.5, 6001)
         sample = trajectory.sample(middle)
         curvature = sample.twist[:, 1] / sample.twist[:, 0]
@@ -170,12 +170,12 @@ def test_smooth_path_has_continuous_curvature_and_uses_its_tolerance() -> None:
         durations.append(trajectory.duration)
     np.testing.assert_allclose(distances, [0.005, 0.01, 0.02], rtol=0.01)
     assert durations == sorted(durations, reverse=True)
-    assert durations[0] < lay_segments(arcs, LIMITS, name="test").duration
+    assert durations[0] < time_segments(arcs, LIMITS, name="test").duration
 
 
 def test_smooth_timing_stops_only_at_cusps_and_turns_on_the_spot() -> None:
     arcs = [segment(0.5, 0.3, 2.0), segment(0.5, -0.3, 2.0), segment(-0.5, 0.3, 2.0), segment(0.0, 1.0, 1.0)]
-    trajectory = lay_smooth([*arcs, *arcs], LIMITS, name="test")
+    trajectory = time_smooth_path([*arcs, *arcs], LIMITS, name="test")
     v = trajectory.sample(sample_times(trajectory, 40001)).twist[1:-1, 0]
     standing = np.abs(v) < 1e-3
     stops = np.count_nonzero(np.diff(standing.astype(int)) == 1)
@@ -194,7 +194,7 @@ def test_waypoints_with_smooth_timing_limit_the_lateral_acceleration(legs: list[
     heading = np.cumsum([turn for _, turn in legs])
     steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
     points = [(0.0, 0.0), *((float(x), float(y)) for x, y in np.cumsum(steps, axis=0))]
-    trajectory = lay_waypoints(points, LIMITS, name="test", timing="smooth")
+    trajectory = time_waypoints(points, LIMITS, name="test", timing="smooth")
     v, omega = trajectory.sample(sample_times(trajectory)).twist.T
     assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.001
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.001)

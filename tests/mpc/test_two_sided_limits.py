@@ -11,8 +11,8 @@ from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
-from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands
+from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path
 from fuzz.controller import check_step
 
 SIDES = {
@@ -70,7 +70,7 @@ def random_reference(rng):
         Segment(v=rng.uniform(-0.19, 0.7), omega=rng.uniform(-0.9, 0.9), duration=rng.uniform(0.2, 0.8))
         for _ in range(8)
     ]
-    return lay_commanded(segments, TrajectoryLimits.of_robot(), name="drawn")
+    return time_commands(segments, TrajectoryLimits.of_robot(), name="drawn")
 
 
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
@@ -105,7 +105,7 @@ def test_command_that_crosses_zero_uses_the_rest_of_the_tick_to_accelerate():
     config = load_config("ssm", {"limits.v_slew": {"accelerate": 4.0, "brake": 1.0}, "horizon": 15})
     controller, plant = Controller(config), make_plant("model:ssm", seed=0)
     controller.start(
-        lay_commanded([Segment(v=-1.0, omega=0.0, duration=2.0)], TrajectoryLimits(2, 2, 99, 99), name="back"), 0.0
+        time_commands([Segment(v=-1.0, omega=0.0, duration=2.0)], TrajectoryLimits(2, 2, 99, 99), name="back"), 0.0
     )
     dt = config.sample_time
     controller.set_applied_commands([[0.5 * dt, 0.0]])
@@ -118,7 +118,7 @@ def test_reference_is_compared_with_the_limit_of_its_side():
     controller = Controller(config)
 
     def reference(v, omega):
-        return lay_commanded([Segment(v=v, omega=omega, duration=3.0)], TrajectoryLimits.of_robot(), name="constant")
+        return time_commands([Segment(v=v, omega=omega, duration=3.0)], TrajectoryLimits.of_robot(), name="constant")
 
     for v, omega in ((0.7, 0.0), (-0.19, 0.0), (0.1, 1.4), (0.1, -0.9)):
         controller.checked_reference(reference(v, omega))
@@ -131,7 +131,7 @@ def test_reference_is_compared_with_the_limit_of_its_side():
 def test_result_of_a_late_robot_contains_the_active_limit():
     """The reverse speed is limited during the drive: the reference waits and catches up in its slow part."""
     segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
-    reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="back and forth")
+    reference = time_commands(segments, TrajectoryLimits.of_robot(), name="back and forth")
     controller, plant, states = Controller("ssm"), make_plant("model:ssm", seed=1), []
     controller.start(reference, plant.time)
     with pytest.warns(UserWarning, match=r"the robot will lag behind its reference: .* limits.v.reverse = 0.2"):
@@ -170,7 +170,7 @@ def test_smooth_timing_respects_the_speed_of_each_direction_and_both_rates():
     config = load_config("ssm", TWO_SIDED)
     limits = TrajectoryLimits.of_controller(config.limits)
     segments = [Segment(v=0.8, omega=0.3, duration=4.0), Segment(v=-0.2, omega=0.1, duration=6.0)]
-    trajectory = lay_smooth(segments, limits, name="back and forth")
+    trajectory = time_smooth_path(segments, limits, name="back and forth")
     assert limits.v_acceleration.sides == (0.5, 0.2)  # half of the slew is reserved for tracking
     times = np.linspace(0.0, trajectory.duration, 4000)
     v = trajectory.sample(times).twist[:, 0]

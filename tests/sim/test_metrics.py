@@ -12,7 +12,7 @@ from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES, GIVEN_UP_MODES
+from diffdrive_mpc.sim.metrics.metrics import BRAKING_MODES, FALLBACK_MODES
 from diffdrive_mpc.sim.metrics.path_projection import Polyline
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from studies.tracking.measured import steady_arc_lateral, steady_arcs
@@ -193,7 +193,7 @@ def test_fallback_ticks_are_counted_by_mode() -> None:
 def test_every_mode_of_the_controller_is_classified() -> None:
     assert FALLBACK_MODES | {"TRACKING", "FINISHED"} == {mode.value for mode in Mode}
     assert not FALLBACK_MODES & {"TRACKING", "FINISHED"}
-    assert GIVEN_UP_MODES < FALLBACK_MODES
+    assert BRAKING_MODES < FALLBACK_MODES
 
 
 def test_run_is_completed_if_it_ends_in_tracking_at_the_end_of_the_reference() -> None:

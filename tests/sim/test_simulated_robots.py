@@ -209,7 +209,7 @@ def test_times_are_exact_to_the_nanosecond(now):
 def test_covariances_have_the_layout_of_ros():
     """Rows and columns are x, y, z, roll, pitch, yaw."""
     known = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
-    covariance = np.reshape(messages.sensed_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
+    covariance = np.reshape(messages.measured_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
     assert np.array_equal(covariance[np.ix_([0, 1, 5], [0, 1, 5])], known)
     twist = messages.odometry(0, (0, 0, 0), Stamped((0.5, 0.1), 0.0, known[:2, :2])).twist
     assert (twist.covariance[0], twist.covariance[5], twist.covariance[35]) == (1.0, 2.0, 4.0)

@@ -1,1 +1,1 @@
-"""Transforms between frames: storage for several seconds, lookup along chains, and checks."""
+"""Transforms between frames: storage of recent transforms, lookup along chains, and checks."""

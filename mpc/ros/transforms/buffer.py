@@ -1,7 +1,7 @@
 """Buffer of recent transforms by child frame, for lookups along chains of frames at any stored time.
 
 As in tf2, transforms are not extrapolated beyond the newest stamp, and the default time of a lookup is the newest time
-at which all transforms of the chain are known. The buffer also reports faults: loops, frames with two alternating
+at which all transforms of the chain are known. The buffer also detects faults: loops, frames with two alternating
 parents, and stamps in the future.
 """
 
@@ -21,20 +21,20 @@ _SECOND = 1_000_000_000
 STORED_TIME = 10 * _SECOND
 """Time for which a transform is stored [ns], equal to that of tf2."""
 MAX_FUTURE = 2 * _SECOND
-"""Maximum time of a stamp in the future [ns]; localisations post-date transforms, for instance AMCL by up to 1 s."""
+"""Maximum time by which a stamp may be in the future [ns]; AMCL, for instance, post-dates transforms by up to 1 s."""
 MAX_FRAMES = 500
 MAX_TRANSFORMS = 4000
-"""Maximum number of transforms of a frame; above 400 Hz they are stored for a shorter time."""
+"""Maximum number of transforms of a frame; above 400 Hz they are stored for less than `STORED_TIME`."""
 _NORM_TOLERANCE = 1e-2
 _MIN_PARENT_CHANGES = 2
-"""Minimum number of parent changes within `STORED_TIME` of a frame with two parents."""
+"""Number of parent changes within `STORED_TIME` from which a frame counts as having two parents."""
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """Error for an invalid or missing transform; its text is the reason in one line."""
+    """Error for an invalid or missing transform, with the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # escape frame names, since terminals show logs
+        super().__init__(plain_line(reason))  # frame names may contain control characters of the terminal
 
 
 class TransformLookup(NamedTuple):
@@ -102,7 +102,7 @@ class TransformBuffer:
         entry = self._frames.get(child)
         if entry is None and len(self._frames) >= MAX_FRAMES:
             raise TransformError(f"{link} exceeds the maximum of {MAX_FRAMES} frames")
-        # A different parent is a change; alternating parents indicate two conflicting publishers.
+        # Record a change of the parent; alternating parents indicate two conflicting publishers.
         if entry is None or (entry.parent, entry.static) != (parent, static):
             changes = (
                 [] if entry is None else [*(time for time in entry.changes if abs(now - time) <= STORED_TIME), now]
@@ -116,7 +116,7 @@ class TransformBuffer:
             self._frames[child] = entry
         unit = Rigid(*transform[:3], *(value / norm for value in transform[3:]))
         if static:
-            # `_at` reads a static transform at the time 0.
+            # Static transforms are stored at the time 0, where `_at` reads them.
             entry.stamps, entry.history = [], {0: unit}
             return
         if entry.stamps and stamp < entry.stamps[-1] - STORED_TIME:
@@ -155,7 +155,7 @@ class TransformBuffer:
                 )
             if not entry.static:
                 moving.append((entry.stamps[-1], name))
-        # All transforms of the chain are known up to the oldest of their newest stamps.
+        # The newest stamps of the transforms differ; all transforms are known up to the oldest of these stamps.
         newest, oldest = min(moving, default=(None, ""))
         stamp = newest if time is None else time
         transform = IDENTITY
@@ -173,7 +173,7 @@ class TransformBuffer:
         return common is not None and common != frame and frame in source_chain[: source_chain.index(common)]
 
     def _ancestors(self, frame: str) -> list[str]:
-        """Return `frame` and all of its ancestors, starting with `frame`."""
+        """Return `frame`, its parent, and all further ancestors in this order."""
         return list(self._upwards(frame))
 
     def _upwards(self, frame: str) -> Iterator[str]:
@@ -207,8 +207,8 @@ class TransformBuffer:
                 f"{side} the {'last' if side == 'after' else 'first'} transform"
             )
         right = bisect_left(stamps, stamp)
-        after = stamps[right]
-        if after == stamp:
+        end = stamps[right]
+        if end == stamp:
             return entry.history[stamp]
-        before = stamps[right - 1]
-        return entry.history[before].towards(entry.history[after], (stamp - before) / (after - before))
+        start = stamps[right - 1]
+        return entry.history[start].towards(entry.history[end], (stamp - start) / (end - start))

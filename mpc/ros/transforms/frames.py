@@ -1,4 +1,4 @@
-"""Transforms that the node uses: pose of the robot, and placement of references in other frames."""
+"""Use of transforms: pose of the robot, and placement of references in other frames."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Frames:
         self.accepted = self.refused = 0
         self.last_refusal = ""
 
-    def take(self, parent: str, child: str, stamp: int, transform: Rigid, *, static: bool) -> None:
+    def store(self, parent: str, child: str, stamp: int, transform: Rigid, *, static: bool) -> None:
         """Store a transform with its stamp [ns], or count it as refused if it is invalid."""
         try:
             self.buffer.insert(parent, child, stamp, transform, self._clock(), static=static)
@@ -56,7 +56,7 @@ class Frames:
         self.last_refusal = reason
 
     def pose(self) -> tuple[FloatArray, int]:
-        """Return the pose (3,) x, y [m], yaw [rad] of the robot and its stamp [ns], the newest of the chain.
+        """Return the newest pose (3,) x, y [m], yaw [rad] of the robot, and its stamp [ns].
 
         Raises
         ------
@@ -106,9 +106,9 @@ class Placement:
     """Placement of a reference in a frame that differs from the control frame.
 
     A frame that moves with the robot, such as its base, is looked up once at the stamp of the reference, so the
-    reference is relative to the pose of the robot at that time. Any other frame is fixed to the world, like the
-    reference. This frame is looked up at each call of `motion`, since the control frame drifts relative to the world,
-    and jumps after a localisation update.
+    reference is relative to the pose of the robot at that time. All other frames are fixed to the world, like the
+    reference. They are looked up at each call of `motion`, since the control frame drifts relative to the world and
+    jumps after a localisation update.
 
     Raises
     ------

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 
 _CHORD_COSINE = 1.0 - 1e-9
-"""Cosine between two quaternions above which they are interpolated linearly [-]."""
+"""Cosine of the angle between two quaternions above which they are interpolated linearly [-]."""
 
 
 class Rigid(NamedTuple):
@@ -54,7 +54,10 @@ class Rigid(NamedTuple):
         return rotation._replace(x=-x, y=-y, z=-z)
 
     def towards(self, target: Rigid, share: float) -> Rigid:
-        """Interpolate from this transform (`share` 0) to `target` (1): linear in position, shortest arc in attitude."""
+        """Interpolate between this transform (`share` = 0) and `target` (`share` = 1).
+
+        The position is interpolated linearly, the attitude along the shortest arc.
+        """
         start, end = np.array(self[3:]), np.array(target[3:])
         cosine = float(start @ end)
         # q and -q are the same rotation; the shorter arc has a positive cosine.
@@ -78,7 +81,7 @@ class Rigid(NamedTuple):
 
     @property
     def vertical(self) -> tuple[float, float, float]:
-        """The parent's z axis in coordinates of the child frame."""
+        """Parent's z axis (3,) in coordinates of the child frame [-]."""
         x, y, z, w = self[3:]
         return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
 

@@ -1,1 +1,1 @@
-"""Conversion of planner paths, which are poses without times: interpretation, smoothing within a tube, and timing."""
+"""Conversion of planner paths, which have poses but no times: interpretation, smoothing within a tube, and timing."""

@@ -12,7 +12,7 @@ from nonlinear_program import EXACT, NO_SLIP, iterate_to_convergence, record, so
 
 from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.energy.power_readings import run_energy
 from diffdrive_mpc_extras.energy_term import energy_function, with_min_radius
@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.turn_costs import load_turn_costs
 COSTS = {surface: load_turn_costs(f"fsu_bot-{surface}") for surface in ("slippery", "default")}
 RESIDUALS = {surface: energy_function(costs) for surface, costs in COSTS.items()}
 ENERGY_TERM = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
-CURVE = lay_segments(
+CURVE = time_segments(
     [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
     TrajectoryLimits.of_robot(),
     name="gentle",

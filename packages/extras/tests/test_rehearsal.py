@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
@@ -28,7 +28,7 @@ from diffdrive_mpc_extras.rehearsal.laps import drive_laps
 from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
 
 DT = 0.0202
-BEND = lay_segments(
+BEND = time_segments(
     [Segment(v=0.5, omega=0.0, duration=1.5), Segment(v=0.5, omega=0.6, duration=2.0)],
     TrajectoryLimits.of_robot(),
     name="bend",
@@ -186,7 +186,7 @@ SETTINGS = {"rehearsal.enabled": True, "rehearsal.by": "floor"} | {
 CONFIG = load_config("ssm", SETTINGS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0})
 INVERSE_GAIN = np.linalg.inv(load_model("ssm").dc_gain)
 SURFACES = ("p4_asphalt", "p4_concrete", "p4_grass")
-CORNER = lay_segments(
+CORNER = time_segments(
     [Segment(v=0.5, omega=0.0, duration=1.5), Segment(v=0.0, omega=1.0, duration=1.5)]
     + [Segment(v=0.5, omega=0.0, duration=1.0)],
     TrajectoryLimits.of_robot(),
@@ -284,7 +284,7 @@ def test_planned_motion_is_a_local_minimum():
 )
 def test_planned_motion_without_lateral_slip_is_the_reference(v, omega, turn, gains):
     segments = [Segment(v=v, omega=omega, duration=1.0), Segment(v=0.0, omega=turn, duration=0.8)]
-    reference = lay_segments(segments, TrajectoryLimits.of_robot(), name="any")
+    reference = time_segments(segments, TrajectoryLimits.of_robot(), name="any")
     slip = Slip(longitudinal_gain=gains[0], yaw_gain=gains[1])
     motion = nearest_drivable(reference, slip, CONFIG, INVERSE_GAIN)
     # The mean twist differs in intervals in which the reference changes its acceleration.
@@ -293,7 +293,7 @@ def test_planned_motion_without_lateral_slip_is_the_reference(v, omega, turn, ga
 
 def test_planned_motion_satisfies_the_minimum_turn_radius():
     radius = 1.0
-    wide = lay_segments(
+    wide = time_segments(
         [Segment(v=0.5, omega=0.0, duration=1.0), Segment(v=0.5, omega=0.4, duration=2.0)],
         TrajectoryLimits.of_robot(),
         name="wide",

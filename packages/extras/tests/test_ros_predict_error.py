@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from diffdrive_mpc import Controller
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.mpc.ros.follow_goal import lay_for_robot, path_limits
+from diffdrive_mpc.mpc.ros.follow_goal import path_limits, plan_for_robot
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc_extras.predicted_error import predict_error
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorScale, load_calibration
@@ -92,7 +92,7 @@ CURVED_PATH = np.column_stack([2 * X, 0.3 * np.sin(6 * X), np.arctan(0.9 * np.co
 
 
 def lay_with_limit(limit, response="slow", v=0.0):
-    """Lay a curved path with an error limit [m]; with the fixed coefficients its error at full speed is 63 mm."""
+    """Plan a curved path with an error limit [m]; with the fixed coefficients its error at full speed is 63 mm."""
     scale = ErrorScale(coefficients={"floor": 0.01, "turning": 0.07}, at_each_place=1.0, everywhere=1.0)
     shipped = load_calibration()
     population = shipped.populations["drawn"].model_copy(update={"lateral": scale})
@@ -101,7 +101,7 @@ def lay_with_limit(limit, response="slow", v=0.0):
     predictor = replace(ErrorPredictor.build(Controller("ssm"), settings), calibration=calibration)
     limits = path_limits(CONFIG, np.eye(2), SETTINGS)
     check = ErrorLimit(predictor, settings)
-    return lay_for_robot(CURVED_PATH, CURVED_PATH[0], (v, 0.0), limits, SETTINGS, CONFIG, [check]), predictor
+    return plan_for_robot(CURVED_PATH, CURVED_PATH[0], (v, 0.0), limits, SETTINGS, CONFIG, [check]), predictor
 
 
 def speed_fraction(path):
@@ -153,7 +153,7 @@ def test_path_above_the_error_limit_is_refused_or_driven_slower(response):
     """The limit is three quarters of the predicted error of the path at full speed."""
     controller, settings = Controller("ssm"), NodeSettings()
     limits = path_limits(controller.config, controller.model.dc_gain, settings)
-    path = lay_for_robot(LONG_PATH, LONG_PATH[0], (0.0, 0.0), limits, settings, controller.config)
+    path = plan_for_robot(LONG_PATH, LONG_PATH[0], (0.0, 0.0), limits, settings, controller.config)
     limit = 0.75 * float(predict_error(controller, path.reference).lateral.everywhere.max())
     settings = {"follow_error_limit": limit, "follow_error_response": response}
     with following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:

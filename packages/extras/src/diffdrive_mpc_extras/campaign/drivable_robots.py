@@ -13,8 +13,8 @@ from diffdrive_mpc.sim.plants.drawn_robot import (
     GRAVITY,
     DrawnRobot,
     draw_robot,
+    driven_weight_share,
     load_market,
-    on_driven,
     rim_speed,
     skid_track,
     yaw_acceleration,
@@ -65,7 +65,7 @@ class _Rule:
         market, build = load_market(), self.robot.build
         acceleration = market.stated.yaw_acceleration * yaw_acceleration(build, self._grip)
         return (
-            self._grip * on_driven(build) > market.margin * self._climb()
+            self._grip * driven_weight_share(build) > market.margin * self._climb()
             and acceleration > market.needs.yaw_acceleration
         )
 

@@ -145,7 +145,7 @@ def model_excitation(
     min_seconds = 2 * settings.holds[1] + 2 * settings.calm
     if not (math.isfinite(seconds) and seconds >= min_seconds):
         raise ConfigError(f"{seconds:g} s: a drive that determines lags and dead times takes {min_seconds:g} s or more")
-    max_seconds = load_settings().longest_excitation
+    max_seconds = load_settings().max_excitation_duration
     if seconds > max_seconds:
         raise ConfigError(f"{seconds:g} s: give at most {max_seconds:g} s; drive it several times for more")
     families: dict[str, _Steps | _Sines] = {

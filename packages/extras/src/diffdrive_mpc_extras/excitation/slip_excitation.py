@@ -56,7 +56,7 @@ def slip_excitation(
     for name, value in (("side", side), ("time", seconds), ("speed", speed), ("yaw rate", yaw_rate)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} {value}: give a positive number")
-    longest = load_settings().longest_excitation
+    longest = load_settings().max_excitation_duration
     if seconds > longest:
         raise ValueError(f"time {seconds:g} s: give at most {longest:g} s; drive it several times for more")
     # Reverse motion determines the same terms and lets the robot stay in small squares.

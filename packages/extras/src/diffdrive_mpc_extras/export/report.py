@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.mpc import ControllerConfig, load_trajectory
-from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings
 from diffdrive_mpc_extras.export.emulation import emulate
 from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, export_controller
 
@@ -155,7 +155,7 @@ def export_library(
     if precision not in list(Precision):
         raise ConfigError(f"--precision '{precision}': give double or float")
     name = select_model(model, config)
-    values = controller_config(name, None if config is None else str(config), single_settings(settings))
+    values = controller_config(name, None if config is None else str(config), parse_single_settings(settings))
     reference = load_trajectory(trajectory, values)
     with (
         staged(out, files=(*FILES, README, REPORT), folders=FOLDERS, owner="export") as folder,

@@ -60,11 +60,11 @@ class KeepClear(Feature):
         """Replace the surroundings from the next step on; raises SurroundingsError if they are invalid."""
         self._keeper.set_obstacles(surroundings)
 
-    def lay(self, reference: Reference) -> Reference:
+    def modify_reference(self, reference: Reference) -> Reference:
         """Return the reference with the offsets that lead around obstacles."""
         return self._keeper.start(reference)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset as `Feature` describes."""
         self._keeper.forget()
 

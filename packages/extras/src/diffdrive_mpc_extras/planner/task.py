@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
+from diffdrive_mpc.mpc.trajectories.timed_poses import fit_timed_poses
 from diffdrive_mpc_extras.planner.clearance import Clearance, ClearanceMap, PlanError, pose_text
 from diffdrive_mpc_extras.planner.inputs import OBJECTIVES, Objective, make_inputs, spot_rate
 from diffdrive_mpc_extras.planner.polish import polish
@@ -206,7 +206,7 @@ class Task:
         # The limits are wide, because `_find_fault` has checked them.
         limits = TrajectoryLimits(10.0, 100.0, 100.0, 1000.0)
         try:
-            trajectory = lay_timed_poses(rows, limits, name=f"plan-{minimise}", where="plan")
+            trajectory = fit_timed_poses(rows, limits, name=f"plan-{minimise}", where="plan")
         except ConfigError as error:
             raise PlanError(
                 f"goal {pose_text(self.goal)}: at {self.speed:g} m/s the robot slips laterally at "

@@ -30,7 +30,7 @@ from scipy.ndimage import gaussian_filter1d
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.problem.formulas import aim, body_twist, displacement, turned_tighter, wheel_twist
+from diffdrive_mpc.mpc.problem.formulas import aim, body_twist, displacement, radius_violation, wheel_twist
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
@@ -221,7 +221,7 @@ class _Problem:
         rows = [ca.SX(ca.mtimes(self._inverse_gain, wheels)), twist, wheels[0] + rim, wheels[0] - rim]
         radius = self._config.limits.min_turn_radius
         if radius is not None:
-            rows.append(turned_tighter(twist, ca.vertcat(radius, direction)))
+            rows.append(radius_violation(twist, ca.vertcat(radius, direction)))
         return ca.Function("limited", [wheels, direction], [ca.vertcat(*rows)])
 
     def _directions(self) -> FloatArray:

@@ -42,13 +42,13 @@ class Rehearse(Feature):
             self.learned.config = self.host.config
         self._set_start_slip()
 
-    def begin(self, reference: Reference, t0: float) -> Reference:
+    def start(self, reference: Reference, t0: float) -> Reference:
         """Start as `Feature` describes, and return the reference with the learned correction."""
         tracked = self.learned.start(reference, t0)
         self._set_start_slip()
         return tracked
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset as `Feature` describes."""
         self.learned.forget()
         self._set_start_slip()
@@ -60,4 +60,4 @@ class Rehearse(Feature):
     def _set_start_slip(self) -> None:
         """Start the next estimate with the learned slip of the surface."""
         if isinstance(self.learned, FloorRehearsal):
-            self.host.tick.begin_with(astuple(self.learned.slip))
+            self.host.tick.set_initial_slip(astuple(self.learned.slip))

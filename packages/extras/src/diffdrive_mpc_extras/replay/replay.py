@@ -17,7 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.config.typed_settings import parse_single_settings
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
 from diffdrive_mpc_extras.replay.own_log import read_recording
@@ -127,7 +127,7 @@ def replay_log(request: ReplayRequest) -> None:
         if config is None:
             raise ConfigError(f"{request.log}: the log does not contain a configuration; use --config or --model")
         if requested is None:
-            config = replace_values(config, dict(single_settings(request.settings)))
+            config = replace_values(config, dict(parse_single_settings(request.settings)))
         _check_sample_time(recording, config)
         references = _references(recording, config, request.trajectory)
         with ProgressBar("replaying") as bar:
@@ -141,7 +141,7 @@ def _requested_config(request: ReplayRequest) -> ControllerConfig | None:
     if request.config is None and request.model is None:
         return None
     file = None if request.config is None else str(request.config)
-    return controller_config(select_model(request.model, request.config), file, single_settings(request.settings))
+    return controller_config(select_model(request.model, request.config), file, parse_single_settings(request.settings))
 
 
 def _check_sample_time(recording: Recording, config: ControllerConfig) -> None:

@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost, PathCheck
 from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc.mpc.trajectories.planned.planned_path import PlannedPath
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc_extras.predicted_error.drives import predict_reference
@@ -137,10 +137,10 @@ class ErrorLimit:
     predictor: ErrorPredictor
     settings: PredictedErrorSettings
 
-    def lay(
-        self, lay: Callable[..., PlannedPath], config: ControllerConfig, speed: float, limits: TrajectoryLimits
+    def plan(
+        self, plan: Callable[..., PlannedPath], config: ControllerConfig, speed: float, limits: TrajectoryLimits
     ) -> PlannedPath:
-        """Lay a path with a predicted error within the limit, at reduced speed if the settings allow that.
+        """Plan a path with a predicted error within the limit, at reduced speed if the settings allow that.
 
         The reduced speed is not below the current `speed` [m/s] of the robot, because the reference would fall behind
         the robot at its start.
@@ -155,7 +155,7 @@ class ErrorLimit:
         shares = (1.0, *(share for share in reduced if share * limits.v >= speed))
         reasons = []
         for share in shares:
-            path = lay(_scale_limits(limits, share))
+            path = plan(_scale_limits(limits, share))
             try:
                 reason = _reason_to_refuse(self.predictor.predict(path.reference, config), limit)
             except ValueError as error:
@@ -228,7 +228,7 @@ class PredictedErrorPart(NodePart):
     async def _predict(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Predict the error of the current reference in the side process."""
         try:
-            loop, tools = self.running()
+            loop, tools = self.require_active()
             if self._predictor is None:
                 raise RefusedError(self._missing_reason)
             if loop.reference is None:

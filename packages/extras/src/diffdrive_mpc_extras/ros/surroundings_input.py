@@ -250,7 +250,7 @@ class SurroundingsInput:
             self._keep_clear.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
             # Restore the last valid combination: the refused message must not count as fresh or affect later messages.
-            watch.take_back(self._saved[2].get(watch.name))
+            watch.undo_accept(self._saved[2].get(watch.name))
             self._refuse(watch, str(error))
             self._grid, self._discs, self._stamps = self._saved[0], self._saved[1], dict(self._saved[2])
         else:

@@ -67,9 +67,9 @@ class WorldKind:
         if path is None:
             return None
         from diffdrive_mpc.bench.case import label  # noqa: PLC0415 - only runs along the path need it
-        from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints  # noqa: PLC0415 - loads SciPy
+        from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints  # noqa: PLC0415 - loads SciPy
 
-        return lay_waypoints(path.waypoints, limits, name=label(name), speed=path.speed, timing="smooth")
+        return time_waypoints(path.waypoints, limits, name=label(name), speed=path.speed, timing="smooth")
 
 
 class WorldColumns(RunColumns):

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, merge_mappings, read_yaml
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, draw_values, extremes
+from diffdrive_mpc.sim.disturbances.drawn_values import check_random_values, draw_values, extremes
 from diffdrive_mpc_extras.worlds.settings import Sight, world_settings
 from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Point, Polygon, Post, Shapes, StandingObstacle, Wall
 
@@ -112,7 +112,7 @@ def _with_movers(data: Any, seed: int, where: str) -> World:  # noqa: ANN401 - c
     movers = data.get("movers") if isinstance(data, Mapping) else None
     if not isinstance(movers, list):
         return check(World, data, where)
-    check_drawn(movers, f"{where}: movers")
+    check_random_values(movers, f"{where}: movers")
     for values in extremes(movers):
         check(World, {**data, "movers": values}, where)
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
