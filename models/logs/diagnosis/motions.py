@@ -118,22 +118,21 @@ def check_motions(log: str, streams: Streams, settings: CheckSettings) -> list[F
     findings: list[Finding] = []
     for entry in comparisons:
         bound = settings.rest_speed[entry.channel]
-        others = [
-            o for o in comparisons if o.motion == REST == entry.motion and o.channel == entry.channel and o != entry
+        if not entry.is_reading or abs(entry.value) - entry.interval <= bound:
+            continue
+        resting = [
+            e for e in comparisons if entry.motion == REST == e.motion and e.channel == entry.channel and e != entry
         ]
-        is_alone = entry.motion == REST and not any(abs(other.value) + other.interval < bound for other in others)
-        if not findings and entry.is_reading and not is_alone and abs(entry.value) - entry.interval > bound:
-            texts = ", ".join(map(str, (entry, *others)))
-            text = (
-                f"at rest, or without a turn: {texts}; calibrate the zero of this sensor while the robot stands still"
-            )
-            findings.append(Finding("reading at rest", "warning", log, text))
+        # If every sensor shows motion, the robot moves.
+        if entry.motion == REST and not any(abs(e.value) + e.interval < bound for e in resting):
+            continue
+        readings = ", ".join(map(str, (entry, *resting)))
+        text = f"at rest, or without a turn: {readings}; calibrate the zero of this sensor while the robot stands still"
+        findings.append(Finding("reading at rest", "warning", log, text))
+        break
     gains = {(entry.motion, entry.sensors): entry for entry in comparisons if entry.channel == 1}
-    for pair, bound in (
-        ((GYRO, POSE), settings.same_side),
-        ((ENCODERS, GYRO), settings.same_skid),
-        ((ENCODERS, POSE), settings.same_skid),
-    ):
+    for pair in ((GYRO, POSE), (ENCODERS, GYRO), (ENCODERS, POSE)):
+        bound = settings.same_skid if ENCODERS in pair else settings.same_side
         left, right = gains.get((LEFT, pair)), gains.get((RIGHT, pair))
         if left is None or right is None or min(left.value, right.value) <= 0.0:
             continue
