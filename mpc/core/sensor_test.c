@@ -201,7 +201,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
 }
 
 /* Interpolate the motion up to `time` between the stored times; return 0 if `time` is before them. */
-static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
+static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *move)
 {
     /* The newest entry that is not later than `time` is between `low` and `high`. */
     int low = 0, high = m->moves - 1;
@@ -209,8 +209,8 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
         return 0;
     if (stored_motion(m, high)->time > time) {
         /* The robot was at rest before the first entry. */
-        *motion = *stored_motion(m, high);
-        motion->time = time;
+        *move = *stored_motion(m, high);
+        move->time = time;
         return m->moves < MONITORED;
     }
     /* Bisection: seven iterations for MONITORED entries. */
@@ -224,9 +224,9 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
     const ddmpc_motion *before = stored_motion(m, low), *after = low > 0 ? stored_motion(m, low - 1) : &m->current;
     const ddmpc_time length = after->time - before->time;
     const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
-    motion->time = time;
+    move->time = time;
     for (int i = 0; i < MOTIONS; i++)
-        motion->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
+        move->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
     return 1;
 }
 
@@ -244,31 +244,31 @@ typedef struct {
 static motions compare_motions(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to,
                                const real before[3], const real after[3])
 {
-    motions motion;
+    motions move;
     real sum[MOTIONS];
-    motion.late[0] = motion.late[1] = R(0.0);
+    move.late[0] = move.late[1] = R(0.0);
     for (int i = 0; i < MOTIONS; i++)
         sum[i] = to->sum[i] - from->sum[i];
     /* A robot may make full turns within a window; dead reckoning determines their number. */
-    motion.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
-    motion.gyro_turn = sum[GYRO_TURN];
-    motion.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
-    motion.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
-    motion.total_turn = ddmpc_max(sum[TURNED], ddmpc_max(ddmpc_fabs(motion.gyro_turn), ddmpc_fabs(motion.model_turn)));
-    motion.heading = before[2] + R(0.5) * motion.pose_turn;
+    move.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
+    move.gyro_turn = sum[GYRO_TURN];
+    move.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
+    move.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
+    move.total_turn = ddmpc_max(sum[TURNED], ddmpc_max(ddmpc_fabs(move.gyro_turn), ddmpc_fabs(move.model_turn)));
+    move.heading = before[2] + R(0.5) * move.pose_turn;
     const real wheel_heading = from->sum[HEADING] + R(0.5) * sum[HEADING];
-    const real cosine[2] = {ddmpc_cos(motion.heading), ddmpc_cos(wheel_heading)};
-    const real sine[2] = {ddmpc_sin(motion.heading), ddmpc_sin(wheel_heading)};
+    const real cosine[2] = {ddmpc_cos(move.heading), ddmpc_cos(wheel_heading)};
+    const real sine[2] = {ddmpc_sin(move.heading), ddmpc_sin(wheel_heading)};
     const real dx = after[0] - before[0], dy = after[1] - before[1];
-    motion.pose = cosine[0] * dx + sine[0] * dy;
-    motion.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
-    motion.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
-    motion.chord = ddmpc_fabs(motion.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE])
-                       ? ddmpc_fabs(motion.wheels / sum[WHEEL_DISTANCE])
-                       : R(1.0);
-    motion.path = sum[WHEEL_DISTANCE];
-    motion.model = motion.wheels + motion.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
-    return motion;
+    move.pose = cosine[0] * dx + sine[0] * dy;
+    move.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
+    move.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
+    move.chord = ddmpc_fabs(move.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE])
+                     ? ddmpc_fabs(move.wheels / sum[WHEEL_DISTANCE])
+                     : R(1.0);
+    move.path = sum[WHEEL_DISTANCE];
+    move.model = move.wheels + move.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
+    return move;
 }
 
 /* Squared residuals of one window. */
@@ -312,33 +312,32 @@ static residuals evaluate_hypotheses(const real value[4], const real noise[4], r
 }
 
 /* Evaluate the hypotheses in a window of `duration` [s] with the pose and the sensors in `available`. */
-static evaluation evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *motion, int available,
+static evaluation evaluate(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *move, int available,
                            const real noise[2], real duration)
 {
     const int wheels = available & BY_WHEELS, gyro = available & BY_GYRO;
-    const real net_turn = ddmpc_max(ddmpc_fabs(motion->gyro_turn), ddmpc_fabs(motion->model_turn));
-    const real distance = ddmpc_max(ddmpc_fabs(motion->pose), ddmpc_fabs(motion->model));
-    const real gyro_noise = square(k->gyro[ABSOLUTE] * duration) + square(k->gyro[SHARE] * motion->gyro_turn);
-    const real turn[4] = {motion->pose_turn, motion->gyro_turn, motion->wheel_turn, motion->model_turn};
+    const real net_turn = ddmpc_max(ddmpc_fabs(move->gyro_turn), ddmpc_fabs(move->model_turn));
+    const real distance = ddmpc_max(ddmpc_fabs(move->pose), ddmpc_fabs(move->model));
+    const real gyro_noise = square(k->gyro[ABSOLUTE] * duration) + square(k->gyro[SHARE] * move->gyro_turn);
+    const real turn[4] = {move->pose_turn, move->gyro_turn, move->wheel_turn, move->model_turn};
     const real turn_noise[4] = {square(noise[1]), gyro ? gyro_noise : R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
-    const real forward[4] = {motion->pose, R(0.0), motion->wheels, motion->model};
+    const real forward[4] = {move->pose, R(0.0), move->wheels, move->model};
     const real forward_noise[4] = {square(noise[0]), R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
     /* The uncertainty of the gains decreases with the turns of the robot so far. */
     const real gain_variance = square(k->gains[3] * net_turn) * k->gains[0];
     /* The errors of opposite turns do not cancel if one side slips more than the other. */
-    const real uneven_variance = square(k->uneven * (motion->total_turn - net_turn));
+    const real uneven_variance = square(k->uneven * (move->total_turn - net_turn));
     const real body_turn = variance(k->slip_turning, net_turn) + gain_variance / m->body_by_wheels[1] + uneven_variance;
     const real wheel_turn = variance(k->following, net_turn) + gain_variance / m->wheels_by_model[1] +
-                            square(motion->late[1]) + uneven_variance;
+                            square(move->late[1]) + uneven_variance;
     const real body_forward = variance(k->slip_driving, distance);
-    const real wheel_forward = variance(k->following, distance) + square(motion->late[0]);
+    const real wheel_forward = variance(k->following, distance) + square(move->late[0]);
     const residuals turning = evaluate_hypotheses(turn, turn_noise, body_turn, wheel_turn);
     const residuals driving = evaluate_hypotheses(forward, forward_noise, body_forward, wheel_forward);
     /* Without the gyro, the turn may have occurred before, during or after the drive. */
-    const real chord = motion->path * ddmpc_cos(R(0.5) * motion->pose_turn);
-    const real fitted =
-        ddmpc_max(ddmpc_min(motion->pose, ddmpc_max(chord, motion->path)), ddmpc_min(chord, motion->path));
-    const real free_forward[4] = {motion->pose, R(0.0), fitted, motion->model + fitted - motion->wheels};
+    const real chord = move->path * ddmpc_cos(R(0.5) * move->pose_turn);
+    const real fitted = ddmpc_max(ddmpc_min(move->pose, ddmpc_max(chord, move->path)), ddmpc_min(chord, move->path));
+    const real free_forward[4] = {move->pose, R(0.0), fitted, move->model + fitted - move->wheels};
     const residuals free_driving = evaluate_hypotheses(free_forward, forward_noise, body_forward, wheel_forward);
     evaluation result;
     result.no_fault = ddmpc_min(turning.normal + driving.normal, ddmpc_min(turning.slip + driving.slip + k->odds[0],
@@ -369,10 +368,10 @@ static real drift_evidence(const ddmpc_constants *k, const motions *half, const 
 
 /* Learn the variance of poses relative to their stated covariance from second differences, which exclude steady slip. */
 static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_checked_pose *pose,
-                          const motions *motion)
+                          const motions *move)
 {
     const real stated[2] = {R(0.5) * (pose->covariance[0][0] + pose->covariance[1][1]), pose->covariance[2][2]};
-    const real error[3] = {motion->pose - motion->wheels, motion->left, motion->pose_turn - motion->gyro_turn};
+    const real error[3] = {move->pose - move->wheels, move->left, move->pose_turn - move->gyro_turn};
     real observed[2] = {R(0.0), R(0.0)};
     for (int i = 0; i < 3; i++) {
         /* Each second difference contains 1 + 4 + 1 variances; the first two are averaged as the position. */
@@ -409,29 +408,29 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
 
 /* Compare the motions between two times shifted back by a delay; return 0 if these times are no longer stored. */
 static int compare_delayed(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
-                           const ddmpc_motion *to, ddmpc_time delay, const real pose[3], motions *motion)
+                           const ddmpc_motion *to, ddmpc_time delay, const real pose[3], motions *move)
 {
     ddmpc_motion first, last;
     if (!motion_at(m, from->motion.time - delay, &first) || !motion_at(m, to->time - delay, &last))
         return 0;
-    *motion = compare_motions(m, &first, &last, from->value, pose);
+    *move = compare_motions(m, &first, &last, from->value, pose);
     const ddmpc_time response = (ddmpc_time)k->response_time;
     ddmpc_motion before, after;
     if (motion_at(m, first.time - response, &before) && motion_at(m, last.time - response, &after)) {
-        motion->late[0] = motion->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] -
-                                           after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
-        motion->late[1] =
-            motion->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
+        move->late[0] = move->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] -
+                                       after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
+        move->late[1] =
+            move->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
     }
     return 1;
 }
 
 /* Learn the ratios between the turns of wheels, body and commands. */
-static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *motion)
+static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *move)
 {
-    const real turn = R(0.5) * (motion->pose_turn + motion->gyro_turn);
-    const real wheels = motion->wheel_turn / quotient(m->body_by_wheels);
-    const real model = motion->model_turn / quotient(m->body_by_model);
+    const real turn = R(0.5) * (move->pose_turn + move->gyro_turn);
+    const real wheels = move->wheel_turn / quotient(m->body_by_wheels);
+    const real model = move->model_turn / quotient(m->body_by_model);
     /* A blocked robot provides no information about the turn of its body. */
     if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
         learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
@@ -441,10 +440,10 @@ static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motion
 }
 
 /* Learn the scale of the gyro from windows that are consistent with a single scale. */
-static void learn_gyro_scale(const ddmpc_constants *k, ddmpc_monitor *m, const motions *motion, real noise)
+static void learn_gyro_scale(const ddmpc_constants *k, ddmpc_monitor *m, const motions *move, real noise)
 {
     const real turn_noise = k->gyro[ABSOLUTE] + noise, weight = R(1.0) / square(turn_noise);
-    const real pose = motion->pose_turn, gyro = motion->gyro_turn,
+    const real pose = move->pose_turn, gyro = move->gyro_turn,
                scale = m->gyro_sums[4] > R(0.0) ? m->gyro_sums[5] / m->gyro_sums[4] : R(1.0);
     if (m->gyro_sums[3] > k->late[2] &&
         ddmpc_fabs(pose - scale * gyro) > R(1.5) * turn_noise + k->uneven * ddmpc_fabs(pose))
@@ -474,10 +473,10 @@ static real turn_between(const ddmpc_constants *k, const ddmpc_monitor *m, const
  * an offset, a drifting bias and a share of the turn, so that neither bias nor scale appears as a delay; all candidates share
  * one covariance. Forward motion does not determine the delay, because the elasticity of the tyres delays the body relative to
  * the wheels. For the same reason, the wheels can replace the gyro only for long delays. */
-static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *to, const real pose[3],
                         real noise)
 {
-    const real dt = (real)(current->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
+    const real dt = (real)(to->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
     const real decay = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)),
                reading = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real error[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
@@ -485,7 +484,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const int wheels = turns_by_wheels(k, m);
     const int no_turns =
         !wheels && (m->current.time - m->gyro.last_change > (ddmpc_time)k->silence || m->implausible & BY_GYRO);
-    if (no_turns || (m->excluded & BY_POSE) || !motion_at(m, current->time - (ddmpc_time)k->latest, &earlier))
+    if (no_turns || (m->excluded & BY_POSE) || !motion_at(m, to->time - (ddmpc_time)k->latest, &earlier))
         return;
     /* P = F P F', as the offset grows by the bias and by a share of the turn. */
     for (int j = 0; j < 3; j++)
@@ -496,9 +495,9 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     P[1][1] += dt * square(k->delay_fit[1]);
     const real total = P[0][0] + reading, gain[3] = {P[0][0] / total, P[1][0] / total, P[2][0] / total};
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        motion_at(m, current->time - delay_of(k, i), &earlier);
+        motion_at(m, to->time - delay_of(k, i), &earlier);
         m->fit[i][0] += dt * m->fit[i][1] + turn * m->fit[i][2];
-        error[i] = turn_between(k, m, &earlier, current) - m->turn_difference - m->fit[i][0];
+        error[i] = turn_between(k, m, &earlier, to) - m->turn_difference - m->fit[i][0];
         low = ddmpc_min(low, error[i]);
         high = ddmpc_max(high, error[i]);
     }
@@ -533,10 +532,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     /* The delay must be certain for some time: the turns of a failing sensor may briefly appear delayed, and a new delay changes
      * the whole estimate. */
     if (!is_certain || restart || (wheels && delay < k->by_wheels[2]))
-        m->uncertain_at = current->time;
+        m->uncertain_at = to->time;
     const int is_different = ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation;
     const int is_more_precise = m->delay > 0.0 && deviation < m->delay_deviation;
-    if (current->time - m->uncertain_at >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
+    if (to->time - m->uncertain_at >= (ddmpc_time)k->lasting && (is_different || is_more_precise)) {
         /* The scale of the gyro was learned from windows at the previous delay. */
         if (is_different)
             memset(m->gyro_sums, 0, sizeof m->gyro_sums);
@@ -555,7 +554,7 @@ static int available_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddm
 }
 
 /* Return 1 if poses repeat while two other sources report motion. */
-static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *current, const real noise[2])
+static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *to, const real noise[2])
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
@@ -564,17 +563,17 @@ static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion
         if (pose[i] != m->last.value[i])
             m->same = 0;
     if (m->same == 0)
-        m->frozen = *current;
+        m->frozen = *to;
     if (m->same < (int)k->often - 1)
         return 0;
-    const motions motion = compare_motions(m, &m->frozen, current, pose, pose);
+    const motions move = compare_motions(m, &m->frozen, to, pose, pose);
     const int available = available_since(k, m, m->frozen.time) & ~m->excluded;
     const real min_distance = k->frozen[0] + R(3.0) * noise[0], min_turn = k->frozen[1] + R(3.0) * noise[1];
-    const int model = ddmpc_fabs(current->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
-                      ddmpc_fabs(motion.model_turn) > min_turn;
-    const int wheels = ddmpc_fabs(current->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
-                       ddmpc_fabs(motion.wheel_turn) > min_turn;
-    const int gyro = ddmpc_fabs(motion.gyro_turn) > min_turn;
+    const int model = ddmpc_fabs(to->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > min_distance ||
+                      ddmpc_fabs(move.model_turn) > min_turn;
+    const int wheels = ddmpc_fabs(to->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > min_distance ||
+                       ddmpc_fabs(move.wheel_turn) > min_turn;
+    const int gyro = ddmpc_fabs(move.gyro_turn) > min_turn;
     return model + (wheels && (available & BY_WHEELS)) + (gyro && (available & BY_GYRO)) >= 2;
 }
 
@@ -592,7 +591,7 @@ static const ddmpc_stored_pose *pose_before(const ddmpc_monitor *m, ddmpc_time s
 /* Evaluate each hypothesis at its best delay of poses, because late poses are not a fault. For a faulty pose the delay has no
  * meaning, so the other sensors must agree at all delays. */
 static evaluation evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
-                                  const ddmpc_motion *current, const real *pose, int available, const real noise[2],
+                                  const ddmpc_motion *to, const real *pose, int available, const real noise[2],
                                   int window)
 {
     evaluation minimum;
@@ -602,11 +601,11 @@ static evaluation evaluate_delays(const ddmpc_constants *k, ddmpc_monitor *m, co
     for (int i = 1; i < MONITORED_DELAYS; i++)
         best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        motions motion;
+        motions move;
         /* Skip delays that are already excluded. */
-        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, current, delay_of(k, i), pose, &motion))
+        if (m->misfit[i] > best + k->late[5] || !compare_delayed(k, m, from, to, delay_of(k, i), pose, &move))
             continue;
-        const evaluation result = evaluate(k, m, &motion, available, noise, k->windows[window]);
+        const evaluation result = evaluate(k, m, &move, available, noise, k->windows[window]);
         if (first)
             minimum = result;
         for (int j = 0; j < SENSES; j++)
@@ -635,16 +634,16 @@ static int compute_course(const ddmpc_constants *k, const ddmpc_stored_pose *fro
 }
 
 /* If gyro and poses have diverged, the course of the poses shows which heading is correct, since it turns with the robot. */
-static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *current, const real pose[3],
+static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *to, const real pose[3],
                           real noise)
 {
-    const ddmpc_stored_pose *from = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
+    const ddmpc_stored_pose *from = pose_before(m, to->time, (ddmpc_time)k->windows[SHORT]);
     real direction, spread;
-    if (!from || !compute_course(k, from, current, pose, noise, &direction, &spread))
+    if (!from || !compute_course(k, from, to, pose, noise, &direction, &spread))
         return;
     m->direction_weight = k->late[1] * m->direction_weight + R(1.0) / spread;
     m->direction = ddmpc_wrap(m->direction + ddmpc_wrap(direction - m->direction) / (spread * m->direction_weight));
-    if (current->time >= m->next_pose) {
+    if (to->time >= m->next_pose) {
         m->course_evidence *= k->late[1];
         m->anchor_evidence *= k->late[1];
     }
@@ -665,28 +664,27 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
 
 /* Compute the squared deviation of poses that move sideways in two consecutive windows; a push affects only one of them. */
 static real sideways_evidence(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_stored_pose *from,
-                              const ddmpc_motion *current, const real pose[3], real noise)
+                              const ddmpc_motion *to, const real pose[3], real noise)
 {
-    const ddmpc_stored_pose *middle = pose_before(m, current->time, (ddmpc_time)k->windows[SHORT]);
-    motions motion[2];
-    if (!middle || middle == from ||
-        !compare_delayed(k, m, from, &middle->motion, m->delay, middle->value, &motion[0]) ||
-        !compare_delayed(k, m, middle, current, m->delay, pose, &motion[1]) ||
-        !(motion[0].left * motion[1].left + motion[0].pose * motion[1].pose > R(0.0)))
+    const ddmpc_stored_pose *middle = pose_before(m, to->time, (ddmpc_time)k->windows[SHORT]);
+    motions move[2];
+    if (!middle || middle == from || !compare_delayed(k, m, from, &middle->motion, m->delay, middle->value, &move[0]) ||
+        !compare_delayed(k, m, middle, to, m->delay, pose, &move[1]) ||
+        !(move[0].left * move[1].left + move[0].pose * move[1].pose > R(0.0)))
         return R(0.0);
     real minimum = HUGE_VAL;
     for (int i = 0; i < 2; i++) {
         /* No surface moves a robot in the opposite direction of its wheels and its commands. */
-        const real reverse = motion[i].pose * motion[i].wheels < R(0.0) && motion[i].model * motion[i].wheels > R(0.0)
-                                 ? square(motion[i].pose)
+        const real reverse = move[i].pose * move[i].wheels < R(0.0) && move[i].model * move[i].wheels > R(0.0)
+                                 ? square(move[i].pose)
                                  : R(0.0);
-        const real length = ddmpc_hypot(motion[i].pose, motion[i].left), distance = ddmpc_fabs(motion[i].wheels);
+        const real length = ddmpc_hypot(move[i].pose, move[i].left), distance = ddmpc_fabs(move[i].wheels);
         /* On a sliding surface the distances of poses and wheels differ. */
         if (!(ddmpc_fabs(length - distance) < R(2.0) * (noise + k->slip_driving[SHARE] * distance)))
             return R(0.0);
-        minimum = ddmpc_min(minimum, (square(motion[i].left) + reverse) /
-                                         (square(noise) + variance(k->sideways, motion[i].wheels) +
-                                          square(k->sliding[1] * motion[i].total_turn)));
+        minimum = ddmpc_min(minimum,
+                            (square(move[i].left) + reverse) / (square(noise) + variance(k->sideways, move[i].wheels) +
+                                                                square(k->sliding[1] * move[i].total_turn)));
     }
     return R(2.0) * minimum;
 }
@@ -714,30 +712,30 @@ static real wheel_scale_evidence(const ddmpc_constants *k, const ddmpc_monitor *
 
 /* Compute the evidence against each sensor from the motion up to this pose; set `agreeing` to the sensors, as bits, that
  * agree with the others during motion. */
-static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *current,
+static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *to,
                              const real noise[2], real evidence[SENSES], int *agreeing)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
     const int excluded = m->excluded, both = BY_WHEELS | BY_GYRO;
     motions half, whole;
-    if (available_since(k, m, current->time) & BY_GYRO)
-        follow_course(k, m, current, pose->value, noise[0]);
-    learn_delay(k, m, current, pose->value, noise[1]);
+    if (available_since(k, m, to->time) & BY_GYRO)
+        follow_course(k, m, to, pose->value, noise[0]);
+    learn_delay(k, m, to, pose->value, noise[1]);
     for (int window = SHORT; window < WINDOWS; window++) {
         const ddmpc_stored_pose *from = pose_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
-        motions *motion = window == LONG ? &whole : &half;
-        if (!from || !compare_delayed(k, m, from, current, m->delay, pose->value, motion))
+        motions *move = window == LONG ? &whole : &half;
+        if (!from || !compare_delayed(k, m, from, to, m->delay, pose->value, move))
             break;
         const int available = available_since(k, m, from->motion.time - m->delay), used = available & ~excluded;
         if (window == MIDDLE) {
             const ddmpc_stored_pose *oldest = pose_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && used & BY_WHEELS)
                 evidence[DDMPC_OF_POSE] =
-                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways_evidence(k, m, oldest, current, pose->value, noise[0]));
+                    ddmpc_max(evidence[DDMPC_OF_POSE], sideways_evidence(k, m, oldest, to, pose->value, noise[0]));
             continue;
         }
-        evaluation result = evaluate_delays(k, m, from, current, pose->value, used, noise, window);
+        evaluation result = evaluate_delays(k, m, from, to, pose->value, used, noise, window);
         result.fault[DDMPC_OF_POSE] += ddmpc_max(m->course_evidence, R(0.0));
         result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->course_evidence, R(0.0));
         result.fault[DDMPC_OF_POSE] += gyro_has_scale(k, m) ? k->scaled[3] : R(0.0);
@@ -745,20 +743,18 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
             if ((used | BY_POSE) & 1 << i)
                 evidence[i] = ddmpc_max(evidence[i], result.no_fault - result.fault[i]);
         if (window == SHORT && pose->stamp >= m->next_pose) {
-            const real model = motion->model, decay = R(1.0) - k->pose_spacing / k->memory;
-            const real terms[6] = {model * model,
-                                   model * motion->wheels,
-                                   model * motion->pose,
-                                   k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
-                                   square(motion->pose_turn),
-                                   motion->pose_turn * motion->wheel_turn / quotient(m->body_by_wheels)};
+            const real model = move->model, decay = R(1.0) - k->pose_spacing / k->memory;
+            const real terms[6] = {
+                model * model,           model * move->wheels,
+                model * move->pose,      k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(model),
+                square(move->pose_turn), move->pose_turn * move->wheel_turn / quotient(m->body_by_wheels)};
             for (int i = 0; i < 6; i++)
                 m->wheel_sums[i] = decay * m->wheel_sums[i] + terms[i];
         }
         if (window == SHORT && used & BY_WHEELS)
             evidence[DDMPC_OF_WHEELS] = ddmpc_max(evidence[DDMPC_OF_WHEELS], wheel_scale_evidence(k, m));
         if (window == LONG) {
-            m->is_diverging = square(motion->pose_turn - motion->gyro_turn) >
+            m->is_diverging = square(move->pose_turn - move->gyro_turn) >
                               square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
             /* Dead reckoning uses wheels and gyro, so it shows a drift of the poses only if both agree with all other data. */
             if (used == both && result.no_fault < k->plausible && pose->stamp - m->slipped_at > (ddmpc_time)k->memory)
@@ -766,16 +762,15 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
                     ddmpc_max(evidence[DDMPC_OF_POSE], drift_evidence(k, &half, &whole, noise[0]));
             continue;
         }
-        const evaluation with_excluded =
-            excluded ? evaluate(k, m, motion, available, noise, k->windows[window]) : result;
-        const int moves = ddmpc_fabs(motion->pose) > k->frozen[0] || ddmpc_fabs(motion->pose_turn) > k->frozen[1];
+        const evaluation with_excluded = excluded ? evaluate(k, m, move, available, noise, k->windows[window]) : result;
+        const int moves = ddmpc_fabs(move->pose) > k->frozen[0] || ddmpc_fabs(move->pose_turn) > k->frozen[1];
         const int wheels_agree =
-            square(motion->wheels - motion->pose) < square(noise[0]) + variance(k->slip_driving, motion->pose);
-        const int turns = ddmpc_max(ddmpc_fabs(motion->pose_turn), ddmpc_fabs(motion->gyro_turn)) > k->frozen[1];
+            square(move->wheels - move->pose) < square(noise[0]) + variance(k->slip_driving, move->pose);
+        const int turns = ddmpc_max(ddmpc_fabs(move->pose_turn), ddmpc_fabs(move->gyro_turn)) > k->frozen[1];
         const real min_distance = k->frozen[0] + R(2.0) * noise[0], min_turn = k->frozen[1] + R(2.0) * noise[1];
-        const real distance = ddmpc_fabs(motion->pose), turn = ddmpc_fabs(motion->pose_turn);
-        const int has_command = ddmpc_fabs(motion->model) - distance > k->frozen[0] ||
-                                ddmpc_fabs(motion->model_turn) - turn > R(2.0) * k->frozen[1];
+        const real distance = ddmpc_fabs(move->pose), turn = ddmpc_fabs(move->pose_turn);
+        const int has_command = ddmpc_fabs(move->model) - distance > k->frozen[0] ||
+                                ddmpc_fabs(move->model_turn) - turn > R(2.0) * k->frozen[1];
         if (has_command && !(distance > min_distance || turn > min_turn))
             m->blocked_at = pose->stamp;
         if (with_excluded.no_fault < k->plausible)
@@ -788,14 +783,14 @@ static void collect_evidence(ddmpc_controller *c, const ddmpc_checked_pose *pose
         if (pose->stamp < m->next_pose)
             continue;
         const int turns_agree =
-            square(motion->pose_turn - motion->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
+            square(move->pose_turn - move->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
         if (!excluded && both_change && available == both && turns_agree && result.no_fault < k->plausible &&
             !m->is_diverging)
-            learn_gains(k, m, motion);
+            learn_gains(k, m, move);
         if (!((excluded & BY_POSE) | (m->implausible & BY_GYRO)) && available & BY_GYRO &&
             m->current.time - m->gyro.last_change <= (ddmpc_time)k->silence &&
             ddmpc_min(result.no_fault, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
-            learn_gyro_scale(k, m, motion, noise[1]);
+            learn_gyro_scale(k, m, move, noise[1]);
     }
     /* Readings that repeat despite the commands, or at the end of their range, are not evidence against poses. */
     const int gyro_repeats = m->current.time - m->gyro.last_change > (ddmpc_time)k->silence &&
@@ -852,8 +847,8 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    ddmpc_motion current;
-    if (!k->monitor || !motion_at(m, pose->stamp, &current))
+    ddmpc_motion to;
+    if (!k->monitor || !motion_at(m, pose->stamp, &to))
         return 0;
     const int before = m->excluded;
     const real noise[2] = {
@@ -863,22 +858,21 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
     real evidence[SENSES] = {R(0.0), R(0.0), R(0.0)};
     if (m->has_last) {
         const ddmpc_time elapsed = pose->stamp - m->last.stamp;
-        const motions motion = compare_motions(m, &m->last_motion, &current, m->last.value, pose->value);
-        frozen = is_frozen(c, pose->value, &current, noise);
+        const motions move = compare_motions(m, &m->last_motion, &to, m->last.value, pose->value);
+        frozen = is_frozen(c, pose->value, &to, noise);
         /* A pose that moves further than a faulty sensor can explain is a jump, which the estimator handles. */
         const real max_distance = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)elapsed;
         const real max_turn = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)elapsed;
-        if (!(ddmpc_hypot(motion.pose - motion.wheels, motion.left) <= max_distance &&
-              ddmpc_fabs(motion.pose_turn - motion.gyro_turn) <= max_turn))
+        if (!(ddmpc_hypot(move.pose - move.wheels, move.left) <= max_distance &&
+              ddmpc_fabs(move.pose_turn - move.gyro_turn) <= max_turn))
             m->poses = m->residuals = m->has_anchor = 0;
         else if (elapsed <= R(0.25) && m->same == 0)
-            learn_scatter(k, m, pose, &motion);
-        m->turn_difference +=
-            turn_between(k, m, &m->last_motion, &current) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
-        collect_evidence(c, pose, &current, noise, evidence, &agreeing);
+            learn_scatter(k, m, pose, &move);
+        m->turn_difference += turn_between(k, m, &m->last_motion, &to) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
+        collect_evidence(c, pose, &to, noise, evidence, &agreeing);
         update_exclusions(c, evidence, agreeing, pose->stamp, elapsed < 0.25 ? elapsed : 0.25);
     } else {
-        m->frozen = current;
+        m->frozen = to;
     }
     for (int i = 0; i < DDMPC_OF_POSE; i++)
         if (is_impossible(c, i))
@@ -900,11 +894,11 @@ int ddmpc_monitor_check_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;
         m->poses += m->poses < MONITORED_POSES;
         memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
-        m->pose[m->newest_pose].motion = current;
+        m->pose[m->newest_pose].motion = to;
         m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-6;
     }
     m->last = *pose;
-    m->last_motion = current;
+    m->last_motion = to;
     m->has_last = 1;
     return m->excluded & ~before;
 }

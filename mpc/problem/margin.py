@@ -91,8 +91,7 @@ def spectral_radius(model: DiscreteModel, K: FloatArray, extra_delay: FloatArray
     loop = np.zeros((size, size))
     loop[:n, :n] = model.A
     for channel in (0, 1):
-        newest = n_commands - int(model.delay[channel]) - whole[channel]
-        part = extra_delay[channel] - whole[channel]
+        newest, part = n_commands - int(model.delay[channel]) - whole[channel], extra_delay[channel] - whole[channel]
         active = [(1 - part) * commands[newest - i, channel] + part * commands[newest - i - 1, channel] for i in (0, 1)]
         loop[:n] += np.outer(model.B0[:, channel], active[0]) + np.outer(model.B1[:, channel], active[1])
     # The commands are shifted by one sample, and the new command K z is appended.

@@ -25,15 +25,15 @@ _END_TIMEOUT = 2.0
 """Time limit for the end of the process [s]."""
 _START_TIMEOUT = 60.0
 """Time limit for the start of the process and the import of the module [s]; the process has a low priority."""
-OnResult = Callable[[Any], None]
-OnFailure = Callable[[str], None]
+OnDone = Callable[[Any], None]
+OnError = Callable[[str], None]
 
 
 class _Job(NamedTuple):
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    done: OnResult
-    failed: OnFailure
+    done: OnDone
+    failed: OnError
 
 
 class SideProcess:
@@ -60,12 +60,7 @@ class SideProcess:
         self._link: Connection | None = None
 
     def submit(
-        self,
-        key: str,
-        function: Callable[..., Any],
-        arguments: tuple[Any, ...],
-        done: OnResult,
-        failed: OnFailure,
+        self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: OnDone, failed: OnError
     ) -> None:
         """Queue `function(*arguments)`; call `done` with the result, or `failed` with the reason for a failure.
 
