@@ -64,7 +64,8 @@ def measure(config, make_plant, trajectory, oracle):
     """Yield, per direction, the number of drives inside, and width, oracle's width and maximum error [mm]."""
     predicted = predict_by_drives(config, trajectory, own_plant(config))
     reference, settings = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
-    runs = (simulate(Controller(settings), make_plant(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
+    plants = (make_plant(_SEED + seed, sample_time=settings.sample_time) for seed in range(_DRIVES + oracle))
+    runs = (simulate(Controller(settings), plant, reference) for plant in plants)
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
     widths = [predicted.lateral.everywhere, predicted.along.everywhere]
     np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
