@@ -8,7 +8,7 @@ oracle is computed. A robot with a model in FOLDER is not identified again.
 """
 
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,15 @@ _DRIVES, _SEED = 5, 9000
 _PATHS = ("s", "circle", "spline", "square", "cane")
 
 
+@cache
+def planned_excitation():
+    """Plan an excitation of 120 s in a room of 6 m by 6 m."""
+    return excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
+
+
 def record_excitation(folder, make_plant):
-    """Drive an excitation of 120 s in a room of 6 m by 6 m; return the path of the log."""
-    excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
+    """Drive the excitation; return the path of the log."""
+    excitation = planned_excitation()
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)
     config = load_config("ssm")
