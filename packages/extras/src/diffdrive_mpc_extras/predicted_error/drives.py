@@ -21,6 +21,8 @@ from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
 from diffdrive_mpc.sim import Run, make_plant, simulate
+from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot
+from diffdrive_mpc.sim.plants.names import MODEL
 from diffdrive_mpc_extras.campaign.rates import conformal_quantile
 from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError
 from diffdrive_mpc_extras.replay.reference import logged_reference
@@ -183,4 +185,8 @@ def scale_by_logs(
 
 def _errors(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
     robot = make_plant(plant, seed=seed, **plant_settings(config))
-    return absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)
+    lateral, along = absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)
+    if plant.startswith(f"{MODEL}:") and (identified := load_identified_robot(plant.partition(":")[2])):
+        twist = reference.sample(np.arange(count) * config.sample_time).twist
+        along = np.abs(along + identified.displacements(twist, config.sample_time, np.random.default_rng([seed, 1])))
+    return lateral, along
