@@ -38,10 +38,10 @@ _HEADER = (
 def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], list[FloatArray]]:
     """Compute measured minus predicted twists (K, 3), and squared fast displacements (K,), of each validation record.
 
-    The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the
-    log. Measured twists are computed from poses. For records without poses they are those of encoders and gyro, with
-    zero lateral speed. The squared displacements [m^2] are those of single poses from the motion between the means,
-    forward, minus the power of the noise; NaN without a pose.
+    The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the
+    rotation centre on the surface of the log. Measured twists are computed from poses. For records without poses they
+    are those of encoders and gyro, with zero lateral speed. The squared displacements [m^2] are those of single poses
+    from the motion between the means, forward, minus the power of the noise; NaN without a pose.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]

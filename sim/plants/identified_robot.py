@@ -86,8 +86,8 @@ class IdentifiedRobot(StrictModel):
     )
     displacement: _Variances = Field(
         default=(0.0,) * 6,
-        description="coefficients of the variance of fast forward displacements, for example by backlash, which are too "
-        "short for `motion` [m^2]",
+        description="coefficients of the variance of fast forward displacements, for example by backlash, which are "
+        "too short for `motion` [m^2]",
     )
     largest: _Variances = Field(description="maxima of the six features in the log, which bound the variances")
     motion: list[list[_Interval]] = Field(

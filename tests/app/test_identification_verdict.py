@@ -60,7 +60,9 @@ def move_held_out_poses(identification, motion):
 def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
     (original,), _ = unexplained_motion(identification)
     dt = identification.report.data.validation[0].dt
-    (slide,), _ = unexplained_motion(move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
+    (slide,), _ = unexplained_motion(
+        move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left))
+    )
     change = (slide - original)[np.any(slide != 0.0, axis=1)]
     assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
