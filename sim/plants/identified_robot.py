@@ -48,7 +48,8 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 def smoothed(features: FloatArray, sample_time: float) -> FloatArray:
     """Return means of the features (K, 6) over the duration of a displacement."""
-    return uniform_filter1d(features, max(1, round(DISPLACEMENT_TIME / sample_time)), axis=0, mode="nearest")
+    steps = max(1, round(DISPLACEMENT_TIME / sample_time))
+    return np.asarray(uniform_filter1d(features, steps, axis=0, mode="nearest"))
 
 
 @dataclass(frozen=True)
