@@ -131,9 +131,11 @@ def predict_reference(
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(reference.duration / dt) + 1)) * dt, dtype=np.float64)
     tasks = [partial(_errors, reference, config, plant, seed, len(time)) for seed in range(draws)]
-    results = run_tasks(tasks, jobs, on_done)
-    lateral, along = (tube(np.array(errors), dt).scaled(MODEL_ERROR) for errors in zip(*results, strict=True))
-    sample = reference.sample(time)
+    results, sample = np.array(run_tasks(tasks, jobs, on_done)), reference.sample(time)
+    if plant.startswith(f"{MODEL}:") and (robot := load_identified_robot(plant.partition(":")[2])):
+        rngs = (np.random.default_rng([seed, 1]) for seed in range(draws))
+        results[:, 1] = np.abs(results[:, 1] + [robot.displacements(sample.twist, dt, rng) for rng in rngs])
+    lateral, along = (tube(errors, dt).scaled(MODEL_ERROR) for errors in results.swapaxes(0, 1))
     return PredictedError(
         reference.name,
         LEVEL,
@@ -185,8 +187,4 @@ def scale_by_logs(
 
 def _errors(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
     robot = make_plant(plant, seed=seed, **plant_settings(config))
-    lateral, along = absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)
-    if plant.startswith(f"{MODEL}:") and (identified := load_identified_robot(plant.partition(":")[2])):
-        twist = reference.sample(np.arange(count) * config.sample_time).twist
-        along = np.abs(along + identified.displacements(twist, config.sample_time, np.random.default_rng([seed, 1])))
-    return lateral, along
+    return absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)
