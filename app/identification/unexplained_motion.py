@@ -22,7 +22,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import student_factor
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals, smoothed
 from diffdrive_mpc.sim.plants.surface import BodySlip
 
 _MIN_POSES = 4
@@ -35,18 +35,20 @@ _HEADER = (
 )
 
 
-def unexplained_motion(identification: Identification) -> list[FloatArray]:
-    """Compute measured minus predicted twists (K, 3) of each validation record, as means over windows.
+def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Compute measured minus predicted twists (K, 3), and squared fast displacements (K,), of each validation record.
 
-    The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the
-    log. Measured twists are computed from poses, or taken from encoders and gyro with zero lateral speed if the record
-    has no poses.
+    The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the
+    rotation centre on the surface of the log. Measured twists are computed from poses. For records without poses they
+    are those of encoders and gyro, with zero lateral speed. The squared displacements [m^2] are those of single poses
+    from the motion between the means, forward, minus the power of the noise; NaN without a pose.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
-    motion = []
+    motion, squares = [], []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
+        displacements = np.full(len(outputs), np.nan)
         yaw_rate = record.yaw_rate if report.data.yaw == "gyro" else None
         errors = np.column_stack([record.twist[:, 0], np.zeros(len(outputs)), record.twist[:, 1]])
         errors[:, 2] = errors[:, 2] if yaw_rate is None else yaw_rate
@@ -59,9 +61,11 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
             yaw_rates = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
             by_pose = _motion_from_poses(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates)
             if by_pose is not None:
-                errors = np.column_stack([by_pose[:, :2], (by_pose if yaw_rate is None else errors)[:, 2]])
+                slow, displacements = by_pose
+                errors = np.column_stack([slow[:, :2], (slow if yaw_rate is None else errors)[:, 2]])
         motion.append(errors)
-    return motion
+        squares.append(displacements)
+    return motion, squares
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
@@ -71,7 +75,8 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     least squares, so that large variances in sharp turns do not affect straight and steady motion.
     """
     report = identification.report
-    motion = [rows for rows in unexplained_motion(identification) if len(rows)]
+    motion, displacements = unexplained_motion(identification)
+    motion = [rows for rows in motion if len(rows)]
     if not motion:
         return None
     identified = report.fitted.identified
@@ -79,16 +84,22 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     slip, deviation = _subtract_slip(
         motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
     )
-    features = []
+    features, sample_features = [], []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
         steps = max(1, round(trial_settings().window / record.dt))
         squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
+        sample_features.append(smoothed(squares, record.dt))
         features.append(_block_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
     all_features, errors = np.concatenate(features), np.concatenate(motion)
     variance = np.array([nnls(all_features, column**2)[0] for column in errors.T])
     variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0))
     variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
+    fast = np.concatenate(displacements)
+    measured = np.isfinite(fast)
+    displacement = nnls(np.concatenate(sample_features)[measured], fast[measured])[0] if measured.any() else np.zeros(6)
+    # The constant part contains noise with a correlation in time, which is no motion.
+    displacement[0] = 0.0
     normalised = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
@@ -99,6 +110,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_round_values(variance),
+        displacement=_round_values(displacement),
         largest=_round_values(all_features.max(axis=0)),
         motion=[intervals(row) for row in normalised],
     )
@@ -165,8 +177,10 @@ def _block_means(rows: FloatArray, ends: AnyArray) -> FloatArray:
     return means
 
 
-def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatArray) -> FloatArray | None:
-    """Compute measured minus predicted twists (K, 3) from the displacements between poses; None for too few poses.
+def _motion_from_poses(
+    record: Record, predicted: FloatArray, yaw_rates: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Compute twists (K, 3) and squared displacements (K,) of `unexplained_motion` from poses; None for too few poses.
 
     The heading is the integral of the yaw rates (K,) [rad/s], aligned with the poses in a moving window, because it has
     less noise than single poses. Displacements are differences between the mean poses of consecutive windows. The
@@ -180,9 +194,8 @@ def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatAr
     half = round(identification_settings().pose_window / dt)
     offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
     window = np.ones(2 * half + 1)
-    heading = integrated_turn + np.convolve(offset, window, "same") / np.maximum(
-        np.convolve(fresh, window, "same"), 1.0
-    )
+    weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
+    heading = integrated_turn + np.convolve(offset, window, "same") / weight
     # The motion between two samples has the mean heading of the body.
     path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
     position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
@@ -199,9 +212,8 @@ def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatAr
         return None
     centres = np.array([round(group.mean()) for group in groups])
     starts, ends = centres[:-1], centres[1:]
-    displacement = np.diff([position_error[group].mean() for group in groups]) * np.exp(
-        -1j * heading[(starts + ends) // 2]
-    )
+    means = np.array([position_error[group].mean() for group in groups])
+    displacement = np.diff(means) * np.exp(-1j * heading[(starts + ends) // 2])
     windows = np.column_stack(
         [displacement.real, displacement.imag, np.diff([heading_error[group].mean() for group in groups])]
     )
@@ -210,4 +222,8 @@ def _motion_from_poses(record: Record, predicted: FloatArray, yaw_rates: FloatAr
     windows *= np.sqrt(np.maximum(1.0 - noise_share * noise[[0, 0, 1]] / power, 0.0))
     errors = np.zeros((len(fresh), 3))
     errors[starts[0] : ends[-1]] = np.repeat(windows / (dt * (ends - starts))[:, None], ends - starts, axis=0)
-    return errors
+    slow = np.interp(np.arange(len(fresh)), centres, means)
+    fast = ((position_error - slow) * np.exp(-1j * heading)).real ** 2 - noise[0]
+    fast[~fresh] = np.nan
+    fast[: centres[0]] = fast[centres[-1] :] = np.nan
+    return errors, fast

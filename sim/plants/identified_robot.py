@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, read_yaml
 from diffdrive_mpc.models.interface import FloatArray
@@ -23,6 +24,8 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 ROBOT_FILE = "robot.yaml"
 MOTION_DURATION = 60.0
 """Duration of the motion that is drawn for a run [s]; longer runs repeat the motion."""
+DISPLACEMENT_TIME = 0.5
+"""Duration of a fast displacement in a simulated drive [s]."""
 Model = VelocityModel | NonlinearModel
 _Deviations = tuple[NotNegative, NotNegative]
 _Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
@@ -41,6 +44,12 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
     """
     v, omega = output[..., 0], output[..., 1]
     return np.asarray(np.stack([np.ones_like(v), v, omega, v * omega, rate[..., 0], rate[..., 1]], axis=-1) ** 2)
+
+
+def smoothed(features: FloatArray, sample_time: float) -> FloatArray:
+    """Return means of the features (K, 6) over the duration of a displacement."""
+    steps = max(1, round(DISPLACEMENT_TIME / sample_time))
+    return np.asarray(uniform_filter1d(features, steps, axis=0, mode="nearest"))
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,12 @@ class IdentifiedRobot(StrictModel):
         description="coefficients of the variance of unexplained forward speed, lateral speed and yaw rate, for 1, "
         "v^2, omega^2, (v omega)^2 and the squared rates of v and omega, SI units"
     )
-    largest: _Variances = Field(description="maxima of the six features in the log, which bound the variance")
+    displacement: _Variances = Field(
+        default=(0.0,) * 6,
+        description="coefficients of the variance of fast forward displacements, for example by backlash, which are "
+        "too short for `motion` [m^2]",
+    )
+    largest: _Variances = Field(description="maxima of the six features in the log, which bound the variances")
     motion: list[list[_Interval]] = Field(
         min_length=1,
         description="intervals of constant motion of each held-out record: number of samples, and forward speed, "
@@ -98,6 +112,23 @@ class IdentifiedRobot(StrictModel):
             return model
         dead_time = np.maximum(model.dead_time + delays, 0.0)
         return replace(model, C=gains[:, None] * model.C, dead_time=dead_time)
+
+    def displacements(self, twist: FloatArray, sample_time: float, rng: np.random.Generator) -> FloatArray:
+        """Draw fast forward displacements (K,) [m].
+
+        Parameters
+        ----------
+        twist
+            (K, 2) v [m/s], omega [rad/s] of the reference.
+        sample_time
+            Sample time of the twists [s].
+        rng
+            Random generator.
+        """
+        features = smoothed(intensity_features(twist, np.gradient(twist, sample_time, axis=0)), sample_time)
+        deviation = np.sqrt(np.clip(features, 0.0, self.largest) @ self.displacement)
+        steps = max(1, round(DISPLACEMENT_TIME / sample_time))
+        return np.asarray(deviation * rng.normal(size=len(twist) // steps + 1).repeat(steps)[: len(twist)])
 
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""

@@ -58,17 +58,24 @@ def move_held_out_poses(identification, motion):
 
 
 def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
-    (original,) = unexplained_motion(identification)
+    (original,), _ = unexplained_motion(identification)
     dt = identification.report.data.validation[0].dt
-    (slide,) = unexplained_motion(move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
+    (slide,), _ = unexplained_motion(
+        move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left))
+    )
     change = (slide - original)[np.any(slide != 0.0, axis=1)]
     assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
-    (noisy,) = unexplained_motion(
+    (noisy,), (displacements,) = unexplained_motion(
         move_held_out_poses(identification, lambda time, _: noise[0, : len(time)] + 1j * noise[1, : len(time)])
     )
     # Displacements over one second would give 28 mm/s.
     assert np.std(noisy[:, 1]) < 0.015
+    assert abs(np.nanmean(displacements)) < 0.02**2 / 4
+    _, (displacements,) = unexplained_motion(
+        move_held_out_poses(identification, lambda time, left: 0.005j * left * np.sign(np.sin(6.0 * time)))
+    )
+    assert np.nanmean(displacements) == pytest.approx(0.005**2, rel=0.3)
 
 
 @pytest.mark.system

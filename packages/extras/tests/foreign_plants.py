@@ -34,16 +34,18 @@ class ForeignRobot:
         Seed of the robot.
     seed
         Seed of the noise of a drive.
+    sample_time
+        Sample time of the controller [s], by default that of the shipped robot.
     """
 
     com_offset = 0.0
     """Distance from the centre of the driven wheels forward to the centre of mass [m]."""
 
-    def __init__(self, robot, seed=0):
+    def __init__(self, robot, seed=0, sample_time=None):
         draw = np.random.default_rng([robot, 570]).uniform
         self._nominal = load_robot()
         self._kinematics = WheelKinematics(self._nominal.wheel_radius, self._nominal.track)
-        self.sample_time = self._nominal.sample_time
+        self.sample_time = sample_time or self._nominal.sample_time
         self.radius, self.half_track = self._nominal.wheel_radius * draw(0.98, 1.02), 0.165 * draw(0.95, 1.05)
         self.mass, self.inertia, self.wheel_inertia = draw(6.0, 15.0), draw(0.15, 0.5), draw(0.004, 0.012)
         self.gains = draw(0.6, 1.5), draw(2.0, 8.0)

@@ -8,7 +8,7 @@ oracle is computed. A robot with a model in FOLDER is not identified again.
 """
 
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,15 @@ _DRIVES, _SEED = 5, 9000
 _PATHS = ("s", "circle", "spline", "square", "cane")
 
 
+@cache
+def planned_excitation():
+    """Plan an excitation of 120 s in a room of 6 m by 6 m."""
+    return excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
+
+
 def record_excitation(folder, make_plant):
-    """Drive an excitation of 120 s in a room of 6 m by 6 m; return the path of the log."""
-    excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
+    """Drive the excitation; return the path of the log."""
+    excitation = planned_excitation()
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)
     config = load_config("ssm")
@@ -64,7 +70,8 @@ def measure(config, make_plant, trajectory, oracle):
     """Yield, per direction, the number of drives inside, and width, oracle's width and maximum error [mm]."""
     predicted = predict_by_drives(config, trajectory, own_plant(config))
     reference, settings = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
-    runs = (simulate(Controller(settings), make_plant(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
+    plants = (make_plant(_SEED + seed, sample_time=settings.sample_time) for seed in range(_DRIVES + oracle))
+    runs = (simulate(Controller(settings), plant, reference) for plant in plants)
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
     widths = [predicted.lateral.everywhere, predicted.along.everywhere]
     np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
