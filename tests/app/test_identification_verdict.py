@@ -57,25 +57,23 @@ def move_held_out_poses(identification, motion):
     return replace(identification, report=replace(identification.report, data=data))
 
 
+def unexplained_with(identification, motion):
+    return unexplained_motion(move_held_out_poses(identification, motion))
+
+
 def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
     (original,), _ = unexplained_motion(identification)
     dt = identification.report.data.validation[0].dt
-    (slide,), _ = unexplained_motion(
-        move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left))
-    )
+    (slide,), _ = unexplained_with(identification, lambda time, left: 0.05 * dt * np.cumsum(left))
     change = (slide - original)[np.any(slide != 0.0, axis=1)]
     assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
-    noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
-    (noisy,), (displacements,) = unexplained_motion(
-        move_held_out_poses(identification, lambda time, _: noise[0, : len(time)] + 1j * noise[1, : len(time)])
-    )
+    noise = np.array([1, 1j]) @ np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
+    (noisy,), (displacements,) = unexplained_with(identification, lambda time, _: noise[: len(time)])
     # Displacements over one second would give 28 mm/s.
     assert np.std(noisy[:, 1]) < 0.015
     assert abs(np.nanmean(displacements)) < 0.02**2 / 4
-    _, (displacements,) = unexplained_motion(
-        move_held_out_poses(identification, lambda time, left: 0.005j * left * np.sign(np.sin(6.0 * time)))
-    )
-    assert np.nanmean(displacements) == pytest.approx(0.005**2, rel=0.3)
+    _, (fast,) = unexplained_with(identification, lambda time, left: 0.005j * left * np.sign(np.sin(6.0 * time)))
+    assert np.nanmean(fast) == pytest.approx(0.005**2, rel=0.3)
 
 
 @pytest.mark.system

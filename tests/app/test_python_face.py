@@ -10,7 +10,6 @@ import pytest
 
 import diffdrive_mpc
 from diffdrive_mpc import (
-    ArgumentError,
     Controller,
     Trajectory,
     VelocityModel,
@@ -70,10 +69,6 @@ def test_start_at_speed_gives_a_warning_and_a_start_from_rest_gives_none(control
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         simulate(controller, PLANT, STRAIGHT)
-
-
-def test_argument_error_is_a_type_error():
-    assert issubclass(ArgumentError, TypeError)
 
 
 def test_sweep_returns_a_table_with_one_row_per_run():

@@ -65,8 +65,7 @@ def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
     text = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
     text = text.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
     mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", text))
-    assert mapping.columns.encoders.left.unit == "ticks"
-    assert mapping.columns.command.right.column == "cmd_right"
+    assert (mapping.columns.encoders.left.unit, mapping.columns.command.right.column) == ("ticks", "cmd_right")
 
 
 def test_topics_are_guessed_by_type_and_name(tmp_path):
