@@ -51,8 +51,7 @@ def test_stated_values_form_a_configuration(name):
 
 def test_turtlebot_has_its_safety_limit():
     """The firmware permits higher speeds only if the safety features are disabled."""
-    text = "\n".join(load_stated_robot("turtlebot4").lines())
-    assert "v 0.306 m/s (stated: safety)" in text
+    assert "v 0.306 m/s (stated: safety)" in "\n".join(load_stated_robot("turtlebot4").lines())
 
 
 def test_topics_are_in_the_namespace_of_the_odometry(husky_bag):
