@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-# Half of the 20 ms at 100 MHz in packages/extras/docs/export.md, with active soft limits. QEMU counts instructions.
+# Instructions in half a sample of 20 ms at 100 MHz, with active soft limits; see packages/extras/docs/export.md.
 LIMITS = {"instructions_max": 1_000_000, "flash_bytes": 100_000, "ram_bytes": 165_000}
 LARGEST_DIFFERENCE = 2e-4
 
@@ -12,17 +12,17 @@ report = json.loads(Path(sys.argv[1]).read_text())
 (size,) = (size for size in report["sizes"] if size["target"] == "STM32F4 program")
 drive = report["emulation"]
 figures = {"instructions_max": drive["instructions_max"], **{name: size[name] for name in ("flash_bytes", "ram_bytes")}}
-complaints = [
-    f"{name}: {figures[name]:,}, below {LIMITS[name]:,} is promised" for name in LIMITS if figures[name] >= LIMITS[name]
+violations = [
+    f"{name}: {figures[name]:,}, must be below {LIMITS[name]:,}" for name in LIMITS if figures[name] >= LIMITS[name]
 ]
 if set(drive["modes"]) - {"TRACKING", "FINISHED"}:
-    complaints.append(f"modes: {drive['modes']}, tracking to the end is promised")
+    violations.append(f"modes: {drive['modes']}, only TRACKING and FINISHED are permitted")
 if not drive["command_difference_max"] <= LARGEST_DIFFERENCE:
-    complaints.append(
-        f"commands: {drive['command_difference_max']:.1e} off Python's, at most {LARGEST_DIFFERENCE} is promised"
+    violations.append(
+        f"commands: difference from Python {drive['command_difference_max']:.1e}, must be at most {LARGEST_DIFFERENCE}"
     )
 if not 0 < drive["iterations_max"] < report["iteration_limit"]:
-    complaints.append(f"iterations: at most {drive['iterations_max']}, some and less than the limit are promised")
+    violations.append(f"iterations: maximum {drive['iterations_max']}, must be positive and below the limit")
 print(", ".join(f"{name} {value:,}" for name, value in figures.items()))
-if complaints:
-    sys.exit("\n".join(complaints))
+if violations:
+    sys.exit("\n".join(violations))

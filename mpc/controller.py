@@ -518,7 +518,7 @@ class Controller:
     def is_latched(self) -> bool:
         """True while the robot waits for `start` or `resume` after a failure.
 
-        The robot waits after an outage or a leap of the clock longer than `failure.resume_within`, after a jump of the
+        The robot waits after an outage or a jump of the clock longer than `failure.resume_within`, after a jump of the
         poses beyond `failure.max_position_error`, and, if `failure.resume` is false, after every failure.
         """
         return bool(self._tick.lib.ddmpc_is_latched(self._c))

@@ -37,8 +37,8 @@ class StepResult:
     Attributes
     ----------
     command
-        (2,) v_ref [m/s], omega_ref [rad/s], finite and within the range. It respects slew or the braking limits, except
-        in mode STOPPED after a leap of the clock, where it becomes zero in one tick.
+        (2,) v_ref [m/s], omega_ref [rad/s], finite and within the range. It respects the slew limits or the braking
+        limits, except in mode STOPPED after a jump of the clock, when it becomes zero in one tick.
     mode
         Operating mode.
     message

@@ -26,7 +26,7 @@ def call(*arguments: object, code: int = 0) -> str:
 
 
 def refusal(*arguments: object, code: int = 2) -> str:
-    """Return the error line of a refused command; check that it is its only output."""
+    """Return the error line of a refused command; check that the line is the only output."""
     result = invoke(product, *arguments, code=code)
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ") and result.stdout == ""

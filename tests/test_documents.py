@@ -29,7 +29,7 @@ GENERATED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
 MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
-# Setup by make is already done; .ci/run calls these lines unchanged.
+# CI executes these lines unchanged, after the setup by make.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # Commands that a line of .ci/run or .ci/long runs with additional options.
@@ -51,7 +51,7 @@ RESULT_FOLDERS = {"passport"}
 SEPARATE_PROCESS = ("node", "sim-robot", "monitor")
 # These pages describe the installation: .ci/tour.py runs them unchanged with only a wheel installed.
 TOUR_PAGES = {ROOT / "README.md", ROOT / "docs" / "install.md"}
-# Options that need a program of the system.
+# Options that require a system program.
 NEEDS = {"--emulate": "microcontroller"}
 RUN_BY_CI = re.compile(
     r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$"
@@ -90,22 +90,22 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
             for line in body.strip().splitlines():
                 arguments = shlex.split(line)
                 if arguments[0] == "make":
-                    assert RUN_BY_CI.match(line), f"{name_of(document)}: `{line}` is run by no test"
+                    assert RUN_BY_CI.match(line), f"{name_of(document)}: no test runs `{line}`"
                 elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line:
-                    raise AssertionError(f"{name_of(document)}: .ci/run does not have `{line}`")
+                    raise AssertionError(f"{name_of(document)}: .ci/run does not contain `{line}`")
                 elif arguments[:3] == ["python", "-m", "studies"]:
                     invoke_command(studies_app, arguments[3:], "python -m studies")
                 else:
                     assert arguments[0] == "diffdrive-mpc"
-                    command(arguments[1:], tmp_path)
+                    run_documented_command(arguments[1:], tmp_path)
         else:
-            raise AssertionError(f"{name_of(document)}: nothing runs a block of {language}")
+            raise AssertionError(f"{name_of(document)}: no test runs blocks of {language}")
 
 
-def command(arguments, folder):
-    """Run a command in this process to save its imports; nodes, which handle signals, run in a separate process."""
+def run_documented_command(arguments, folder):
+    """Run a command in this process, to save import time; nodes, which handle signals, run in a separate process."""
     if arguments[0] in SEPARATE_PROCESS:
         run([str(COMMAND), *arguments], folder)
         return
@@ -125,7 +125,7 @@ def run(command, folder):
 
 
 def hand_written():
-    """Return the hand-written text by document, without tables between marks and fenced code, which tests run.
+    """Return the hand-written text by document, without tables between markers and fenced code, which tests run.
 
     Reports of studies are generated. CHANGELOG.md records releases, and readmes in `sources` belong to exported code.
     """

@@ -32,7 +32,7 @@ def test_notebook_draws_the_figures_of_its_page(page, tmp_path, monkeypatch):
 
 
 def check_jackal(folder):
-    """Check that the report permits driving, and that the robot arrives over DDS inside the predicted tube."""
+    """Check that the report permits driving, and that the drive over DDS is completed inside the predicted tube."""
     assert "May I drive? Yes" in (folder / "my_jackal" / "report.md").read_text(encoding="utf-8")
     config = load_config(folder / "my_jackal" / "config.yaml")
     reference = load_trajectory(folder / "my_jackal" / "first_circle.yaml", config)

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES
 
-HOW_TO_READ = "Pointing at one view marks the same time in the other view"
+HOW_TO_READ = "Hovering over one view marks the same time in the other view"
 PEAKS = "Of every group of adjacent ticks, only the tick with the maximum position error is drawn"
 ERROR, HEADING, STEP, METHOD = "error [mm]", "heading error [mrad]", "step time [ms]", "solver or mode"
 TWIST = ("v [m/s]", "omega [rad/s]")
@@ -60,11 +60,11 @@ def run_series(
     def reference(x: Sequence[float | None], values: FloatArray) -> Series:
         return Series("reference", x, rounded_list(values, 3), kind="reference", labels=reference_labels)
 
-    def in_plane(title: str, xy: FloatArray, number: int = 0) -> Series:
+    def xy_line(title: str, xy: FloatArray, number: int = 0) -> Series:
         return line(title, rounded_list(xy[:, 0], 3), xy[:, 1], 3, number)
 
     errors, pose = run.errors, run.reference_pose[ticks]
-    plane = [reference(rounded_list(pose[:, 0], 3), pose[:, 1]), in_plane("driven", run.true_pose[ticks])]
+    plane = [reference(rounded_list(pose[:, 0], 3), pose[:, 1]), xy_line("driven", run.true_pose[ticks])]
     panes = {
         ERROR: [line("lateral", time, 1e3 * errors.lateral[ticks], 1)],
         HEADING: [line("heading", time, 1e3 * errors.heading[ticks], 1)],
@@ -80,10 +80,10 @@ def run_series(
     }
     marks = {}
     if single:
-        plane += [in_plane("estimate", run.estimates[ticks], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
+        plane += [xy_line("estimate", run.estimates[ticks], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
         poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])][:: max(1, len(run.time) // points)]
         xy = (rounded_list(poses[:, 0], 3), rounded_list(poses[:, 1], 3))
-        plane = [*([Series("poses that arrived", *xy, 3, "points")] if len(poses) else []), *plane]
+        plane = [*([Series("received poses", *xy, 3, "points")] if len(poses) else []), *plane]
         panes[ERROR] += [line("along", time, 1e3 * along_error(run)[ticks], 1, 4)]
         for channel, title in enumerate(TWIST):
             panes[title] += [line("true", time, run.true_twist[ticks, (0, 2)[channel]], 3)]
@@ -111,7 +111,7 @@ def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
 
 
 def _method_series(run: Run, name: str, labels: Labels, style: int) -> Series:
-    """Build a step series of the solver's method, or of the state at a fallback, a missed deadline or the end."""
+    """Build a step series of the solver's method, or of the state during a fallback or a lag and at the end."""
     special = {*FALLBACK_MODES, "FINISHED", "LATE"}
     values = [
         state if state in special else method for state, method in zip(run.states, run.solver_methods, strict=True)

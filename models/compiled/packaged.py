@@ -53,7 +53,7 @@ class Packaged:
     levels: Mapping[str, Level]
 
     def write(self, texts: Mapping[str, str], folder: Path) -> list[Path]:
-        """Compile `texts` to libraries in `folder` and write the manifest; skip levels that the compiler lacks.
+        """Compile `texts` to libraries in `folder` and write the manifest; skip levels not supported by the compiler.
 
         Raises
         ------

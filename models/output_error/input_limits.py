@@ -25,9 +25,9 @@ def side_name(channel: str, kind: int) -> str:
     return ((YawRateLimit if channel == "omega" else VelocityLimit).names + SlewLimit.names)[kind]
 
 
-def limit_names(apply_limits: Sequence[Sequence[bool]]) -> list[str]:
-    """Return the names of the limits that are True in `limited` (2, 4), such as "v.forward"."""
-    pairs = zip(CHANNELS, apply_limits, strict=True)
+def limit_names(is_limited: Sequence[Sequence[bool]]) -> list[str]:
+    """Return the names of the limits that are True in `is_limited` (2, 4), such as "v.forward"."""
+    pairs = zip(CHANNELS, is_limited, strict=True)
     return [f"{channel}.{side_name(channel, int(kind))}" for channel, row in pairs for kind in np.flatnonzero(row)]
 
 
@@ -51,7 +51,7 @@ def limits_in(effects: BaseEffects) -> FloatArray:
 
 
 def limit_derivatives(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
-    """Return the derivatives (4, K, m) of `limited` with respect to each kind of limit; zero for infinite limits."""
+    """Return the derivatives (4, K, m) of `apply_limits` with respect to each kind of limit; zero if infinite."""
     values, derivatives = apply_limits(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
     for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
         # An infinite limit needs a finite step, because a relative step would be infinite and its derivative NaN.
@@ -65,6 +65,6 @@ def limit_derivatives(inputs: FloatArray, limit: FloatArray, dt: float, start: F
 def limited_inputs(
     system: LinearSystem, experiment: SampledExperiment, function: Callable[..., FloatArray] = apply_limits
 ) -> FloatArray:
-    """Return the inputs (K, m) after the limits of the base; with `limit_derivatives` as `function`, derivatives."""
+    """Return the inputs (K, m) limited by the base, or their derivatives if `function` is `limit_derivatives`."""
     start = steady_start(system, experiment.first_readings)[1]
     return function(experiment.inputs, system.limit, experiment.dt, start)

@@ -31,7 +31,7 @@ def write_packaged(folder: Path) -> list[Path]:
     Raises
     ------
     NotCompiledError
-        If the core cannot be compiled for any level.
+        If the baseline cannot be compiled.
     """
     return _packaged().write(core_texts(), folder)
 

@@ -107,8 +107,8 @@ def time_commands(
         cruise, length = segment.cruise, segment.cruise * segment.duration
         phases = [Phase(0.0, 0.0, 0.0, segment.duration)]
         if cruise:
-            entry, leave = (0.0 if i == end else cruise for end in (moving[0], moving[-1]))
-            phases = trapezoid(length, cruise, entry, leave, _acceleration([segment], limits))
+            entry_speed, exit_speed = (0.0 if i == end else cruise for end in (moving[0], moving[-1]))
+            phases = trapezoid(length, cruise, entry_speed, exit_speed, _acceleration([segment], limits))
         stretches.append(PathStretch(*segment.direction, length, phases))
     return ArcTrajectory.chain(name, start, stretches)
 
@@ -167,7 +167,7 @@ def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStret
 
 
 def slow_down(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
-    """Reduce the speed of segments that exceed their side of a two-sided limit, with a reserve for tracking."""
+    """Reduce the speed of segments that exceed their side of a two-sided limit, with a margin for tracking."""
     result = []
     for segment in segments:
         pairs = ((segment.v, limits.v), (segment.omega, limits.omega))

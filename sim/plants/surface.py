@@ -46,7 +46,7 @@ class VirtualTrack(StrictModel):
 class BodySlip(StrictModel):
     """Conversion of the output (v, omega) of a velocity model to the motion of the body.
 
-    The gains are applied first; the result is the input (v_c, w_c) of an optional slip law of the papers.
+    The gains are applied first; the result is the input (v_c, w_c) of an optional published slip law.
     """
 
     yaw_gain: Positive = Field(description="ratio of true yaw rate to yaw rate of the velocity model")
@@ -78,7 +78,7 @@ class BodySlip(StrictModel):
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """Compute the twist v [m/s], omega [rad/s] of encoders and geometric track."""
+        """Compute the twist v [m/s], omega [rad/s] that the encoders indicate with the geometric track."""
         return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 

@@ -28,10 +28,10 @@ LISTED = {
 """Names in the first columns of the tables; `*` stands for any text."""
 
 
-def is_listed(name, parts_of_owner=1):
-    """Return True if the page has a row for a name or for its owner of at least `parts_of_owner` parts."""
+def is_listed(name, min_owner_parts=1):
+    """Return True if the page has a row for a name, or for a prefix of it with at least `min_owner_parts` parts."""
     parts = name.split(".")
-    prefixes = [name, *(".".join(parts[:count]) for count in range(parts_of_owner, len(parts)))]
+    prefixes = [name, *(".".join(parts[:count]) for count in range(min_owner_parts, len(parts)))]
     return any(fnmatchcase(prefix, listed) for prefix in prefixes for listed in LISTED)
 
 

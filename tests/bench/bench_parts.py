@@ -27,23 +27,23 @@ class Arc(ConstantTwist):
 
 
 class DisplacedUnicycle(KinematicPlant):
-    """Plant that follows commands immediately, starts off the reference, and reports its pose `late` ticks late."""
+    """Plant that follows commands immediately, starts off the reference, and reports its pose after `delay` ticks."""
 
     sample_time = 0.0202
 
-    def __init__(self, offset: ArrayLike = (0.0, 0.0, 0.0), late: int = 0) -> None:
-        self._offset, self._late = np.asarray(offset, dtype=float), late
+    def __init__(self, offset: ArrayLike = (0.0, 0.0, 0.0), delay: int = 0) -> None:
+        self._offset, self._delay = np.asarray(offset, dtype=float), delay
         self.reset([0.0, 0.0, 0.0])
 
     def reset(self, pose: ArrayLike) -> None:
         self.true_pose: FloatArray = np.asarray(pose, dtype=float) + self._offset
         self.true_twist: FloatArray = np.zeros(3)
         self.time = 0.0
-        self._past = [Stamped(self.true_pose, (k - self._late) * self.sample_time) for k in range(self._late)]
+        self._past = [Stamped(self.true_pose, (k - self._delay) * self.sample_time) for k in range(self._delay)]
 
     def measure(self) -> Measurement:
         self._past.append(Stamped(self.true_pose, self.time))
-        return Measurement(pose=self._past[-1 - self._late])
+        return Measurement(pose=self._past[-1 - self._delay])
 
 
 def check_return(peer: TrackingController) -> Run:

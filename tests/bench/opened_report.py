@@ -9,7 +9,7 @@ from typing import Any
 
 from browser import open_browser, open_report
 
-PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
+PHONE, DESKTOP = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 
 
 @contextmanager
@@ -18,7 +18,7 @@ def open_offline(report: Path) -> Iterator[Any]:
     errors: list[str] = []
     requests: list[str] = []
     with open_browser() as browser:
-        page = browser.new_context(viewport=DESK, offline=True).new_page()
+        page = browser.new_context(viewport=DESKTOP, offline=True).new_page()
         page.on("console", lambda message: errors.append(message.text))
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
@@ -47,7 +47,7 @@ def check_page(page: Any) -> None:
     script = "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
     assert page.evaluate(script) == 0
     page.emulate_media(media="screen")
-    page.set_viewport_size(DESK)
+    page.set_viewport_size(DESKTOP)
 
 
 def content_of(report: Path) -> dict[str, Any]:

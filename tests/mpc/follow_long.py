@@ -21,7 +21,7 @@ FOLDER = Path(__file__).parent
 
 
 def random_path(rng, start):
-    """Return poses (n, 3) of one or two arcs from `start`; a quarter of the arcs is driven backwards."""
+    """Return poses (n, 3) of one or two arcs from `start`; a quarter of the arcs are driven backwards."""
     pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
     for _ in range(rng.integers(1, 3)):
         direction, length, curvature = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
@@ -46,10 +46,10 @@ def run(goals, seed):
     base, client = FakeBase(lambda: time.sleep(0.0005)), Client()
     reached, errors, usages = 0, [], []
 
-    def tick(pace=0.2 * DT):
+    def tick(duration=0.2 * DT):
         start = time.monotonic()
         base.step()
-        while time.monotonic() - start < pace:
+        while time.monotonic() - start < duration:
             base.spin()
 
     def has_commands():
@@ -90,7 +90,7 @@ def run(goals, seed):
     faults = [
         f"{goals - reached} goals were not reached" * (reached < goals),
         f"memory grew by {growth:.1f} MB after the tenth goal" * bool(growth > _MAX_GROWTH),
-        f"threads went from {settled[1]} to {threads[-1]}" * bool(threads[-1] > settled[1]),
+        f"the number of threads rose from {settled[1]} to {threads[-1]}" * bool(threads[-1] > settled[1]),
     ]
     if any(faults):
         sys.exit("; ".join(filter(None, faults)))

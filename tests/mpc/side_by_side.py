@@ -61,31 +61,31 @@ class Pair:
     """Product and oracle with the methods of the product; `results` contains the results of the product."""
 
     def __init__(self, config, model=None, accuracy=EXACT):
-        self.both = (Controller(config, model), OracleController(config, model))
+        self.controllers = (Controller(config, model), OracleController(config, model))
         self.accuracy, self.results = accuracy, []
 
     def start(self, reference, t0):
-        for controller in self.both:
+        for controller in self.controllers:
             controller.start(reference, t0)
 
     def reset(self):
-        for controller in self.both:
+        for controller in self.controllers:
             controller.reset()
 
     def resume(self):
-        for controller in self.both:
+        for controller in self.controllers:
             controller.resume()
 
     def update(self, **changes):
-        product, oracle = (controller.update(**changes) for controller in self.both)
+        product, oracle = (controller.update(**changes) for controller in self.controllers)
         assert product == oracle
 
-    def overrule(self, commands):
-        for controller in self.both:
+    def override(self, commands):
+        for controller in self.controllers:
             controller.set_applied_commands(commands)
 
     def step(self, t, measurement, hold=None):
-        result, expected = (controller.step(t, measurement, hold) for controller in self.both)
+        result, expected = (controller.step(t, measurement, hold) for controller in self.controllers)
         assert_same(result, expected, self.accuracy)
         self.results.append(result)
         return result
@@ -111,8 +111,8 @@ class Pair:
         return [mode for k, mode in enumerate(sequence) if k == 0 or mode != sequence[k - 1]]
 
     @property
-    def words(self):
-        """All messages."""
+    def messages(self):
+        """All messages, without repetitions."""
         return " / ".join(sorted({result.message for result in self.results}))
 
 

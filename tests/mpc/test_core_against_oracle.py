@@ -124,9 +124,9 @@ def halved_commands(k, t, m, both):
 def foreign_commands(k, t, m, both):
     """Apply commands of another controller; some exceed the limits, and the first sequence exceeds the memory."""
     if k == 0:
-        both.overrule(np.tile([0.3, -0.2], (700, 1)))
+        both.override(np.tile([0.3, -0.2], (700, 1)))
     elif k % 3:
-        both.overrule(np.array([[0.4 * math.sin(0.1 * k), 0.3], [0.9 if 30 <= k < 40 else 0.4, math.cos(0.07 * k)]]))
+        both.override(np.array([[0.4 * math.sin(0.1 * k), 0.3], [0.9 if 30 <= k < 40 else 0.4, math.cos(0.07 * k)]]))
     return t, m, None
 
 
@@ -236,7 +236,7 @@ def test_event_of_a_drive_is_handled_equally(name):
     max_ticks = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 190}
     ticks = max_ticks.get(name, 70 if modes == ["TRACKING"] else 160)
     both.drive(make_plant(plant, seed=4), load_trajectory("circle"), ticks, eval(event))
-    assert message in both.words
+    assert message in both.messages
     if modes is not None:
         assert [mode for mode in both.modes if mode in modes][: len(modes)] == modes
         # Without resuming, the last mode remains.
@@ -287,7 +287,7 @@ def test_missed_end_position_is_reported_equally():
     for _ in range(60):
         plant.advance(both.step(plant.time, plant.measure()).command)
     assert both.modes[-1] == "FINISHED"
-    assert "not at rest within 0.4 s" in both.words
+    assert "not at rest within 0.4 s" in both.messages
 
 
 class SlowRobot(IdealRobot):
@@ -412,7 +412,7 @@ def test_single_faulty_measurements_are_handled_equally(offset):
     for corruption in sorted(CORRUPTIONS)[offset::3]:
         for k in range(14):
             drive.tick(corruption if k < 4 else "in time")
-        assert REASONS.get(corruption, "") in drive.both.words
+        assert REASONS.get(corruption, "") in drive.both.messages
 
 
 @settings(max_examples=8)
@@ -438,6 +438,6 @@ def test_measurements_beyond_the_capacity_of_a_sample_are_rejected():
         twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
         drive.both.step(last_time + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
     for name in ("pose", "wheel speed", "yaw rate"):
-        assert f"{name} rejected: too many arrived for one sample" in drive.both.words
+        assert f"{name} rejected: too many arrived for one sample" in drive.both.messages
     for _ in range(5):
         drive.tick("in time")

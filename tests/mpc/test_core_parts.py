@@ -1,4 +1,4 @@
-"""Functions of the core that drives do not test in isolation, called directly and compared with other formulas."""
+"""Direct calls of core functions that closed-loop drives do not test in isolation, compared with other formulas."""
 
 import math
 

@@ -214,4 +214,4 @@ EVENTS = "blocked for, m from the reference, stopped after a failure, not at res
 
 @pytest.mark.parametrize("message", [*EVENTS.split(", "), "jumps from"])
 def test_drives_contain_every_event(message):
-    assert any(message in drive(name, seed)[0].words for name in MODELS for seed in SEEDS)
+    assert any(message in drive(name, seed)[0].messages for name in MODELS for seed in SEEDS)

@@ -25,7 +25,7 @@ class Rig:
     """Loop, inbox, and a base that can be switched off and displaced."""
 
     def __init__(self, trajectory="circle", overrides=None, **settings):
-        self.tick_number, self.on, self.carried, self.delay = 0, True, np.zeros(3), 0.0
+        self.tick_number, self.on, self.frame_offset, self.delay = 0, True, np.zeros(3), 0.0
         self.settings = NodeSettings(start_at_robot=False, use_imu=False, **settings)
         self.controller = Controller(load_config("ssm", overrides or {}))
         self.inbox = Inbox(self.settings, lambda: self.now, 0)
@@ -41,7 +41,7 @@ class Rig:
 
     def pose(self):
         """Return the reported pose: the pose of the plant in the frame after the last displacement."""
-        (x, y, angle), plant = self.carried, np.asarray(self.plant.true_pose)
+        (x, y, angle), plant = self.frame_offset, np.asarray(self.plant.true_pose)
         c, s = math.cos(angle), math.sin(angle)
         return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + angle])
 
@@ -51,7 +51,7 @@ class Rig:
         angle = target[2] - plant[2]
         c, s = math.cos(angle), math.sin(angle)
         shift = target[:2] - [c * plant[0] - s * plant[1], s * plant[0] + c * plant[1]]
-        self.carried = np.array([*shift, angle])
+        self.frame_offset = np.array([*shift, angle])
 
     def tick(self):
         """Run one tick: sensors, command, motion."""
@@ -88,8 +88,8 @@ class Rig:
 
 def random_displacement(random):
     """Return a displacement (3,) between zero and several metres, with any heading."""
-    away, angle = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
-    return np.array([away * math.cos(angle), away * math.sin(angle), random.uniform(-math.pi, math.pi) * (away > 0)])
+    r, angle = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
+    return np.array([r * math.cos(angle), r * math.sin(angle), random.uniform(-math.pi, math.pi) * (r > 0)])
 
 
 def drive_with_outage(seed, **settings):
@@ -148,11 +148,11 @@ def test_old_stamps_count_as_an_outage():
     assert not rig.run(3.0).any()
 
 
-@pytest.mark.parametrize(("leap", "waits"), [(0.7, False), (1.5, True), (-1.5, True)])
-def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
+@pytest.mark.parametrize(("jump", "waits"), [(0.7, False), (1.5, True), (-1.5, True)])
+def test_clock_jump_counts_as_an_outage_of_the_same_length(jump, waits):
     rig = Rig()
     rig.start_drive()
-    rig.tick_number += round(leap / DT)
+    rig.tick_number += round(jump / DT)
     rig.run(1.0)
     assert rig.controller.is_latched is waits
     assert rig.commands[-1].any() is np.bool_(not waits)
@@ -210,7 +210,7 @@ def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
     assert rig.loop.start().startswith("starts")
 
 
-def test_robot_waits_after_a_jump_beyond_the_position_error_only():
+def test_robot_waits_only_after_a_jump_beyond_max_position_error():
     for distance, waits in ((0.6, False), (4.2, True)):
         rig = Rig()
         rig.start_drive(3.0)

@@ -1,4 +1,4 @@
-"""Cold solution of the quadratic program with all limits, accurate to rounding, and its optimality check."""
+"""Cold-start solution of the quadratic program with all limits, accurate to rounding, and its optimality check."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def solve(qp: QuadraticProgram) -> Solution:
     assert flag == 1, f"DAQP returned {flag}"
     _, multipliers, over, under = np.split(scale * info["lam"], np.cumsum([soft, hard, soft]))
     solution = Solution(SolverStatus.SOLVED, z[soft:], multipliers, over + under)
-    residual = optimality(qp, solution)
+    residual = optimality_residual(qp, solution)
     assert residual < _ACCURACY, f"off the optimum by {residual:.1e}"
     return solution
 
 
-def optimality(qp: QuadraticProgram, solution: Solution) -> float:
+def optimality_residual(qp: QuadraticProgram, solution: Solution) -> float:
     """Compute the residual of the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
 
     The conditions are: the cost is stationary, hard limits are satisfied, only active limits have multipliers, and the
@@ -73,7 +73,7 @@ def optimality(qp: QuadraticProgram, solution: Solution) -> float:
     """
     x, soft_values, values = solution.x, qp.soft_rows @ solution.x, qp.rows @ solution.x
     gradient = qp.H @ x + qp.g + solution.hard @ qp.rows + solution.soft @ qp.soft_rows
-    result = [np.linalg.solve(qp.H, gradient), _beyond(values, qp.lower, qp.upper)]
+    result = [np.linalg.solve(qp.H, gradient), _violation(values, qp.lower, qp.upper)]
     result += [_gap(solution.hard, values, qp.lower, qp.upper)]
     over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
     # With its excess removed, a soft limit is a hard limit whose multiplier is bounded by its price.
@@ -87,7 +87,7 @@ def optimality(qp: QuadraticProgram, solution: Solution) -> float:
     return float(max(np.abs(part).max() for part in [*result, soft_residual]))
 
 
-def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def _violation(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     return np.maximum(np.maximum(values - upper, lower - values), 0)
 
 

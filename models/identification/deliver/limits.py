@@ -13,7 +13,7 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
-_SPEEDS = 2
+_SPEED_KINDS = 2
 """Number of kinds of limits that are speeds; the remaining kinds are rates."""
 
 
@@ -21,9 +21,9 @@ def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[
     """Return a line with a 95 % interval for each identified limit, and one line for limits that are not reached."""
     commands, reached, missing = np.concatenate([record.command for record in records]), [], []
     for row, channel in enumerate(CHANNELS):
-        maximum = np.maximum([commands[:, row].max(), -commands[:, row].min()], 0.0)
+        peak = np.maximum([commands[:, row].max(), -commands[:, row].min()], 0.0)
         for kind in range(len(KINDS)):
-            side, is_speed = side_name(channel, kind), kind < _SPEEDS
+            side, is_speed = side_name(channel, kind), kind < _SPEED_KINDS
             unit = _UNITS[channel] if is_speed else f"{_UNITS[channel]}^2"
             symmetric_name = f"{channel}.limit" if is_speed else f"slew.{channel}"
             names = (f"{channel}.{side}", symmetric_name)
@@ -34,5 +34,5 @@ def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[
                 quantity = "limit" if is_speed else "rate"
                 reached.append(f"{channel} {side}: {quantity} of {value:.3g} {unit} ({low:.3g} to {high:.3g})")
             else:
-                missing.append(f"{channel} {side}" + (f" (driven to {maximum[kind]:.3g} {unit})" if is_speed else ""))
+                missing.append(f"{channel} {side}" + (f" (command up to {peak[kind]:.3g} {unit})" if is_speed else ""))
     return [*reached, *([f"not reached in this log: {', '.join(missing)}"] if missing else [])]

@@ -44,13 +44,13 @@ class _CommandRelation:
 
     Attributes
     ----------
-    size
+    gain
         Ratio of the stream to the command.
     correlation
-        Correlation at the best lag with the sign of `size`, because the correlation of few changes has a random sign.
+        Correlation at the best lag, with the sign of `gain`; its own sign is random if the command changes rarely.
     """
 
-    size: float
+    gain: float
     correlation: float
 
 
@@ -123,7 +123,7 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
 
 
 def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], streams: Streams) -> Finding | None:
-    """Return the finding if gyro and pose turn in the opposite direction of the encoders; correct `streams`."""
+    """Return the finding if gyro and pose have the opposite sense of rotation to the encoders; correct `streams`."""
     body_sensors, encoders = [name for name in (GYRO, POSE) if name in relations], relations.get(ENCODERS)
     if len(body_sensors) < 2 or encoders is None or streams.wheels is None or encoders.correlation < 0:
         return None
@@ -132,7 +132,7 @@ def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], str
     for name in (COMMAND, ENCODERS):
         _invert(streams, name, 1)
     message = (
-        "gyro and pose turn in the opposite direction to command and encoders: exchange left and right of the "
+        "omega of gyro and pose has the opposite sign to command and encoders: exchange left and right of the "
         "encoders and of the commands"
     )
     command = (
@@ -210,7 +210,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
         sizes = _magnitudes(streams, channel, settings)
         if len(sizes) > 1 and _find_outlier(sizes, low, high) is not None:
-            # A limit of the base also reduces the response; without it, the reduction would appear as a wrong unit.
+            # A limit of the base also reduces the response; unless it is applied, this appears as a wrong unit.
             streams.command = apply_best_limits(streams, channel, settings).command
             sizes = _magnitudes(streams, channel, settings)
         while len(sizes) > 1:
@@ -229,8 +229,8 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             others = [partner] if partner in sizes else [name for name in sizes if name != outlier]
             reference = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
             ratio = sizes.pop(outlier) / reference
-            skids = channel == 1 and outlier in (GYRO, POSE) and partner not in sizes
-            findings.append(_unit_finding(log, outlier, channel, ratio, skids, streams, settings))
+            is_skidding = channel == 1 and outlier in (GYRO, POSE) and partner not in sizes
+            findings.append(_unit_finding(log, outlier, channel, ratio, is_skidding, streams, settings))
             _scale(streams, outlier, channel, 1 / ratio)
     return findings
 
@@ -238,7 +238,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _magnitudes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, float]:
     """Return the magnitude of each stream of a channel relative to the command."""
     relations = _command_relations(streams, channel, settings)
-    return {COMMAND: 1.0} | {name: abs(relation.size) for name, relation in relations.items() if relation.size}
+    return {COMMAND: 1.0} | {name: abs(relation.gain) for name, relation in relations.items() if relation.gain}
 
 
 def _has_wrong_command_unit(streams: Streams, settings: CheckSettings) -> bool:
@@ -248,7 +248,7 @@ def _has_wrong_command_unit(streams: Streams, settings: CheckSettings) -> bool:
 
 
 def _find_outlier(sizes: dict[str, float], low: float, high: float) -> str | None:
-    """Return the stream with the largest implausible ratio to the median of the others; of two streams, the sensor."""
+    """Return the stream with the largest implausible ratio to the median of the others; in a tie, the sensor."""
     log_sizes = {name: math.log(size) for name, size in sizes.items()}
     selected = None
     for name in sizes:
@@ -264,7 +264,7 @@ def _find_outlier(sizes: dict[str, float], low: float, high: float) -> str | Non
 
 
 def _unit_finding(
-    log: str, name: str, channel: int, ratio: float, skids: bool, streams: Streams, settings: CheckSettings
+    log: str, name: str, channel: int, ratio: float, is_skidding: bool, streams: Streams, settings: CheckSettings
 ) -> Finding:
     signal = _SIGNALS[name, channel]
     factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
@@ -273,7 +273,7 @@ def _unit_finding(
     if wheels and radius is not None:
         factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
     # A body with skidding wheels turns less than the wheels indicate.
-    skid = settings.typical_skid if skids else 1.0
+    skid = settings.typical_skid if is_skidding else 1.0
     deviation = {unit: abs(math.log(ratio / (skid * factor))) for unit, factor in factors.items()}
     # Data in SI units that are declared in another unit have the inverse ratio.
     deviation |= {
@@ -284,7 +284,7 @@ def _unit_finding(
     unit = min(deviation, key=deviation.__getitem__)
     candidates = [name for name in deviation if deviation[name] < deviation[unit] + _SAME_FACTOR]
     changes: tuple[MappingChange, ...] = ()
-    tolerance = settings.unit_tolerance * (3 if skids else 1 + channel)
+    tolerance = settings.unit_tolerance * (3 if is_skidding else 1 + channel)
     if deviation[unit] < tolerance:
         remedy = f"its column is in {unit}"
         if len(candidates) == 1:
@@ -303,7 +303,7 @@ def _unit_finding(
 
 
 def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
-    """Return the keys in the mapping of the columns of a channel."""
+    """Return the mapping keys of the columns of a channel."""
     if name == COMMAND:
         return SIDES if streams.commands_wheels else (CHANNELS[channel],)
     if name == ENCODERS:
@@ -334,9 +334,9 @@ def _wheel_radius(streams: Streams) -> float | None:
     if streams.wheels is None or streams.twist is None:
         return None
     mean, v = streams.wheels.mean(axis=1), streams.twist[:, 0]
-    both = np.isfinite(mean) & np.isfinite(v)
-    size = float(mean[both] @ mean[both])
-    return abs(float(mean[both] @ v[both])) / size if size > 0 else None
+    is_finite = np.isfinite(mean) & np.isfinite(v)
+    size = float(mean[is_finite] @ mean[is_finite])
+    return abs(float(mean[is_finite] @ v[is_finite])) / size if size > 0 else None
 
 
 def _command_relations(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _CommandRelation]:

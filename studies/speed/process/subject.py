@@ -102,7 +102,7 @@ class Subject:
         return [TimedStep(*step) for step in steps], Effort(*effort)
 
     def memory(self) -> float:
-        """Return the maximum memory of the process until now [bytes]."""
+        """Return the peak memory of the process so far [bytes]."""
         return float(self._request("memory"))
 
     def _request(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on the request

@@ -1,4 +1,4 @@
-"""Rates of runs with exact confidence intervals, and conformal bounds."""
+"""Rates of outcomes of runs with exact confidence intervals, and conformal bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc_extras.bootstrap import CONFIDENCE
 
 @dataclass(frozen=True)
 class Rate:
-    """Rate of runs with its exact two-sided interval at `CONFIDENCE` (Clopper, Pearson, Biometrika 26, 1934)."""
+    """Rate of an outcome with its exact two-sided interval at `CONFIDENCE` (Clopper, Pearson, Biometrika 26, 1934)."""
 
     count: int
     of: int
@@ -44,7 +44,7 @@ class Rate:
 
 
 def conformal_quantile(groups: Sequence[FloatArray], level: float) -> float:
-    """Compute an upper bound for a score of a new group that holds with at least the probability `level`.
+    """Compute an upper bound for a score of a new group that holds with a probability of at least `level`.
 
     Groups, such as all places of one drive, must be exchangeable, including the new group; scores within a group may be
     dependent. All groups have equal weights, divided among their scores, and the score of the new group is set to

@@ -61,7 +61,7 @@ class RobotPower(StrictModel):
     """Values under `parts.power` of a robot file."""
 
     drive: NamedDrive = Field(default_factory=papers_drive, description="drive constants: a name or the values")
-    battery: Battery = Field(default_factory=Battery, description="battery of the sensor readings")
+    battery: Battery = Field(default_factory=Battery, description="battery for the sensor readings")
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def power_sensor(name: str = "power") -> PowerSensor:
 
 
 def robot_power(name: str) -> RobotPower:
-    """Return motors and battery of the robot that the name of a plant contains, such as "mujoco:fsu_bot"."""
+    """Return motors and battery of the robot of a plant; `name` is that of the plant, such as "mujoco:fsu_bot"."""
     robot = simulated_robot(name)
     return _check_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
 

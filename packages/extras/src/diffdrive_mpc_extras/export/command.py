@@ -19,7 +19,7 @@ def export(
     settings: Settings = None,
     trajectory: Annotated[
         str,
-        typer.Option(help="Exported trajectory: a shipped name such as circle, or the path of a file."),
+        typer.Option(help="Exported trajectory: a built-in name such as circle, or the path of a file."),
     ] = "circle",
     precision: Annotated[str, typer.Option(help="Floating-point type: double or float.")] = "double",
     run_emulation: Annotated[

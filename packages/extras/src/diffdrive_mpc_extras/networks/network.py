@@ -121,9 +121,9 @@ class Network:
     def simulate(self, commands: ArrayLike, past: ArrayLike | None = None) -> FloatArray:
         """Simulate the outputs (K, 2) for `commands` (K, 2), preceded by the commands `past` (window, 2), or zeros."""
         window = self.architecture.window
-        before = np.zeros((window, 2)) if past is None else np.asarray(past, dtype=float)
-        line = np.vstack([before, np.asarray(commands, dtype=float)])
-        windows = np.lib.stride_tricks.sliding_window_view(line, window, axis=0)[: len(line) - window]
+        history = np.zeros((window, 2)) if past is None else np.asarray(past, dtype=float)
+        sequence = np.vstack([history, np.asarray(commands, dtype=float)])
+        windows = np.lib.stride_tricks.sliding_window_view(sequence, window, axis=0)[: len(sequence) - window]
         return self(windows.transpose(0, 2, 1))
 
 
@@ -167,7 +167,7 @@ def pack_parameters(network: Network) -> FloatArray:
 
 
 def work_size(network: Network) -> int:
-    """Compute the size of the work memory of a step of the network in the core [reals]."""
+    """Compute the size of the workspace for one step of the network in the core [reals]."""
     architecture = network.architecture
     unit_row, dense_row, input_row = map(_round_up, (architecture.units, architecture.dense, architecture.units + 2))
     forward = input_row + unit_row + len(GATES) * unit_row + 2 * dense_row
@@ -204,9 +204,9 @@ def windows_of(experiments: Sequence[SampledExperiment], window: int) -> Windows
         if experiment.samples <= window:
             continue
         views = np.lib.stride_tricks.sliding_window_view(experiment.inputs, window, axis=0)[:-1].transpose(0, 2, 1)
-        counts = experiment.counts[window:].all(axis=1)
-        commands.append(views[counts])
-        twists.append(experiment.outputs[window:][counts])
+        is_complete = experiment.counts[window:].all(axis=1)
+        commands.append(views[is_complete])
+        twists.append(experiment.outputs[window:][is_complete])
     if not commands:
         raise ValueError(f"no part of the log is longer than the window of {window} samples; give a longer log")
     return Windows(np.concatenate(commands), np.concatenate(twists))
