@@ -202,5 +202,7 @@ def test_node_predicts_for_the_identified_robot(folder):
     assert summary["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
     with one_line_error(ConfigError, match="use another population with follow_error_limit"):
         ErrorPredictor.build(controller, settings.model_copy(update={"follow_error_limit": 0.1}), config)
+    (folder / "alone").mkdir()
+    alone = shutil.copy(config, folder / "alone")
     with one_line_error(ConfigError, match="neither plant.yaml"):
-        ErrorPredictor.build(controller, settings, str(folder / "elsewhere" / "config.yaml"))
+        ErrorPredictor.build(controller, settings, str(alone))
