@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from scipy import special
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import ENCODERS, GYRO, POSE, Streams
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import BoolArray, Finding
 from diffdrive_mpc.models.logs.record_checks import UNITS
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -58,35 +59,41 @@ def compare_sensors(streams: Streams, settings: CheckSettings) -> list[Compariso
     rows, count = _windows(streams, settings)
     if not len(rows):
         return []
-    # A window without readings of a sensor has NaN.
-    values = {
-        (name, channel): (streams.smooth(readings) if name != POSE else readings)[rows].mean(axis=1)
-        for channel in (0, 1)
-        for name in streams.sensors(channel)
-        if (readings := streams.channel(name, channel)) is not None
-    }
+    means: list[dict[str, FloatArray]] = [{}, {}]
+    for channel, by_name in enumerate(means):
+        for name in streams.sensors(channel):
+            readings = np.asarray(streams.channel(name, channel))
+            # A window without readings of a sensor has NaN.
+            by_name[name] = (readings if name == POSE else streams.smooth(readings))[rows].mean(axis=1)
     command = streams.delay(streams.command, settings.default_dead_time)
     # The robot also rests in two windows before, so that its own response has ended.
     earlier = command[np.maximum(rows[:, :1] - np.arange(1, 2 * count + 1), 0)]
     is_rest = (np.abs(np.concatenate([command[rows], earlier], axis=1)) <= settings.zero_command).all(axis=(1, 2))
-    comparisons = []
-    for name, channel in values:
-        readings = values[name, channel][is_rest]
-        readings = readings[np.isfinite(readings)]
-        if len(readings) >= _FEWEST:
-            deviation = float(readings.std(ddof=1)) / math.sqrt(len(readings))
-            half = deviation * _student(len(readings) - 1)
-            comparisons.append(Comparison(REST, channel, (name,), float(readings.mean()), half))
-    for channel in (0, 1):
-        for pair in combinations(streams.sensors(channel), 2):
-            a, b = (values[name, channel] for name in pair)
-            is_known = np.isfinite(a) & np.isfinite(b)
-            if channel == 0:
-                is_known &= np.abs(command[rows, 1]).max(axis=1) < settings.significant_change * np.nanmax(
-                    command[:, 1]
-                )
-            a, b = a[is_known], b[is_known]
-            motions = (STRAIGHT,) if channel == 0 else (LEFT, RIGHT, STRAIGHT)
+    turn = np.abs(command[:, 1])
+    is_straight = turn[rows].max(axis=1) <= settings.significant_change * np.nanmax(turn)
+    return [*_compare_at_rest(means, is_rest), *_compare_in_motion(means, is_straight, settings)]
+
+
+def _compare_at_rest(means: Sequence[Mapping[str, FloatArray]], is_rest: BoolArray) -> Iterator[Comparison]:
+    """Yield the mean reading of each sensor in windows at rest."""
+    for channel, by_name in enumerate(means):
+        for name, values in by_name.items():
+            readings = values[is_rest & np.isfinite(values)]
+            if len(readings) >= _FEWEST:
+                deviation = float(readings.std(ddof=1)) / math.sqrt(len(readings))
+                half = deviation * _student(len(readings) - 1)
+                yield Comparison(REST, channel, (name,), float(readings.mean()), half)
+
+
+def _compare_in_motion(
+    means: Sequence[Mapping[str, FloatArray]], is_straight: BoolArray, settings: CheckSettings
+) -> Iterator[Comparison]:
+    """Yield the relations of every two sensors: of v on straight lines, of omega in all windows."""
+    for channel, by_name in enumerate(means):
+        motions = (STRAIGHT,) if channel == 0 else (LEFT, RIGHT, STRAIGHT)
+        for (first, all_a), (second, all_b) in combinations(by_name.items(), 2):
+            is_used = np.isfinite(all_a) & np.isfinite(all_b) & (is_straight | (channel == 1))
+            a, b = all_a[is_used], all_b[is_used]
             regressors = np.column_stack([a] if channel == 0 else [np.maximum(a, 0), np.minimum(a, 0), np.ones(len(a))])
             is_moving = np.abs(regressors) > settings.turning * np.abs(a).max(initial=0.0)
             if (is_moving[:, :2].sum(axis=0) < _FEWEST).any():
@@ -96,8 +103,7 @@ def compare_sensors(streams: Streams, settings: CheckSettings) -> list[Compariso
             inverse = np.linalg.pinv(regressors.T @ regressors)
             halves = np.sqrt(residual @ residual / freedom * np.diag(inverse)) * _student(freedom)
             for motion, value, half in zip(motions, coefficients.tolist(), halves.tolist(), strict=True):
-                comparisons.append(Comparison(motion, channel, pair, value, half))
-    return comparisons
+                yield Comparison(motion, channel, (first, second), value, half)
 
 
 def _windows(streams: Streams, settings: CheckSettings) -> tuple[FloatArray, int]:
@@ -115,7 +121,11 @@ def _student(freedom: int) -> float:
 def check_motions(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return findings about a sensor that shows motion at rest, and about unequal turns to both sides."""
     comparisons = compare_sensors(streams, settings)
-    findings: list[Finding] = []
+    return [*_find_reading_at_rest(log, comparisons, settings), *_find_uneven_turns(log, comparisons, settings)]
+
+
+def _find_reading_at_rest(log: str, comparisons: Sequence[Comparison], settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: a sensor shows motion while others show rest."""
     for entry in comparisons:
         bound = settings.rest_speed[entry.channel]
         if not entry.is_reading or abs(entry.value) - entry.interval <= bound:
@@ -128,8 +138,12 @@ def check_motions(log: str, streams: Streams, settings: CheckSettings) -> list[F
             continue
         readings = ", ".join(map(str, (entry, *resting)))
         text = f"at rest, or without a turn: {readings}; calibrate the zero of this sensor while the robot stands still"
-        findings.append(Finding("reading at rest", "warning", log, text))
-        break
+        return [Finding("reading at rest", "warning", log, text)]
+    return []
+
+
+def _find_uneven_turns(log: str, comparisons: Sequence[Comparison], settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: the ratio of two yaw rates differs between turns to the left and to the right."""
     gains = {(entry.motion, entry.sensors): entry for entry in comparisons if entry.channel == 1}
     for pair in ((GYRO, POSE), (ENCODERS, GYRO), (ENCODERS, POSE)):
         bound = settings.same_skid if ENCODERS in pair else settings.same_side
@@ -139,5 +153,5 @@ def check_motions(log: str, streams: Streams, settings: CheckSettings) -> list[F
         interval = math.hypot(left.interval / left.value, right.interval / right.value)
         if abs(math.log(left.value / right.value)) - interval > math.log(bound):
             text = f"turns to the left: {left}, to the right: {right}; check both sensors, or what drags on one side"
-            return [*findings, Finding("uneven turns", "warning", log, text)]
-    return findings
+            return [Finding("uneven turns", "warning", log, text)]
+    return []
