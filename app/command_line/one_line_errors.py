@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, TextIO
 
 import typer
 
@@ -65,7 +65,7 @@ class OneLineErrors(FullHelp):
                 warnings.catch_warnings(),
             ):
                 _SHOWN_NOTES.clear()
-                warnings.showwarning = _show_warning  # type: ignore[assignment]
+                warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # older versions of typer raise Abort on Ctrl-C; newer ones return the exit code
@@ -121,7 +121,14 @@ def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes tha
 _SHOWN_NOTES: set[str] = set()
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401 - see warnings.showwarning
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     """Print a note about the content of a file, or any other warning in Python's format."""
     if "NoteWarning" in (base.__name__ for base in category.__mro__):
         # A file may be read twice, but a note about it is printed once.
@@ -130,8 +137,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any) 
             _SHOWN_NOTES.add(note)
             echo(note, err=True)
     else:
-        filename, line_number, *_ = place
-        sys.stderr.write(warnings.formatwarning(message, category, filename, line_number))
+        (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
 
 
 def _singular(name: str) -> str:

@@ -124,7 +124,9 @@ def doctor() -> None:
     from diffdrive_mpc.bench.machine import project_version  # noqa: PLC0415
 
     echo(f"diffdrive-mpc {project_version()}")
-    checks = list(examine())
-    echo("\n".join(check.line for check in checks))
-    if not all(check.is_ok or not check.is_required for check in checks):
+    can_run = True
+    for check in examine():
+        echo(check.line)
+        can_run &= check.is_ok or not check.is_required
+    if not can_run:
         raise typer.Exit(FAILED)
