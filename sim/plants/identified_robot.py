@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, read_yaml
 from diffdrive_mpc.models.interface import FloatArray
@@ -48,6 +47,8 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 def smoothed(features: FloatArray, sample_time: float) -> FloatArray:
     """Return means of the features (K, 6) over the duration of a displacement."""
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - slow import, not needed to drive
+
     steps = max(1, round(DISPLACEMENT_TIME / sample_time))
     return np.asarray(uniform_filter1d(features, steps, axis=0, mode="nearest"))
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.velocity_model import VelocityModel
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
+    from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot
 
 _MODEL_PREFIX = f"{MODEL}:"
 _MAX_PERIOD = 0.5
@@ -195,14 +196,13 @@ def _model_plant(
 ) -> Plant:
     """Build a plant with a velocity model: `model`, or the model in the name of the setting."""
     from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
-    from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
     effects, slip, sensors, disturbance = BaseEffects(), setting.surface.slip, setting.sensors, None
     if model is None:
         file, name_dead_time = _split_dead_time(setting.name.removeprefix(_MODEL_PREFIX))
         extra_dead_time += name_dead_time
-        identified = load_identified_robot(file)
+        identified = identified_robot_of(setting.name)
         if identified is not None:
             # Explicit arguments replace the surface and the sensors of the log.
             rng = np.random.default_rng([setting.seed, _IDENTIFIED_STREAM])
@@ -308,6 +308,17 @@ def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot
     symmetric = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
     bounds = robot.limits.model_copy(update=symmetric)
     return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
+
+
+def identified_robot_of(plant: str) -> IdentifiedRobot | None:
+    """Load the robot of a plant "model:FILE" or "model:FILE+SECONDS"; return None for a plant of another kind.
+
+    Raises the errors of `load_identified_robot`, and ConfigError for an invalid dead time.
+    """
+    from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot  # noqa: PLC0415
+
+    is_model = plant.startswith(_MODEL_PREFIX)
+    return load_identified_robot(_split_dead_time(plant.removeprefix(_MODEL_PREFIX))[0]) if is_model else None
 
 
 def _split_dead_time(text: str) -> tuple[str, float]:

@@ -21,8 +21,7 @@ from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
 from diffdrive_mpc.sim import Run, make_plant, simulate
-from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot
-from diffdrive_mpc.sim.plants.names import MODEL
+from diffdrive_mpc.sim.plants.make import identified_robot_of
 from diffdrive_mpc_extras.campaign.rates import conformal_quantile
 from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError
 from diffdrive_mpc_extras.replay.reference import logged_reference
@@ -132,7 +131,7 @@ def predict_reference(
     time = np.asarray(np.arange(max(2, int(reference.duration / dt) + 1)) * dt, dtype=np.float64)
     tasks = [partial(_errors, reference, config, plant, seed, len(time)) for seed in range(draws)]
     results, sample = np.array(run_tasks(tasks, jobs, on_done)), reference.sample(time)
-    if plant.startswith(f"{MODEL}:") and (robot := load_identified_robot(plant.partition(":")[2])):
+    if robot := identified_robot_of(plant):
         rngs = (np.random.default_rng([seed, 1]) for seed in range(draws))
         results[:, 1] = np.abs(results[:, 1] + [robot.displacements(sample.twist, dt, rng) for rng in rngs])
     lateral, along = (tube(errors, dt).scaled(MODEL_ERROR) for errors in results.swapaxes(0, 1))
