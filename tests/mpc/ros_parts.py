@@ -243,7 +243,7 @@ class Stack:
                 self.base.until(self.has_clock, "the first clock")
             self.node.bring_up()
             if parameters["autostart"]:
-                self.base.until(self.has_received_inputs, "sensors")
+                self.await_inputs()
             if drive:
                 assert self.trigger("start").success
         except BaseException:
@@ -253,6 +253,13 @@ class Stack:
     def has_clock(self):
         self.base.clock.publish(Clock(clock=time_message(self.base.now)))
         return self.node.get_clock().now().nanoseconds == START
+
+    def await_inputs(self):
+        """Wait until every input has arrived once and no tick is pending, which `start` would make a tick of the drive."""
+        self.base.until(self.has_received_inputs, "sensors")
+        self.base.until(lambda: self.base.now <= self.node.get_clock().now().nanoseconds, "the last clock")
+        for _ in range(20):
+            self.spin()
 
     def has_received_inputs(self):
         """Return True if every input has arrived once; discovery may lose earlier messages."""

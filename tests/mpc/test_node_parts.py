@@ -163,5 +163,5 @@ def test_node_recovers_after_a_transition_that_a_part_rejects(parts, hook):
         if hook == "refuse":
             s.node.trigger_configure()
         s.node.trigger_activate()
-        s.base.until(s.has_received_inputs, "sensors")
+        s.await_inputs()
         assert s.node.label == "active"

@@ -116,7 +116,7 @@ def start_driving(s, *, swapped=False):
     base = WheelBase(s, swapped=swapped)
     s.node.trigger_configure()
     s.node.trigger_activate()
-    s.base.until(s.has_received_inputs, "sensors")
+    s.await_inputs()
     assert s.trigger("start").success
     return base
 

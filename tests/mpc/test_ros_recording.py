@@ -53,7 +53,7 @@ def test_each_activation_writes_a_new_file(tmp_path):
         s.node.trigger_deactivate()
         assert len(list(tmp_path.iterdir())) == 1
         s.node.trigger_activate()
-        s.base.until(s.has_received_inputs, "sensors")
+        s.await_inputs()
         s.base.run(5)
     files = list(tmp_path.iterdir())
     assert len(files) == 2 and not any(read_drive_log(path).cut for path in files)

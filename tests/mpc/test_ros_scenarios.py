@@ -125,7 +125,7 @@ class Scenario:
         ]
 
     def sensors(self, _):
-        self.base.until(self.s.has_received_inputs, "sensors")
+        self.s.await_inputs()
 
     def parameters(self, values):
         self.s.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
