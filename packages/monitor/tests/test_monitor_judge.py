@@ -189,6 +189,17 @@ def test_each_rule_stops_the_robot(robot, rule, violate):
     assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
 
 
+@pytest.mark.parametrize(
+    ("command", "rule"), [((0.25, 0.0), ""), ((-0.25, 0.0), "speed"), ((0.0, 0.4), ""), ((0.0, -0.4), "yaw_rate")]
+)
+def test_reverse_and_right_turns_have_limits_of_their_own(command, rule):
+    update = {"v": 0.5, "v_reverse": 0.2, "omega": 0.5, "omega_right": 0.3}
+    robot = Robot(Judge(RULES.model_copy(update={"commands": RULES.commands.model_copy(update=update)}), START), 0.0)
+    for share in np.linspace(0.0, 1.0, 20):
+        robot.drive(DT, tuple(share * np.array(command)))
+    assert robot.judge.verdict.rule == rule if rule else not robot.judge.verdict
+
+
 @pytest.mark.parametrize("has_driven", [True, False])
 def test_robot_is_pushed_before_but_not_after_a_drive(has_driven):
     """After a reset, the robot may be pushed by the same distance again."""
