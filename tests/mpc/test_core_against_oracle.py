@@ -369,6 +369,9 @@ CORRUPTIONS = {
     "bad covariance": corrupt_pose(lambda p, t: (p, t), covariance=np.diag([1e-4, -2e-4, 3e-4])),
     "singular covariance": corrupt_pose(lambda p, t: (p, t), covariance=np.ones((3, 3))),
     "uneven covariance": corrupt_pose(lambda p, t: (p, t), covariance=[[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]),
+    "small uneven covariance": corrupt_pose(
+        lambda p, t: (p, t), covariance=[[1e-4, 5e-5, 0], [0, 1e-4, 0], [0, 0, 1e-4]]
+    ),
     "wheels stopped": replace_wheels([0.0, 0.0]),
     "wheels too fast": replace_wheels([0.1, 40.0]),
     "wheels broken": replace_wheels([np.inf, 0.0]),
@@ -379,7 +382,7 @@ CORRUPTIONS = {
     "gyro as a list": lambda m, queue: Measurement(m.pose, yaw_rate=Stamped([0.5], m.yaw_rate.time, [[1e-4]])),
 }
 REASONS = {"not finite": "finite", "in the future": "future", "false pose": "it jumps by 3.0"}
-REASONS |= dict.fromkeys(("bad covariance", "uneven covariance"), "covariance")
+REASONS |= dict.fromkeys(("bad covariance", "uneven covariance", "small uneven covariance"), "covariance")
 """Expected parts of the messages about these faults."""
 
 

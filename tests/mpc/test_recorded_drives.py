@@ -149,9 +149,22 @@ SETTINGS = {
     "fence, late commands": {"path": "cane", "start": (-0.9, 0.3, 0.5), **FENCE, **LATE},
     "soft limits": {"path": "k_turn", **events.SOFT},
     "soft and hard limits": {"path": "square", **events.SOFT, **events.HARD, "horizon": 12},
-    "two-sided limits": {"path": "k_turn", **events.SOFT, **events.TWO_SIDED, "limits.v": {"forward": 0.9, "reverse": 0.65}},
+    "two-sided limits": {
+        "path": "k_turn",
+        **events.SOFT,
+        **events.TWO_SIDED,
+        "limits.v": {"forward": 0.9, "reverse": 0.65},
+    },
     "turn radii": {"path": "slalom", **RADIUS},
     "turn radii, backwards": {"path": "reverse_slalom", **RADIUS, **events.SOFT},
+    "turn radii by OSQP": {
+        "path": "reverse_slalom",
+        **RADIUS,
+        **events.SOFT,
+        **events.OSQP,
+        "horizon": 12,
+        "ticks": 120,
+    },
     "start beside the path": {"displaced": (0.2, -0.3, 0.6)},
     "start far from the path": {"path": "square", "displaced": (-0.3, 0.6, -2.0)},
     "weights": WEIGHTS,
@@ -194,7 +207,9 @@ def record(change, *, path="s", robot=IdealRobot, slip=None, start=None, displac
         report = f"{result.mode} {c.reasons:x} {c.repeating} {c.implausible} {result.limited_by}".strip()
         if not reports or reports[max(reports)] != report:
             reports[k] = report
-        learned = (*c.reads, *c.turn_ratio, c.direction, c.pose_scatter, c.pose_delay, min(c.reach, 10.0))
+        # Without a rejected sensor, these ratios may be those of two rounding errors.
+        reads = c.reads if result.unused_sensors else (0.0, 0.0, 0.0)
+        learned = (*reads, *c.turn_ratio, c.direction, c.pose_scatter, c.pose_delay, min(c.reach, 10.0))
         planned = (0.0, 0.0) if result.planned_commands is None else np.mean(result.planned_commands, axis=0)
         numbers.append((*learned, result.progress, result.reference_delay, *result.command, *planned))
         if result.estimate:
