@@ -300,6 +300,13 @@ def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_othe
     assert np.subtract(*(validate(model.system, held_out).fit_percent for model in models)).min() > -0.5
 
 
+def test_ssm_of_two_independent_channels_is_sm():
+    """SM has the fewest parameters that describe such a robot, so it predicts held-out blocks best."""
+    drive = noisy_drive(two_channels((1.0, 8.0, 0.8), (1.0, 7.0, 0.9), dead_time=(0.06, 0.1)), 19, count=900)
+    choice = choose_order([drive], max_order=4, limits=False)
+    assert choice.order == 4 and choice.reason.startswith("SM as a state space")
+
+
 def test_order_with_a_fit_below_the_floor_is_not_chosen(models_by_order):
     drive, models = models_by_order
     floor = validate(models[3].system, [drive]).fit_percent
