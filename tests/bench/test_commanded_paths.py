@@ -6,7 +6,6 @@ from scipy.optimize import linprog
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import controller_config, run_case
-from diffdrive_mpc.models.interface import Measurement, Reference
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.schema import Limits
@@ -95,29 +94,18 @@ SETTLING_TICKS = 10
 """Ticks after which the filter has processed the first poses."""
 
 
-class Recorder:
-    """Controller that records its step results."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self.steps: list[StepResult] = []
-
-    def start(self, reference: Reference, t0: float) -> None:
-        self._controller.start(reference, t0)
-
-    def step(self, t: float, measurement: Measurement) -> StepResult:
-        self.steps.append(self._controller.step(t, measurement))
-        return self.steps[-1]
-
-
 def normalised_errors(model: str) -> tuple[dict[str, float], np.ndarray]:
     """Compute over four paths the mean normalised innovation per sensor and the mean normalised squared pose error."""
     innovations: dict[str, list[float]] = {}
     errors = []
     for trajectory in PATHS:
-        controller = Recorder(Controller(load_config(model)))
+        controller, steps = Controller(load_config(model)), list[StepResult]()
+        step_once = controller.step
+        controller.step = lambda *inputs, step_once=step_once, steps=steps: (
+            steps.append(step_once(*inputs)) or steps[-1]
+        )
         run = simulate(controller, make_plant("mujoco", seed=20), load_trajectory(trajectory))
-        for step, true_pose in zip(controller.steps[SETTLING_TICKS:], run.true_pose[SETTLING_TICKS:], strict=True):
+        for step, true_pose in zip(steps[SETTLING_TICKS:], run.true_pose[SETTLING_TICKS:], strict=True):
             for sensor, value in step.estimate.innovations.items():
                 innovations.setdefault(sensor, []).append(value)
             error = step.estimate.pose - true_pose

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_parts import quick_case, quick_outcome
+from bench_parts import quick_case
 from pandas import DataFrame
 
 from diffdrive_mpc import make_plant
@@ -77,11 +77,6 @@ def test_late_plant_repeats_the_motion_after_its_delay() -> None:
     np.testing.assert_allclose(motion[1][3:], motion[0][:-3], atol=1e-12)
     assert late_plant.measure().sent == pytest.approx(tuple(commands[-1])), "the sent command, not the applied one"
     assert late_plant.time == reference.time
-
-
-@pytest.fixture(scope="module")
-def outcome() -> RunOutcome:
-    return quick_outcome(trajectory="cane")
 
 
 def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:

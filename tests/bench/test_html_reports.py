@@ -5,30 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, open_offline
 from plotly.graph_objects import Figure
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.html_report import page as parts
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
 from diffdrive_mpc.bench.html_report.origin import case_config
-from diffdrive_mpc.bench.html_report.page import (
-    Axis,
-    Chart,
-    ConfigurationView,
-    GridAxis,
-    GridMap,
-    KeyFigure,
-    Mark,
-    Origin,
-    Page,
-    PageContents,
-    PageWarning,
-    RunViews,
-    Series,
-    Toggle,
-)
 from diffdrive_mpc.bench.html_report.run_series import ERROR, rounded_list, run_series, select_ticks
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
@@ -36,11 +20,6 @@ from diffdrive_mpc.bench.table import Table
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")
 HOSTILE = '<script>document.title = "taken"</script><b>&amp;'
-
-
-@pytest.fixture(scope="module")
-def outcome() -> RunOutcome:
-    return quick_outcome(trajectory="cane")
 
 
 @pytest.fixture(scope="module")
@@ -78,25 +57,24 @@ def test_plotly_accepts_every_figure(run_page: Path, tmp_path: Path, outcome: Ru
     assert len(driven_trace.x) == len(lateral.x)
 
 
-def page_of_all_views(name: str, outcome: RunOutcome) -> Page:
+def page_of_all_views(name: str, outcome: RunOutcome) -> parts.Page:
     """Build a page with every kind of view; every name that can come from a file is `name`."""
     labels = {"controller": name, "path": "p"}
-    series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
-    series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars", low=[1.0, 2.0], high=[3.0, 4.0])]
-    series += [Series(f"{name}3", [1.0, 2.0], [2.0, 3.0], 1, low=[1.0, 2.0], high=[3.0, 4.0])]
-    axis = GridAxis(name, [1.0, 2.0])
-    marks = [Mark(1.5, name), Mark(1.5, name, upright=True)]
+    series = [parts.Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
+    series += [parts.Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars", low=[1.0, 2.0], high=[3.0, 4.0])]
+    series += [parts.Series(f"{name}3", [1.0, 2.0], [2.0, 3.0], 1, low=[1.0, 2.0], high=[3.0, 4.0])]
+    axis = parts.GridAxis(name, [1.0, 2.0])
+    marks = [parts.Mark(1.5, name), parts.Mark(1.5, name, upright=True)]
     views = [
-        RunViews([run_series(outcome.run, name, points=50, labels=labels)], name),
-        Chart(name, Axis(name), Axis(name, "log", (0.0, 1.0)), series, name, marks),
-        GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
+        parts.RunViews([run_series(outcome.run, name, points=50, labels=labels)], name),
+        parts.Chart(name, parts.Axis(name), parts.Axis(name, "log", (0.0, 1.0)), series, name, marks),
+        parts.GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
-    content = PageContents(
-        [name], [name], [KeyFigure(name, name, name)], [Toggle("controller", (name,), (name,), styled=True)], views,
-        [PageWarning(name, name)], [ConfigurationView(name, name)],
-    )  # fmt: skip
+    figures, toggles = [parts.KeyFigure(name, name, name)], [parts.Toggle("controller", (name,), (name,), styled=True)]
+    warnings, configurations = [parts.PageWarning(name, name)], [parts.ConfigurationView(name, name)]
+    content = parts.PageContents([name], [name], figures, toggles, views, warnings, configurations)
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
-    return Page(name, name, content, [table], Origin(name, [(name, name)]))
+    return parts.Page(name, name, content, [table], parts.Origin(name, [(name, name)]))
 
 
 @pytest.mark.system("browser")

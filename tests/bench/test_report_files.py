@@ -55,11 +55,6 @@ FIELDS = {
 
 
 @pytest.fixture(scope="module")
-def outcome() -> RunOutcome:
-    return quick_outcome(trajectory="cane")
-
-
-@pytest.fixture(scope="module")
 def results(outcome: RunOutcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     horizon = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fuzz.case import FINDINGS, Fuzzer, save, saved_findings
+from fuzz.case import Fuzzer, save, saved_findings
 from fuzz.fuzzers import FUZZERS
 from fuzz.runner import check_within_bounds, run_search
 
@@ -30,15 +30,14 @@ def main() -> None:
     """Parse the arguments and run the fuzzers."""
     arguments = _parse_arguments()
     if arguments.replay:
-        check_within_bounds(FUZZERS[arguments.replay[0]], saved_findings(arguments.keep)[tuple(arguments.replay)])
+        check_within_bounds(FUZZERS[arguments.replay[0]], saved_findings()[tuple(arguments.replay)])
         return
     if "live" in arguments.what:
         # Only this fuzzer needs ROS.
         from fuzz.live import main as attack
 
         seconds = arguments.seconds or {"short": 60.0, "long": 600.0}["long" if "long" in arguments.what else "short"]
-        folder = None if arguments.keep == FINDINGS else arguments.keep
-        sys.exit(1 if attack(seconds, arguments.seed, folder, arguments.only) else 0)
+        sys.exit(1 if attack(seconds, arguments.seed, arguments.only) else 0)
     unknown = set(arguments.what) - {"short", "long", *FUZZERS}
     if unknown:
         sys.exit(f"error: unknown fuzzer '{min(unknown)}': give short, long, or some of {', '.join(FUZZERS)}")
@@ -60,9 +59,7 @@ def _run_fuzzer(fuzzer: Fuzzer, length: str, arguments: argparse.Namespace) -> b
     while not code and totals["cases"] < count and totals["steps"] < steps and time.monotonic() < end:
         with TemporaryDirectory() as scratch:
             bounds = f"{fuzzer.name}/{arguments.seed}/{index}", min(_CASES_PER_PROCESS, count), end - time.monotonic()
-            process = get_context("spawn").Process(
-                target=run_search, args=(fuzzer.name, *bounds, arguments.keep, scratch)
-            )
+            process = get_context("spawn").Process(target=run_search, args=(fuzzer.name, *bounds, scratch))
             process.start()
             process.join()
             code, index = process.exitcode or 0, index + 1
@@ -71,7 +68,7 @@ def _run_fuzzer(fuzzer: Fuzzer, length: str, arguments: argparse.Namespace) -> b
                 totals[key] = max(totals[key], value) if key == "longest_step" else totals[key] + value
             if code not in (0, 1) and case.exists():
                 reason = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
-                path = save(fuzzer.name, reason, json.loads(case.read_text()), arguments.keep)
+                path = save(fuzzer.name, reason, json.loads(case.read_text()))
                 print(f"  - process {reason}\n    {path}")
         steps_text = "{steps} steps of at most {longest_step:.2f} sample times, {late} late, ".format(**totals)
         print(
@@ -90,7 +87,6 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--count", type=int, help="number of cases of each fuzzer")
     parser.add_argument("--steps", type=int, help="number of steps of the controller, instead of a number of cases")
     parser.add_argument("--seconds", type=float, help="time limit of each fuzzer")
-    parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for findings")
     parser.add_argument("--replay", nargs=2, metavar=("FUZZER", "DIGEST"), help="saved finding to check")
     return parser.parse_args()
 

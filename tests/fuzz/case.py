@@ -48,13 +48,12 @@ class Fuzzer(Protocol):
         ...
 
 
-def save(fuzzer: str, description: str, case: Case, folder: Path = FINDINGS) -> Path:
+def save(fuzzer: str, description: str, case: Case) -> Path:
     """Add a case to the file of its fuzzer, by the digest of the case."""
     digest = hashlib.sha256(json.dumps(case).encode()).hexdigest()[:8]
-    path = folder / f"{fuzzer}.json"
+    path = FINDINGS / f"{fuzzer}.json"
     findings = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     findings[digest] = {"what": description, "case": case}
-    folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(findings, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     return path
 

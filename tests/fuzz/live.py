@@ -311,10 +311,9 @@ def _run_node(numbers: range, seed: int, folder: Path, end: float, counts: Count
     return findings
 
 
-def main(seconds: float, seed: int, folder: Path | None, number: int | None) -> int:
+def main(seconds: float, seed: int, number: int | None) -> int:
     """Run campaigns for `seconds`, or campaign `number` alone; return the number of findings."""
-    folder = folder or Path(tempfile.mkdtemp(prefix="fuzz-live-"))
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-live-"))
     end, start, findings, counts = time.monotonic() + seconds, number or 0, list[str](), Counter[str]()
     rclpy.init(args=["--ros-args", "--log-level", "fatal"])
     try:

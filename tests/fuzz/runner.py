@@ -67,7 +67,7 @@ def search(
     seed(origin)(bounds(check))()
 
 
-def run_search(name: str, origin: str, count: int, seconds: float, keep: Path, scratch: str) -> None:
+def run_search(name: str, origin: str, count: int, seconds: float, scratch: str) -> None:
     """Search in this process; after a fault, save the reduced case and exit with status 1."""
     from fuzz.fuzzers import FUZZERS
 
@@ -90,20 +90,11 @@ def run_search(name: str, origin: str, count: int, seconds: float, keep: Path, s
     except Exception as error:
         traceback.print_exception(error)
         for location, (case, fault) in faults.items():
-            print(f"  - {location}: {fault}\n    {save(name, f'{location}: {fault}', case, keep)}", flush=True)
+            print(f"  - {location}: {fault}\n    {save(name, f'{location}: {fault}', case)}", flush=True)
         sys.exit(1)
     finally:
         statistics = {key: getattr(fuzzer, key, 0) for key in ("steps", "late", "longest_step")}
         Path(scratch, "statistics.json").write_text(json.dumps({"cases": cases, **statistics}))
-
-
-def find_fault(fuzzer: Fuzzer, case: Case) -> str | None:
-    """Check a case; return the text of the fault, or None."""
-    try:
-        check_within_bounds(fuzzer, case)
-    except Exception as error:
-        return "".join(traceback.format_exception_only(error)).strip()
-    return None
 
 
 def check_within_bounds(fuzzer: Fuzzer, case: Case) -> None:

@@ -12,12 +12,12 @@ from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.schemas import PACKAGE
 from file_kinds import KINDS
 from fuzz import configs, yaml_files
-from fuzz.case import draw, saved_findings
+from fuzz.case import FaultError, draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core, drive
 from fuzz.fuzzers import FUZZERS
 from fuzz.judge import CONFIG, EventLog, ReceivedCommand, faults
-from fuzz.runner import find_fault, search
+from fuzz.runner import check_within_bounds, search
 
 
 @pytest.mark.system
@@ -57,12 +57,13 @@ def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
     reference = {"kind": "named", "name": "circle"}
     events = [["start", 0, 0.0], ["drive", 3], ["bound", None, -1.0], ["drive", 4]]
     case = {"config": "ssm", "overrides": {}, "terms": [], "references": [reference], "events": events}
-    assert find_fault(fuzzer, case) is None
+    check_within_bounds(fuzzer, case)
     assert fuzzer.steps == 7 and 4 <= fuzzer.late <= 7
     assert fuzzer.longest_step > 0.0
     clock = count(step=0.5)
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
-    assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in find_fault(fuzzer, case)
+    with pytest.raises(FaultError, match="deadline: a step of 500.0 ms in a sample of 20.2 ms"):
+        check_within_bounds(fuzzer, case)
 
 
 def test_configurations_cover_the_schema_and_most_are_valid():

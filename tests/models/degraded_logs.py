@@ -67,13 +67,11 @@ def poses_of(twist, dt):
 
 def robot(
     seconds=120.0,
-    dt=0.02,
     seed=0,
     gain=(1.0, 1.0),
     lag=0.1,
     dead_time=0.06,
     skid=0.6,
-    clip=np.inf,
     drive=(1, 1),
     radius=RADIUS,
     track=TRACK,
@@ -91,7 +89,7 @@ def robot(
     levels are multiples of `quantum`. `rolling` is the ratio of ground speed to rim speed, a scalar or (n, 2) left
     and right.
     """
-    rng = np.random.default_rng(seed)
+    rng, dt = np.random.default_rng(seed), 0.02
     count, hold = round(seconds / dt), round(1.0 / dt)
     levels = rng.uniform([-0.9, -1.6], [0.9, 1.6], (-(-count // hold), 2)) * drive
     levels[rng.random(len(levels)) < 0.15] = 0.0
@@ -100,7 +98,6 @@ def robot(
     command = np.repeat(levels, hold, axis=0)[:count] if command is None else command
     delay_rows = round(dead_time / dt)
     inputs = np.vstack([np.zeros((delay_rows, 2)), command])[:count] * gain
-    inputs[:, 1] = np.clip(inputs[:, 1], -clip, clip)
     inputs *= np.linspace(1.0, 1.0 - sag, count)[:, None]
     if np.isfinite(ramp):
         inputs = ramped(inputs, ramp * dt, track)
@@ -174,13 +171,10 @@ class Base:
     dt: float
 
     def stream(self, name):
-        """Return the columns of "command", "encoders", "gyro" or "pose"."""
-        return {
-            "command": self.commands,
-            "encoders": self.wheels,
-            "gyro": (self.gyro,),
-            "pose": ("x", "y", self.heading),
-        }[name]
+        """Return the columns of "command", "encoders", "gyro" or "pose", or the column with this name."""
+        pose = ("x", "y", self.heading)
+        streams = {"command": self.commands, "encoders": self.wheels, "gyro": (self.gyro,), "pose": pose}
+        return streams.get(name, (name,))
 
 
 _NAMES = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
@@ -200,13 +194,13 @@ REAL_BASES = {
 BASES |= REAL_BASES
 
 
-def in_step():
-    v = robot()["v_ref"]
+def in_step(columns, base):
+    v = columns["v_ref"]
     return robot(seed=9, command=np.column_stack([v, 1.5 * v]))
 
 
-def smooth_and_clipped():
-    t = robot()["t"]
+def smooth_and_clipped(columns, base):
+    t = columns["t"]
     command = np.column_stack([np.clip(1.2 * np.sin(0.9 * t), -0.6, 0.6), 1.2 * np.sin(0.55 * t + 1.0)])
     return robot(seed=9, command=command)
 
@@ -267,42 +261,26 @@ def shifted(stream, seconds):
     return change
 
 
+def changed(function, *names):
+    """Return a change that replaces columns by a function of their values; names are those of streams or columns."""
+    return lambda columns, base: (
+        columns | {column: function(columns[column]) for name in names for column in base.stream(name)}
+    )
+
+
 def scaled(**factors):
     """Multiply columns by factors; keys are streams or column names."""
-
-    def change(columns, base):
-        result = dict(columns)
-        for key, factor in factors.items():
-            for name in base.stream(key) if key in ("command", "encoders", "gyro", "pose") else (key,):
-                result[name] = columns[name] * factor
-        return result
-
-    return change
+    return lambda columns, base: (
+        columns | {column: columns[column] * factor for name, factor in factors.items() for column in base.stream(name)}
+    )
 
 
 def swapped(first, second):
-    def change(columns, base):
-        names = [base.wheels[0], base.wheels[1]] if first == "left" else [first, second]
-        return columns | {names[0]: columns[names[1]], names[1]: columns[names[0]]}
-
-    return change
-
-
-def one_wheel(side, factor):
-    """Multiply the encoder readings of one side (0 left, 1 right) by a factor."""
-
-    def change(columns, base):
-        return columns | {base.wheels[side]: columns[base.wheels[side]] * factor}
-
-    return change
+    return lambda columns, base: columns | {first: columns[second], second: columns[first]}
 
 
 def from_the_middle(stream, factor):
-    def change(columns, base):
-        names = (stream,) if stream in columns else base.stream(stream)
-        return columns | {name: np.where(later(columns), factor, 1.0) * columns[name] for name in names}
-
-    return change
+    return changed(lambda values: np.where(later(values), factor, 1.0) * values, stream)
 
 
 def spikes(names, size, share=0.01, seed=3):
@@ -317,11 +295,6 @@ def spikes(names, size, share=0.01, seed=3):
         return result
 
     return change
-
-
-def replaced(**columns):
-    """Replace columns by results of functions of all columns."""
-    return lambda original, base: original | {name: function(original) for name, function in columns.items()}
 
 
 def rows(select):
@@ -339,29 +312,18 @@ def simulated(**options):
     return lambda columns, base: robot(**options)
 
 
-def shuffled_rows(columns):
-    order = np.arange(len(columns["t"]))
-    return np.argsort(order + np.random.default_rng(5).uniform(0, 4, len(order)), kind="stable")
+def shuffled(count):
+    """Return row numbers out of order."""
+    return np.argsort(np.arange(count) + np.random.default_rng(5).uniform(0, 4, count), kind="stable")
 
 
-def shuffled_stamps(columns):
-    return columns["t"][shuffled_rows(columns)]
-
-
-def in_bursts(columns, size=10):
-    time = columns["t"]
-    return time[np.minimum(np.arange(len(time)) // size * size + size - 1, len(time) - 1)] + 1e-4 * (
-        np.arange(len(time)) % size
-    )
+def in_bursts(time, size=10):
+    rows = np.arange(len(time))
+    return time[np.minimum(rows // size * size + size - 1, len(time) - 1)] + 1e-4 * (rows % size)
 
 
 TICKS = 4096 / (2 * np.pi)
 """Ticks of an encoder per radian."""
-
-
-def ticks(columns, base):
-    """Return the columns with cumulative encoder ticks instead of the wheel speeds."""
-    return columns | {name: np.floor(np.cumsum(columns[name] * base.dt) * TICKS) for name in base.wheels}
 
 
 def dead_twist(columns, base):
@@ -374,52 +336,26 @@ def with_log(second):
     return lambda columns, base: [columns, second(columns, base) if callable(second) else second]
 
 
-def whole_seconds(columns):
-    return np.floor(columns["t"])
+def held(period):
+    return lambda values: values[np.arange(len(values)) // period * period]
 
 
-def two_clocks(columns):
-    return columns["t"] + np.where(later(columns), 1.7e9, 0.0)
+def rounded(quantum):
+    return lambda values: np.round(values / quantum) * quantum
 
 
-def noise(columns):
-    return np.random.default_rng(4).normal(0, 0.3, len(columns["t"]))
+def frozen(share):
+    """Return a function that repeats a value in the last `share` of the rows."""
+
+    def freeze(values):
+        start = (1 - share) * len(values)
+        return np.where(np.arange(len(values)) < start, values, values[int(start)])
+
+    return freeze
 
 
-def first_step(columns):
-    return columns["calib_step"] == 0
-
-
-def held_encoders(period, quantum=0.0):
-    """Return a change that repeats each reading of the encoders, rounded to multiples of `quantum`."""
-
-    def change(columns, base):
-        readings = {name: held(name, period)(columns) for name in base.wheels}
-        return columns | (
-            {name: np.round(x / quantum) * quantum for name, x in readings.items()} if quantum else readings
-        )
-
-    return change
-
-
-def frozen_pose(share):
-    return replaced(**{name: frozen(name, share) for name in ("x", "y", "theta")})
-
-
-def held(name, period):
-    return lambda columns: columns[name][np.arange(len(columns[name])) // period * period]
-
-
-def rounded(name, quantum):
-    return lambda columns: np.round(columns[name] / quantum) * quantum
-
-
-def frozen(name, share):
-    return lambda columns: np.where(
-        np.arange(len(columns[name])) < (1 - share) * len(columns[name]),
-        columns[name],
-        columns[name][int((1 - share) * len(columns[name]))],
-    )
+def constant(value):
+    return lambda values: np.full(len(values), value)
 
 
 def without_some_seconds(columns):
@@ -427,8 +363,12 @@ def without_some_seconds(columns):
     return (inside < 20.0) | (inside > 23.0)
 
 
-def some_nan(name):
-    return lambda columns: np.where(np.random.default_rng(6).random(len(columns[name])) < 0.02, np.nan, columns[name])
+def some_nan(values):
+    return np.where(np.random.default_rng(6).random(len(values)) < 0.02, np.nan, values)
+
+
+def noise(values):
+    return np.random.default_rng(4).normal(0, 0.3, len(values))
 
 
 def four_wheels(dead=None):
@@ -503,29 +443,13 @@ RPM, DEGREES = 60 / (2 * np.pi), 180 / np.pi
 
 
 def turned(degrees):
-    """Add an offset [deg] to the measured headings."""
-
-    def change(columns, base):
-        heading = columns[base.heading] + np.radians(degrees)
-        return columns | {base.heading: (heading + np.pi) % (2 * np.pi) - np.pi}
-
-    return change
+    """Return a function that adds an offset [deg] to headings."""
+    return lambda heading: (heading + np.radians(degrees) + np.pi) % (2 * np.pi) - np.pi
 
 
-def whole(quantum):
-    """Round the commands in the log only; the robot received them unrounded."""
-    return lambda columns, base: columns | {name: np.round(columns[name] / quantum) * quantum for name in base.commands}
-
-
-def clipped_side(level):
-    """Clip the readings of the left encoder at a fraction of their maximum."""
-
-    def change(columns, base):
-        left = columns[base.wheels[0]]
-        limit = level * np.nanmax(np.abs(left))
-        return columns | {base.wheels[0]: np.clip(left, -limit, limit)}
-
-    return change
+def clipped(level):
+    """Return a function that clips readings at a fraction of their maximum."""
+    return lambda values: np.clip(values, *(level * np.nanmax(np.abs(values)) * np.array([-1, 1])))
 
 
 def both_swapped(columns, base):
@@ -538,27 +462,15 @@ def both_swapped(columns, base):
     return result | {first: columns[second], second: columns[first]}
 
 
-def later(columns):
-    return np.arange(len(columns["x"])) >= len(columns["x"]) // 2
+def later(values):
+    return np.arange(len(values)) >= len(values) // 2
 
 
 def order_changes(columns, base):
     """Swap left and right of the encoders in the second half."""
     left, right = (columns[name] for name in base.wheels)
-    names = dict(
-        zip(base.wheels, (np.where(later(columns), *pair) for pair in ((right, left), (left, right))), strict=True)
-    )
-    return columns | names
-
-
-def rectified(stream):
-    return lambda columns, base: columns | {name: np.abs(columns[name]) for name in base.stream(stream)}
-
-
-def filtered(stream, lag):
-    return lambda columns, base: (
-        columns | {name: low_passed(columns[name], lag, base.dt) for name in base.stream(stream)}
-    )
+    sides = (np.where(later(left), *pair) for pair in ((right, left), (left, right)))
+    return columns | dict(zip(base.wheels, sides, strict=True))
 
 
 def echoed(rows, radius=None, track=None):
@@ -574,31 +486,16 @@ def echoed(rows, radius=None, track=None):
     return change
 
 
-def latched(seconds, phase=0.5):
-    """Sample and hold the command at a period longer than that of the log."""
-
-    def change(columns, base):
-        step = round(seconds / base.dt)
-        first = round(phase * step)
-        sampled_rows = np.clip((np.arange(len(columns["x"])) - first) // step * step + first, 0, None)
-        return columns | {name: columns[name][sampled_rows] for name in base.commands}
-
-    return change
-
-
-def constant(*names, value=0.3):
-    return lambda columns, base: columns | {name: np.full(len(columns[name]), value) for name in names}
+def latched(rows):
+    """Return a function that samples and holds values at a period of `rows`, from half a period on."""
+    first = round(0.5 * rows)
+    return lambda values: values[np.clip((np.arange(len(values)) - first) // rows * rows + first, 0, None)]
 
 
 def straight(columns, base):
     """Drive straight only; the commanded omega consists of rounding errors."""
     columns = robot(drive=(1, 0), seed=41)
     return columns | {"omega_ref": columns["omega_ref"] + 2.6e-17 * np.random.default_rng(42).normal(size=6000)}
-
-
-def of_a_controller(columns, base):
-    """Smooth the commands, like those of a controller that changes them at each tick."""
-    return columns | {name: low_passed(columns[name], 0.02, base.dt) for name in base.commands}
 
 
 def as_it_is(columns, base):
@@ -634,10 +531,6 @@ def with_zeros(share):
 def flat_tyre(share, side):
     is_flat = np.arange(6000) >= 3000
     return robot(rolling=1.0 - share * is_flat[:, None] * (np.arange(2) == side))
-
-
-def with_late_encoder(columns, seconds, side):
-    return columns | {side: columns[side][np.maximum(np.arange(6000) - round(seconds / 0.02), 0)]}
 
 
 def without_slow_readings(columns, share):

@@ -1,7 +1,5 @@
 """Random robots whose command is clipped at a known level, or that have another defect."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import signal
 
@@ -12,29 +10,7 @@ _LIMIT_FRACTIONS = (0.6, 0.9)
 _DEFECTS = ("nothing", "slew", "compressed gain", "dead band", "sagging gain", "gain of the other channel")
 
 
-@dataclass(frozen=True)
-class LimitCase:
-    """Log with the limit of its commands.
-
-    Attributes
-    ----------
-    name
-        Name of the robot and its defect.
-    records
-        The log.
-    channel
-        Channel whose command is clipped, or None.
-    level
-        Level of the limit [m/s, rad/s].
-    """
-
-    name: str
-    records: tuple[Record, ...]
-    channel: str | None
-    level: float
-
-
-def drawn_case(seed: int) -> LimitCase:
+def drawn_record(seed: int) -> Record:
     """Simulate a random robot with two lags, a dead time and at most one limit of its commands.
 
     Its speeds deviate from that model by correlated noise; without a limit the robot has another defect.
@@ -46,7 +22,6 @@ def drawn_case(seed: int) -> LimitCase:
     is_limited = rng.random() < 0.5
     defect = "nothing" if is_limited else str(rng.choice(_DEFECTS))
     applied = command.copy()
-    level = np.inf
     if is_limited:
         level = rng.uniform(*_LIMIT_FRACTIONS) * np.quantile(np.abs(command[:, row]), 0.995)
         applied[:, row] = np.clip(applied[:, row], -level, level)
@@ -66,8 +41,7 @@ def drawn_case(seed: int) -> LimitCase:
     white = rng.normal(size=(count, 2)) * np.sqrt(1 - decay**2)
     speeds += rng.uniform(0.01, 0.15) * speeds.std(axis=0) * signal.lfilter([1.0], [1.0, -decay], white, axis=0)
     speeds += 0.01 * speeds.std(axis=0) * rng.normal(size=(count, 2))
-    record = Record(f"robot {seed}", 0.0, dt, command, twist=speeds, yaw_rate=speeds[:, 1].copy())
-    return LimitCase(f"robot {seed}, {defect}", (record,), CHANNELS[row] if is_limited else None, level)
+    return Record(f"robot {seed}", 0.0, dt, command, twist=speeds, yaw_rate=speeds[:, 1].copy())
 
 
 def _drive(rng, dt, count):

@@ -15,11 +15,12 @@ from degraded_logs import (
     SIMULATED,
     TIMES,
     Case,
+    changed,
+    from_the_middle,
     held,
     in_bursts,
     logs_of,
     put,
-    replaced,
     robot,
     rounded,
     scaled,
@@ -55,17 +56,7 @@ def gyro_and_sides(columns, base):
 def slow_body(lag):
     """Delay the yaw rate of the body relative to the wheels, as on ice."""
     decay = np.exp(-0.02 / lag)
-    return replaced(gyro=lambda columns: lfilter([1 - decay], [1, -decay], columns["gyro"]))
-
-
-def coarse_stamps(columns):
-    """Return stamps in multiples of 0.25 s, the resolution of 32-bit floats some weeks after their epoch."""
-    return np.round(4.0 * columns["t"]) / 4.0
-
-
-def halve_encoders_in_the_second_half(columns, base):
-    is_first_half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
-    return columns | {name: np.where(is_first_half, 1.0, 0.5) * columns[name] for name in base.wheels}
+    return changed(lambda rate: lfilter([1 - decay], [1, -decay], rate), "gyro")
 
 
 def findings_of(paths, mapping):
@@ -92,11 +83,11 @@ CORRECTED = {
     "left wheel reversed": (simulated_case(SLOW, scaled(left=-1.0)), {"encoders left.sign"}),
     "pose mirrored": (simulated_case(SKIDDING, scaled(y=-1.0)), {"pose y.sign"}),
     "gyro in deg/s, sides swapped": (simulated_case(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
-    "gyro held": (simulated_case(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
+    "gyro held": (simulated_case(QUICK, changed(held(5), "gyro")), {"gyro held"}),
     "milliseconds": (simulated_case(SKIDDING, scaled(t=1000.0)), {"time unit"}),
-    "stamps in bursts, confirmed by poses": (simulated_case(SKIDDING, replaced(t=in_bursts)), {"time sample_time"}),
+    "stamps in bursts, confirmed by poses": (simulated_case(SKIDDING, changed(in_bursts, "t")), {"time sample_time"}),
     "yaw in degrees": (simulated_case(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
-    "encoders half from the middle on": (simulated_case(QUICK, halve_encoders_in_the_second_half), {"log times"}),
+    "encoders half from the middle on": (simulated_case(QUICK, from_the_middle("encoders", 0.5)), {"log times"}),
 }
 
 
@@ -124,12 +115,13 @@ def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
 
 
 NOT_CORRECTED = {
-    "stamps in bursts, without poses": simulated_case(SKIDDING, replaced(t=in_bursts), NO_POSE),
-    "time reversed": simulated_case(SKIDDING, replaced(t=lambda columns: columns["t"][::-1])),
-    "stamps of coarse floats": simulated_case(SKIDDING, replaced(t=coarse_stamps), NO_POSE),
+    "stamps in bursts, without poses": simulated_case(SKIDDING, changed(in_bursts, "t"), NO_POSE),
+    "time reversed": simulated_case(SKIDDING, changed(lambda time: time[::-1], "t")),
+    # Multiples of 0.25 s, the resolution of 32-bit floats some weeks after their epoch.
+    "stamps of coarse floats": simulated_case(SKIDDING, changed(lambda time: np.round(4.0 * time) / 4.0, "t"), NO_POSE),
     "a body slower than its wheels": simulated_case({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
     "coarse encoders that are not held": simulated_case(
-        {"seed": 65, "seconds": 60.0, "lag": 0.2}, replaced(left=rounded("left", 2.0), right=rounded("right", 2.0))
+        {"seed": 65, "seconds": 60.0, "lag": 0.2}, changed(rounded(2.0), "encoders")
     ),
 }
 
@@ -170,14 +162,12 @@ SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
     ],
 )
 def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected):
-
     (tmp_path / "map.yaml").write_text(SIMULATED)
     mapping = apply_changes(load_mapping(tmp_path / "map.yaml"), [MappingChange("encoders", key, value)])
     assert mapping.columns.encoders.model_dump(exclude_defaults=True) == expected
 
 
 def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():
-
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
     changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
     changed_mapping = apply_changes(bag, to_topic_keys(changes))
@@ -206,9 +196,7 @@ def diagnose(case, folder):
 def marks_of(case):
     """Return the markers of a case: `real_logs` for bases from real logs, `system` for most simulated bases."""
     system = case in (*TIMES, *READINGS, *CAUSES) and case.base not in REAL_BASES
-    return [
-        mark for mark, has in ((pytest.mark.real_logs, case.base in REAL_BASES), (pytest.mark.system, system)) if has
-    ]
+    return [pytest.mark.real_logs] * (case.base in REAL_BASES) + [pytest.mark.system] * system
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])

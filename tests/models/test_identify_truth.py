@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
-from limit_population import drawn_case
+from limit_population import drawn_record
 
 from diffdrive_mpc.models.identification.log_data import divide
 from diffdrive_mpc.models.logs import read_log
@@ -293,7 +293,7 @@ def test_uneven_command_times_do_not_shorten_the_dead_time():
 @pytest.mark.system
 @pytest.mark.parametrize("seed", [2104, 8106])
 def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_others(seed):
-    records, held_out = divide(drawn_case(seed).records, 0.6)
+    records, held_out = divide([drawn_record(seed)], 0.6)
     models = choose_order(records).identified, identify_sm(records)
     gain = np.subtract(*(validate(model.system, records).fit_percent for model in models))
     assert gain.mean() > -1e-3 and gain.min() > -0.1

@@ -88,12 +88,15 @@ def test_turn_limits_have_the_sign_of_the_reference_direction():
             assert np.sign(gradients[kinds, :, column]).tolist() == [signs, signs], (speeds, kinds)
 
 
-@pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])
+@pytest.mark.parametrize(
+    ("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, math.inf), (0.0, -math.inf)]
+)
 def test_rejected_reference_changes_no_state(t0, duration):
-    """The previous reference remains active after a failed start or switch."""
-    inner = InnerController(horizon=STEPS)
+    """The previous reference remains active after a failed start or switch; a switch needs a previous reference."""
+    inner, idle = InnerController(horizon=STEPS), InnerController(horizon=STEPS)
     inner.controller.start(load_trajectory("circle"), 1.0)
     reference = inner.ffi.new("ddmpc_reference *", inner.c.reference)
+    assert inner.lib.ddmpc_switch_reference(idle.c, reference, 0.0) == 0
     reference.duration = duration
     for start in (inner.lib.ddmpc_start, inner.lib.ddmpc_switch_reference):
         assert start(inner.c, reference, t0) == 0
@@ -101,3 +104,4 @@ def test_rejected_reference_changes_no_state(t0, duration):
     reference.duration = 5.0
     assert inner.lib.ddmpc_start(inner.c, reference, 2.0) == 1
     assert (inner.c.t0, inner.c.reference.duration) == (2.0, 5.0)
+    assert inner.lib.ddmpc_switch_reference(inner.c, reference, 3.0) == 1

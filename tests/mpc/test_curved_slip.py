@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ideal_robot import PROMPT, IdealRobot
+from ideal_robot import PROMPT, IdealRobot, drive
 
 from diffdrive_mpc import (
     Controller,
@@ -56,27 +56,22 @@ def curved_model(curves):
     )
 
 
-def drive(controller, ticks, name="s"):
+def commands_and_plans(controller, ticks):
     """Return commands and plans for a robot without slip and with pose measurements only."""
     robot = IdealRobot(load_model("ssm").discretise(DT), np.array([0.02, -0.03, 0.05]))
-    controller.start(load_trajectory(name), 0.0)
-    commands, plans = [], []
-    for _ in range(ticks):
-        step = controller.step(robot.time, Measurement(pose=Stamped(robot.pose, robot.time)))
-        commands.append(step.command)
-        plans.append(step.plan)
-        robot.advance(step.command)
-    return np.array(commands), np.array(plans)
+    path, seconds = load_trajectory("s"), ticks * DT
+    results, _, _ = drive(controller, robot, path, seconds, change=lambda _, measurement: Measurement(measurement.pose))
+    return np.array([result.command for result in results]), np.array([result.plan for result in results])
 
 
 def test_curved_slip_is_predicted_like_an_equivalent_nonlinear_model():
     fixed = {f"{name}_uncertainty": 1e-9 for name in CURVES}
     curved = Controller(load_config("ssm", PLAIN | estimator_settings(CURVES | fixed)))
     nonlinear = Controller(load_config("ssm", PLAIN), model=curved_model(CURVES))
-    first, second = drive(curved, 40), drive(nonlinear, 40)
+    first, second = commands_and_plans(curved, 40), commands_and_plans(nonlinear, 40)
     assert first[0] == pytest.approx(second[0], abs=2e-5)
     assert first[1] == pytest.approx(second[1], abs=2e-5)
-    flat = drive(Controller(load_config("ssm", PLAIN)), 40)
+    flat = commands_and_plans(Controller(load_config("ssm", PLAIN)), 40)
     assert np.abs(first[0] - flat[0]).max() > 0.03
 
 
@@ -100,7 +95,12 @@ def estimate_after_excitation(surface, seed):
         | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
     )
     reference = time_segments(load_segments("excitation"), TrajectoryLimits.of_robot(), name="excitation")
-    controller, plant = Controller(load_config("ssm", PROMPT | settings)), make_plant("model:ssm", surface, seed=seed)
+    return estimate_after(reference, surface, seed, PROMPT | settings)
+
+
+def estimate_after(reference, surface, seed, settings):
+    """Return the estimate at the end of a drive along `reference`."""
+    controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", surface, seed=seed)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)
     while plant.time < reference.duration:
@@ -122,13 +122,8 @@ def test_terms_of_a_surface_are_learned_from_the_excitation_drive(surface):
 def test_unobservable_terms_keep_their_prior():
     """On one circle at one speed, only the sum of yaw gain, veer and coupling is observable."""
     settings = estimator_settings({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
-    controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", "p4_asphalt", seed=3)
-    reference = load_trajectory("circle")
-    controller.start(reference, 0.0)
-    while plant.time < reference.duration:
-        step = controller.step(plant.time, plant.measure())
-        plant.advance(step.command)
-    slip, deviation = step.estimate.slip, step.estimate.slip_deviation
+    estimate = estimate_after(load_trajectory("circle"), "p4_asphalt", 3, settings)
+    slip, deviation = estimate.slip, estimate.slip_deviation
     assert deviation.yaw_coupling > 0.03
     turning = slip.yaw_gain * slip.omega_gain + slip.veer * 1.0 / 1.0 + slip.yaw_coupling * 0.5
     truth = 0.595 + 0.005 + 0.119 * 0.5

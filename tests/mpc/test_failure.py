@@ -22,10 +22,6 @@ def controller(**overrides):
     return Controller(load_config("ssm", overrides))
 
 
-def without_dead_reckoning(**overrides):
-    return controller(**{"failure.dead_reckoning": 0.0} | overrides)
-
-
 def robot():
     return IdealRobot(load_model("ssm").discretise(DT), REFERENCE.sample([0.0]).pose[0])
 
@@ -41,18 +37,10 @@ def slews(results):
     return np.abs(np.diff(commands, axis=0))
 
 
-def with_pose(measurement, value, stamp=None):
-    stamp = measurement.pose.time if stamp is None else stamp
-    return replace(measurement, pose=None if value is None else Stamped(value, stamp))
-
-
 @pytest.mark.parametrize(("dead_reckoning", "braking_time"), [(0.0, 0.5), (1.5, 1.5)])
 def test_missing_poses_lead_to_dead_reckoning_braking_and_standstill(dead_reckoning, braking_time):
-    def drop_poses(k, m):
-        return with_pose(m, [np.nan] * 3) if k >= 100 else m
-
     tracker = controller(**{"failure.dead_reckoning": dead_reckoning})
-    results, _, _ = drive(tracker, robot(), REFERENCE, 5.0, change=drop_poses)
+    results, _, _ = drive(tracker, robot(), REFERENCE, 5.0, change=bad_poses(*range(100, 300), value=[np.nan] * 3))
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
     assert (first_brake - 99) * DT == pytest.approx(braking_time, abs=2 * DT)
@@ -76,8 +64,9 @@ def bad_poses(*ticks, value=(np.nan, 0.0, 0.0), repeated=()):
     """Return a change for `drive`: a wrong value in `ticks`, with the stamp of the last of them in `repeated`."""
 
     def change(k, m):
-        stamp = ticks[-1] * DT if k in repeated else None
-        return with_pose(m, value, stamp) if k in (*ticks, *repeated) else m
+        stamp = ticks[-1] * DT if k in repeated else m.pose.time
+        pose = None if value is None else Stamped(value, stamp)
+        return replace(m, pose=pose) if k in (*ticks, *repeated) else m
 
     return change
 
@@ -106,11 +95,8 @@ def test_drive_with_bad_poses_stays_on_the_reference(dead_reckoning, seconds, ch
 
 
 def test_speed_falls_with_position_uncertainty_before_braking():
-    def drop_poses(k, m):
-        return replace(m, pose=None) if k >= 100 else m
-
     driver = controller(**{"failure.dead_reckoning": 5.0, "reentry.band": 0.03})
-    results, _, _ = drive(driver, robot(), REFERENCE, 6.0, change=drop_poses)
+    results, _, _ = drive(driver, robot(), REFERENCE, 6.0, change=bad_poses(*range(100, 300), value=None))
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
     progress = np.array([r.progress for r in results[100:first_brake]])
@@ -167,10 +153,8 @@ def test_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, max_p
 
 
 def test_single_dropout_does_not_change_the_pose_rate():
-    def drop_poses(k, m):
-        return with_pose(m, None) if k % 150 > 115 else m
-
-    results, _, _ = drive(without_dead_reckoning(), robot(), REFERENCE, 8.0, change=drop_poses)
+    dropouts = bad_poses(*(k for k in range(400) if k % 150 > 115), value=None)
+    results, _, _ = drive(controller(**{"failure.dead_reckoning": 0.0}), robot(), REFERENCE, 8.0, change=dropouts)
     assert any(r.mode is Mode.BRAKING for r in results)
     assert not any("poses come every" in r.message for r in results)
 
@@ -202,17 +186,6 @@ def test_early_call_repeats_the_command():
         assert "repeated" in repeated.message
 
 
-def test_clock_glitch_affects_one_tick_only():
-    driver, base = controller(), robot()
-    drive(driver, base, REFERENCE, 2.0)
-    glitch = driver.step(1e6, base.measure())
-    assert glitch.mode is Mode.STOPPED
-    assert (glitch.command == 0).all()
-    base.advance(glitch.command)
-    results = [driver.step(base.time + k * DT, base.measure()) for k in range(2)]
-    assert modes(results) == [Mode.TRACKING]
-
-
 @pytest.mark.parametrize(("leap", "mode"), [(0.5, "STOPPED"), (1e6, "STOPPED"), (-1.0, "BRAKING"), (np.nan, "BRAKING")])
 def test_only_a_forward_leap_of_the_clock_zeroes_the_command_at_once(leap, mode):
     driver, base = controller(), robot()
@@ -221,6 +194,8 @@ def test_only_a_forward_leap_of_the_clock_zeroes_the_command_at_once(leap, mode)
     result = driver.step(base.time + leap, base.measure())
     assert result.mode == mode
     assert (result.command == (0.0 if mode == "STOPPED" else last_command - np.clip(last_command, -SLEW, SLEW))).all()
+    # A leap far beyond the receipt of the measurements is a glitch of one tick.
+    assert leap != 1e6 or driver.step(base.time, base.measure()).mode is Mode.TRACKING
 
 
 def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume():
@@ -246,10 +221,8 @@ def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume
 
 @pytest.mark.parametrize("error", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
 def test_wrong_first_pose_is_detected_before_the_robot_moves_far(error):
-    def corrupt(k, m):
-        return with_pose(m, np.asarray(m.pose.value) + error) if k == 0 else m
-
-    results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=corrupt)
+    wrong_pose = bad_poses(0, value=REFERENCE.sample([0.0]).pose[0] + error)
+    results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=wrong_pose)
     # The robot brakes after two more poses, which agree: no command exceeds three ticks of slew.
     assert modes(results[:8]) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert np.abs([r.command[0] for r in results[:6]]).max() <= 3 * SLEW[0] + 1e-9
@@ -333,19 +306,6 @@ def test_plan_stopped_at_the_iteration_limit_is_not_executed(backend):
     failed = [r for r in results if r.solver.status is SolverStatus.MAX_ITERATIONS]
     assert failed
     assert not any(r.mode is Mode.TRACKING for r in failed)
-
-
-def test_nonfinite_problem_is_reported_and_not_solved():
-    reference = CorruptedReference(REFERENCE)
-
-    def corrupt(k, m):
-        reference.is_corrupted = 60 <= k < 63
-        return m
-
-    results, _, _ = drive(controller(), robot(), reference, 2.0, change=corrupt)
-    assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.TRACKING]
-    assert {r.solver.status for r in results[60:63]} == {SolverStatus.NOT_FINITE}
-    assert not SolverStatus.NOT_FINITE.usable
 
 
 BRAKE = {"limits.v_braking": 0.7, "limits.omega_braking": 1.1}

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -13,13 +14,17 @@ from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Positive
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.hold import Hold
+from refusals import one_line_error
 
 ON = {"expert.lunch.enabled": True}
 
 
 @pytest.fixture(autouse=True)
 def lunch(monkeypatch):
-    register(monkeypatch, lunch=LunchFeature)
+    """Register the feature as that of an installed package."""
+    groups = {"features": {"lunch": SimpleNamespace(load=lambda: LunchFeature)}}
+    monkeypatch.setattr(plug_ins, "_entries", lambda group: groups.get(group, {}))
+    plug_ins.plug_in.cache_clear()
     yield
     plug_ins.plug_in.cache_clear()
 
@@ -74,9 +79,8 @@ def test_group_of_a_feature_is_read_written_and_compared(tmp_path):
     ],
 )
 def test_mistake_in_a_feature_raises_error_with_key_and_remedy(overrides, message):
-    with pytest.raises(ConfigError, match=message) as error:
+    with one_line_error(ConfigError, match=message):
         load_config("sm", overrides)
-    assert "\n" not in str(error.value)
 
 
 class Lunch(FeatureGroup):
@@ -112,20 +116,3 @@ class LunchFeature(Feature):
 
     def restore(self, state):
         self.steps = state
-
-
-class Entry:
-    """Entry point of a part."""
-
-    def __init__(self, part):
-        self.part = part
-
-    def load(self):
-        return self.part
-
-
-def register(monkeypatch, **features):
-    """Register `features` as the features of installed packages."""
-    groups = {"features": {name: Entry(part) for name, part in sorted(features.items())}}
-    monkeypatch.setattr(plug_ins, "_entries", lambda group: groups.get(group, {}))
-    plug_ins.plug_in.cache_clear()

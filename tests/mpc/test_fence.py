@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ideal_robot import IdealRobot
+from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import Controller, load_config, load_model, make_plant, simulate
 from diffdrive_mpc.mpc.problem.slip import Slip
@@ -34,13 +34,8 @@ def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, y
     model, reference = load_model("ssm"), leaving_path(v, omega, heading)
     robot = IdealRobot(model.discretise(DT), reference.sample([0.0]).pose[0], slip=Slip(yaw_gain=yaw_gain), noise=1.0)
     controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
-    controller.start(reference, 0.0)
-    steps, poses = [], []
-    for _ in range(350):
-        steps.append(controller.step(robot.time, robot.measure()))
-        poses.append(robot.pose)
-        robot.advance(steps[-1].command)
-    distance = distance_outside(np.array(poses))
+    steps, poses, _ = drive(controller, robot, reference, 350 * DT)
+    distance = distance_outside(poses)
     # The robot stops inside but near the margin, so it does not brake too early.
     assert -0.16 < distance.max() < 0.0
     modes = [step.mode for step in steps]
@@ -71,7 +66,7 @@ def test_robot_at_the_fence_waits_for_a_start_and_drives_only_inwards():
     robot = IdealRobot(model.discretise(DT), np.zeros(3), noise=1.0)
     controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
 
-    def drive(reference, ticks):
+    def steps_along(reference, ticks):
         if reference is not None:
             controller.start(reference, robot.time)
         steps = []
@@ -80,17 +75,17 @@ def test_robot_at_the_fence_waits_for_a_start_and_drives_only_inwards():
             robot.advance(steps[-1].command)
         return steps
 
-    assert drive(leaving_path(), 300)[-1].mode == Mode.STOPPED
+    assert steps_along(leaving_path(), 300)[-1].mode == Mode.STOPPED
     stop_pose = robot.pose.copy()
-    assert {step.mode for step in drive(None, 50)} == {Mode.STOPPED}
-    outwards = drive(starting_at(leaving_path(), robot.pose), 60)
+    assert {step.mode for step in steps_along(None, 50)} == {Mode.STOPPED}
+    outwards = steps_along(starting_at(leaving_path(), robot.pose), 60)
     assert outwards[-1].mode == Mode.STOPPED
     assert np.hypot(*(robot.pose - stop_pose)[:2]) < 0.04
-    inwards = drive(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
+    inwards = steps_along(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
     assert {step.mode for step in inwards} == {Mode.TRACKING}
     assert distance_outside(np.array([robot.pose]))[0] < -0.5
     # After the robot has driven back inside, the fence is active again.
-    assert drive(starting_at(leaving_path(), robot.pose), 300)[-1].mode == Mode.STOPPED
+    assert steps_along(starting_at(leaving_path(), robot.pose), 300)[-1].mode == Mode.STOPPED
     controller.reset()
     assert "fence" not in controller.step(robot.time, robot.measure()).message
 

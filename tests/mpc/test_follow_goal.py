@@ -16,29 +16,14 @@ STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
 CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 
 
-class Loop:
-    """Stub of the control loop of a robot at rest that records its calls."""
-
-    def __init__(self):
-        self.inbox = SimpleNamespace(now=0.0)
-        self.state, self.drive, self.held, self.blocked = LoopState.IDLE, None, False, False
-        self.wait_reason = ""
-        self.calls = []
-
-    def drive_fault(self):
-        return ""
-
-    def pose_and_twist(self):
-        return np.zeros(3), (0.0, 0.0)
-
-    def follow(self, reference, t0):
-        self.calls.append("follow")
-
-    def brake(self, reason):
-        self.calls.append("brake")
-
-    def release(self):
-        self.calls.append("release")
+def resting_loop():
+    """Return a stub of the control loop of a robot at rest that records its calls."""
+    loop = SimpleNamespace(inbox=SimpleNamespace(now=0.0), state=LoopState.IDLE, drive=None, held=False, blocked=False)
+    loop.wait_reason, loop.calls, loop.drive_fault = "", [], str
+    loop.pose_and_twist = lambda: (np.zeros(3), (0.0, 0.0))
+    for name in ("follow", "brake", "release"):
+        setattr(loop, name, lambda *_, name=name: loop.calls.append(name))
+    return loop
 
 
 class SideProcess:
@@ -60,7 +45,7 @@ class SideProcess:
 
 @pytest.fixture
 def parts():
-    loop, side = Loop(), SideProcess()
+    loop, side = resting_loop(), SideProcess()
     following = Following(loop, SETTINGS, lambda: CONFIG, lambda: np.eye(2), side, lambda poses, frame, stamp: poses)
     return loop, side, following
 

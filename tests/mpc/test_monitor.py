@@ -74,13 +74,11 @@ class PushedRobot(IdealRobot):
 
 def freeze_sensor(field):
     """Return a change for `drive`: the sensor repeats its value at the fault."""
-    frozen = {}
+    values = []
 
     def change(k, m):
-        if k < FAULT:
-            frozen[field] = getattr(m, field).value
-            return m
-        return replace(m, **{field: replace(getattr(m, field), value=frozen[field])})
+        values[k:] = [getattr(m, field).value]
+        return replace(m, **{field: replace(getattr(m, field), value=values[min(k, FAULT - 1)])})
 
     return change
 

@@ -97,21 +97,14 @@ def test_pose_correction_equals_the_textbook_filter(mean, ahead):
     assert normalised == pytest.approx(innovation @ np.linalg.solve(S, innovation) / 3, rel=1e-4)
 
 
-def wheel_speed(z):
-    return MODEL.C[0] @ z[:N] + z[N]
+SENSOR_FUNCTIONS = {
+    "wheel_speed": lambda z: MODEL.C[0] @ z[:N] + z[N],
+    "wheel_yaw_rate": lambda z: 1.1 * z[N + 1] * (MODEL.C[1] @ z[:N]),
+    "yaw_rate": lambda z: FILTER.twist(z)[1] + z[N + 10],
+}
 
 
-def wheel_yaw_rate(z):
-    return 1.1 * z[N + 1] * (MODEL.C[1] @ z[:N])
-
-
-def gyro(z):
-    return FILTER.twist(z)[1] + z[N + 10]
-
-
-@pytest.mark.parametrize(
-    ("sensor", "expected"), [("wheel_speed", wheel_speed), ("wheel_yaw_rate", wheel_yaw_rate), ("yaw_rate", gyro)]
-)
+@pytest.mark.parametrize(("sensor", "expected"), SENSOR_FUNCTIONS.items())
 @given(mean=means)
 def test_twist_correction_equals_the_textbook_filter(sensor, expected, mean):
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)

@@ -7,7 +7,7 @@ import daqp
 import numpy as np
 import osqp
 import pytest
-from nonlinear_program import saturating
+from nonlinear_program import saturating, solve_with_ipopt
 from test_oracle_problem import EXTRA, setting
 
 from diffdrive_mpc import (
@@ -142,6 +142,19 @@ def test_casadi_problem_gives_the_compiled_plan_without_effect_on_the_next_tick(
     measurement = robot.measure()
     commands = [driver.step(robot.time, measurement).planned_commands for driver in (controller, second)]
     assert (commands[0] == commands[1]).all()
+
+
+def test_commands_of_a_drive_equal_ipopts_commands_after_the_start():
+    """The product iterates once per tick."""
+    controller, reference = Controller(load_config("ssm", {"horizon": 12})), load_trajectory("s")
+    plant = make_plant("model:ssm", sensors="default", seed=1)
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, plant.time)
+    for k in range(round(reference.duration / plant.sample_time) - 100):
+        step = controller.step(plant.time, plant.measure())
+        if k >= 100 and k % 60 == 40:
+            assert step.planned_commands[0] == pytest.approx(solve_with_ipopt(controller)[0], abs=2e-3)
+        plant.advance(step.command)
 
 
 def test_linearisation_has_the_gradient_of_the_nonlinear_cost():

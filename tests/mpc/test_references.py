@@ -9,7 +9,6 @@ from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_tr
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock, settling_profile
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference
-from diffdrive_mpc.mpc.trajectories.native import NativeReference
 
 DT = 0.02
 FASTEST, RAMP = 1.25, 1.0
@@ -174,20 +173,6 @@ def test_switched_reference_starts_its_clock_and_finishes():
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)
     assert str(step.mode) == "FINISHED"
-
-
-def test_core_rejects_references_without_finite_times():
-    """An exported controller rejects such references and keeps the previous one."""
-    tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
-    endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
-    endless.duration = np.inf
-    assert not tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 0.0), "there is no reference to switch from"
-    for rejected in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
-        assert not tick.lib.ddmpc_start(tick.c, *rejected)
-    assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
-    for rejected in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
-        assert not tick.lib.ddmpc_switch_reference(tick.c, *rejected)
-    assert tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 1.0) == 1
 
 
 CONFIG = load_config("ssm")

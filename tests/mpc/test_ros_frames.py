@@ -210,14 +210,10 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
     ):
         capfd.readouterr()
         publisher.publish(straight_path(frame, (0.0, 0.0, 0.0), stamp=stamp))
-        wait_for_refusal(s, reason, capfd)
+        s.base.until(lambda reason=reason: reason in capfd.readouterr().err, f"the refusal: {reason}")
         s.base.run(3)
         assert s.loop.drive.reference.name == "circle"
         assert s.loop.state is LoopState.DRIVING
-
-
-def wait_for_refusal(s, reason, capfd):
-    s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
 
 
 @pytest.mark.parametrize(

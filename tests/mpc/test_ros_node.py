@@ -14,14 +14,17 @@ from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import String
+from test_ros_frames import straight_path
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
-from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import make_plant, simulate
 
+LENGTH = 1.6 / 1.5
+"""Length of a path of 4 s [m]."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -144,36 +147,29 @@ def test_trajectory_starts_at_the_robot():
         assert math.cos(2.0) * displacement[0] + math.sin(2.0) * displacement[1] > 0.15
 
 
-def straight_path(frame="odom"):
-    """Return a path along x from rest to rest."""
-    progress = np.linspace(0.0, 1.0, 21)
-    x_values = 0.4 / 1.5 * 4.0 * (3 * progress**2 - 2 * progress**3)
-    path = Path()
-    path.header.frame_id = frame
-    for x, t in zip(x_values, progress * 4.0, strict=True):
-        path.poses.append(stamped_pose_message((x, 0.0, 0.0), 10**12 + round(t * 1e9), frame))
-    return path
-
-
 def publish_path(s, path):
     publisher = s.publisher(Path, "set_path")
     s.base.silent(5)
     publisher.publish(path)
 
 
+def path_along_x(frame="odom"):
+    return straight_path(frame, (0.0, 0.0, 0.0), length=LENGTH)
+
+
 def test_timed_path_is_followed():
     with stack(trajectory="''", drive_on_reference=True) as s:
         assert "there is no reference" in s.trigger("start").message
-        publish_path(s, straight_path())
+        publish_path(s, path_along_x())
         s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
         s.base.plant.reset((0.0, 0.0, 0.0))
         s.base.run(round(4.6 / DT))
         assert s.loop.last.mode == Mode.FINISHED
-        assert abs(s.base.plant.true_pose[0] - 0.4 / 1.5 * 4.0) < 0.03
+        assert abs(s.base.plant.true_pose[0] - LENGTH) < 0.03
 
 
 def path_without_stamps():
-    path = straight_path()
+    path = path_along_x()
     for pose in path.poses:
         pose.header.stamp = time_message(0)
     return path
@@ -182,7 +178,7 @@ def path_without_stamps():
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
-        (straight_path(frame="map"), "its frame_id is 'map', expected 'odom'"),
+        (path_along_x("map"), "its frame_id is 'map', expected 'odom'"),
         (path_without_stamps(), "is not later than the previous pose"),
     ],
 )

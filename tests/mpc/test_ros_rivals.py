@@ -1,11 +1,12 @@
 """Competing publishers of commands over DDS: reject, brake or report."""
 
+from contextlib import contextmanager
+
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from ros_parts import stack
@@ -16,54 +17,44 @@ from diffdrive_mpc.mpc.step_result import Mode
 pytestmark = pytest.mark.system
 
 
-class SecondNode:
-    """Second node of this project, in a separate context."""
-
-    def __init__(self, name="diffdrive_mpc", commands="cmd_vel"):
-        arguments = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]
-        arguments += ["--log-level", "error", "-p", "discovery_wait:=8.0"]
-        self.context = Context()
-        rclpy.init(context=self.context, args=arguments)
-        self.node = TrackingNode(context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def activate(self):
-        self.node.trigger_configure()
-        return self.node.trigger_activate()
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+@contextmanager
+def second_node(name):
+    """Yield a second node of this project, configured and in a separate context."""
+    arguments = ["--ros-args", "-r", f"__node:={name}", "-p", "use_sim_time:=true"]
+    context = Context()
+    rclpy.init(context=context, args=[*arguments, "--log-level", "error", "-p", "discovery_wait:=8.0"])
+    node = TrackingNode(context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        node.trigger_configure()
+        yield node
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 @pytest.mark.parametrize("name", ["diffdrive_mpc", "other"])
 def test_second_node_on_the_same_topic_is_not_activated(name):
     with stack(drive=True) as s:
         s.base.run(20)
-        second = SecondNode(name)
-        try:
-            assert second.activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-            assert "/diffdrive_mpc of this project also sends commands on /cmd_vel" in second.node.failure
+        with second_node(name) as second:
+            assert second.trigger_activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+            assert "/diffdrive_mpc of this project also sends commands on /cmd_vel" in second.failure
             # The first node keeps driving and reports the name of the inactive second node.
             s.base.until(lambda: s.loop.warning, "the warning about the second publisher")
             s.base.run(20)
             assert s.loop.last.mode == Mode.TRACKING
             assert f"/{name} also publishes on /cmd_vel" in s.loop.warning
             # The second node can be activated after the first is deactivated.
-            s.call(
-                ChangeState,
-                "/diffdrive_mpc/change_state",
-                ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)),
-            ) if name != "diffdrive_mpc" else s.node.trigger_deactivate()
-            s.base.until(
-                lambda: not second.node.parts["rivals"].rivals.others().project,
-                "the end of the claim of the first node",
-            )
-            assert second.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-        finally:
-            second.close()
+            if name == "diffdrive_mpc":
+                s.node.trigger_deactivate()
+            else:
+                s.change(Transition.TRANSITION_DEACTIVATE)
+            rivals = second.parts["rivals"].rivals
+            s.base.until(lambda: not rivals.others().project, "the end of the claim of the first node")
+            assert second.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
 
 
 @pytest.mark.parametrize(("stamped", "command_type", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])

@@ -19,12 +19,12 @@ from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
+from test_ros_parameters import set_over_dds
 
 from diffdrive_mpc import Controller
 
@@ -131,9 +131,7 @@ class Scenario:
         self.s.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
 
     def set_over_dds(self, values):
-        message = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParametersAtomically.Request(parameters=message)
-        result = self.s.call(SetParametersAtomically, "/diffdrive_mpc/set_parameters_atomically", request).result
+        result = set_over_dds(self.s, **values)
         self.message = result.reason
         return result.successful
 

@@ -1,5 +1,7 @@
 """Publishers with equal node names over DDS."""
 
+from contextlib import contextmanager
+
 import pytest
 import rclpy
 from geometry_msgs.msg import TwistStamped
@@ -15,18 +17,15 @@ INPUTS = list(KINDS)
 SHARED = "two publishers of /fake_base publish on /{}, and their messages cannot be distinguished; stop all but one"
 
 
-class Twin:
-    """Publisher in a second node with the name of the base, in the thread of the test."""
-
-    def __init__(self, kind, topic, name="fake_base"):
-        self.context = Context()
-        rclpy.init(context=self.context, args=[])
-        self.node = rclpy.create_node(name, context=self.context)
-        self.publisher = self.node.create_publisher(kind, topic, qos_profile_sensor_data)
-
-    def close(self):
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+@contextmanager
+def twin_of(kind, topic, name="fake_base"):
+    """Yield a publisher of a second node with the name of the base, in the thread of the test."""
+    context = Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node(name, context=context)
+    yield node.create_publisher(kind, topic, qos_profile_sensor_data)
+    node.destroy_node()
+    rclpy.shutdown(context=context)
 
 
 @pytest.mark.system
@@ -48,19 +47,18 @@ def test_activation_with_two_drivers_of_equal_names_is_rejected(topic):
 def test_node_brakes_for_the_third_message_of_a_twin(topic):
     with stack(drive=True, pose_topic=True) as s:
         commands = s.base.run(40)
-        twin = Twin(KINDS[topic], topic)
-        s.base.until(lambda: twin.publisher.get_subscription_count() == 1, "the node's subscription")
-        # A publisher without messages does not count.
-        s.base.run(20)
-        assert not s.loop.stop_reason
-        for _ in range(3):
-            twin.publisher.publish(message_of(topic, time_message(s.base.now)))
+        with twin_of(KINDS[topic], topic) as twin:
+            s.base.until(lambda: twin.get_subscription_count() == 1, "the node's subscription")
+            # A publisher without messages does not count.
+            s.base.run(20)
+            assert not s.loop.stop_reason
+            for _ in range(3):
+                twin.publish(message_of(topic, time_message(s.base.now)))
+                s.base.run(1)
             s.base.run(1)
-        s.base.run(1)
-        assert s.loop.stop_reason == SHARED.format(topic)
-        braking = s.base.run(60)
-        assert not braking[-1].any() and commands[-1, 0] > 0.1
-        twin.close()
+            assert s.loop.stop_reason == SHARED.format(topic)
+            braking = s.base.run(60)
+            assert not braking[-1].any() and commands[-1, 0] > 0.1
         s.base.until(lambda: not s.loop.stop_reason, "the end of the reason")
         s.base.run(2)
         assert s.trigger("resume").success
@@ -69,11 +67,9 @@ def test_node_brakes_for_the_third_message_of_a_twin(topic):
 
 @pytest.mark.system
 def test_publisher_of_commands_under_the_name_of_the_node_is_reported():
+    objection = "/diffdrive_mpc also publishes on /cmd_vel"
     with stack(drive=True, exclusive_cmd_vel=True) as s:
         s.base.run(20)
-        twin = Twin(TwistStamped, "cmd_vel", "diffdrive_mpc")
-        s.base.until(
-            lambda: s.loop.stop_reason.startswith("/diffdrive_mpc also publishes on /cmd_vel"), "the objection"
-        )
-        assert not s.base.run(60)[-1].any()
-        twin.close()
+        with twin_of(TwistStamped, "cmd_vel", "diffdrive_mpc"):
+            s.base.until(lambda: s.loop.stop_reason.startswith(objection), "the objection")
+            assert not s.base.run(60)[-1].any()

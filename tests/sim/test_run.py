@@ -1,6 +1,7 @@
 """Simulated run: recorded data and energy."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,43 +13,20 @@ from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.sim import Run, simulate
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
-
-
-@dataclass(frozen=True)
-class Estimate:
-    pose: FloatArray
-    twist: FloatArray
-    pose_deviation: FloatArray
-    twist_deviation: FloatArray
-
-
-@dataclass(frozen=True)
-class Solver:
-    status: str = "solved"
-    method: str = "unlimited"
-    iterations: int = 3
-
-
-@dataclass(frozen=True)
-class DetailedStep:
-    command: FloatArray
-    estimate: Estimate | None
-    solver: Solver | None
-    mode: str = "TRACKING"
-    message: str = ""
-    plan: FloatArray | None = None
-    step_time: float = 1e-3
-    solve_time: float = 4e-4
+ESTIMATE = np.arange(0.1, 1.05, 0.1)
 
 
 class DetailedController(FeedForward):
     """Controller that reports an estimate from the second tick on, and a solver result at every second tick."""
 
-    def step(self, t: float, measurement: Measurement) -> DetailedStep:  # type: ignore[override]
+    def step(self, t: float, measurement: Measurement) -> SimpleNamespace:  # type: ignore[override]
         command = super().step(t, measurement).command
         k = self._tick - 1
-        estimate = Estimate(*(k + np.array(x) for x in ([0.1, 0.2, 0.3], [0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0])))
-        return DetailedStep(command, estimate if k else None, Solver() if k % 2 else None, plan=plan_of(k))
+        names, values = ("pose", "twist", "pose_deviation", "twist_deviation"), np.split(k + ESTIMATE, [3, 5, 8])
+        estimate = SimpleNamespace(**dict(zip(names, values, strict=True))) if k else None
+        solver = SimpleNamespace(status="solved", method="unlimited", iterations=3) if k % 2 else None
+        details = {"mode": "TRACKING", "message": "", "step_time": 1e-3, "solve_time": 4e-4}
+        return SimpleNamespace(command=command, estimate=estimate, solver=solver, plan=plan_of(k), **details)
 
 
 def plan_of(k: int) -> FloatArray | None:
@@ -62,8 +40,8 @@ def run() -> Run:
 
 def test_run_contains_the_estimates_and_solver_results_of_a_controller(run: Run) -> None:
     assert np.isnan(run.estimates[0]).all() and np.isnan(run.estimate_deviations[0]).all()
-    np.testing.assert_array_equal(run.estimates[3], 3 + np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
-    np.testing.assert_array_equal(run.estimate_deviations[3], 3 + np.array([0.6, 0.7, 0.8, 0.9, 1.0]))
+    np.testing.assert_array_equal(run.estimates[3], 3 + ESTIMATE[:5])
+    np.testing.assert_array_equal(run.estimate_deviations[3], 3 + ESTIMATE[5:])
     assert run.solver_methods[:3] == ("none", "unlimited", "none")
     assert run.solver_statuses[:3] == ("", "solved", "")
     assert len(run.solver_methods) == len(run.solver_statuses) == len(run.time)
