@@ -255,7 +255,7 @@ class Stack:
         return self.node.get_clock().now().nanoseconds == START
 
     def await_inputs(self):
-        """Wait until every input has arrived once and no tick is pending, which `start` would make a tick of the drive."""
+        """Wait until every input has arrived once and no tick is pending: `start` would count it."""
         self.base.until(self.has_received_inputs, "sensors")
         self.base.until(lambda: self.base.now <= self.node.get_clock().now().nanoseconds, "the last clock")
         for _ in range(20):

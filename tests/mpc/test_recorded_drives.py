@@ -6,7 +6,6 @@ The other tests state what must happen; this one detects any change of the core.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -141,6 +140,7 @@ EVENTS += ("halved_commands", "first_pose_wrong", "no_measurement")
 SCENARIOS |= {name: (None, {"path": "circle", "ticks": 250, "event": getattr(events, name)}) for name in EVENTS}
 FENCE = {"fence.enabled": True, "fence.length": 2.4, "fence.width": 1.6, "fence.margin": 0.1}
 RADIUS = {"limits.min_turn_radius": 0.6, "limits.min_commanded_radius": 0.5}
+CUSP = {"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5}
 WEIGHTS = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0, "weights.soft": 5.0, "weights.terminal": 2.0}
 LATE = {"extra_dead_time.v": 0.07, "extra_dead_time.omega": 0.11, "compensation.delay": False}
 SETTINGS = {
@@ -157,14 +157,7 @@ SETTINGS = {
     },
     "turn radii": {"path": "slalom", **RADIUS},
     "turn radii, backwards": {"path": "reverse_slalom", **RADIUS, **events.SOFT},
-    "turn radii by OSQP": {
-        "path": "reverse_slalom",
-        **RADIUS,
-        **events.SOFT,
-        **events.OSQP,
-        "horizon": 12,
-        "ticks": 120,
-    },
+    "turn radii at a cusp, by OSQP": {"path": "k_turn", "from_end": 5.4, "ticks": 60, **CUSP, **events.OSQP},
     "start beside the path": {"displaced": (0.2, -0.3, 0.6)},
     "start far from the path": {"path": "square", "displaced": (-0.3, 0.6, -2.0)},
     "weights": WEIGHTS,
