@@ -196,10 +196,11 @@ def _motion_from_poses(
     window = np.ones(2 * half + 1)
     weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
     heading = integrated_turn + np.convolve(offset, window, "same") / weight
-    # The motion between two samples has the mean heading of the body.
-    path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
+    # The motion between two samples has the mean velocity and heading of the body.
+    mean = 0.5 * (predicted + np.vstack([predicted[:1], predicted[:-1]]))
+    path = dt * np.cumsum((mean[:, 0] + 1j * mean[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
     position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
-    heading_error = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
+    heading_error = record.pose[:, 2] - dt * np.cumsum(mean[:, 2])
     # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six times
     # its variance.
     pose_error = (position_error, heading_error)
