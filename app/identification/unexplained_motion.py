@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,12 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import student_factor
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals, smoothed
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
 from diffdrive_mpc.sim.plants.surface import BodySlip
 
 _MIN_POSES = 4
+_GYRO_WINDOW = 0.1
+"""Window of the mean yaw rates of a gyro [s]; it removes most of the noise, and preserves swaying about the path."""
 _MIN_VARIANCE = 0.1
 """Minimum constant variance as a share of the mean variance [-], because logs have little straight, steady motion."""
 _HEADER = (
@@ -35,47 +37,55 @@ _HEADER = (
 )
 
 
-def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Compute measured minus predicted twists (K, 3), and squared fast displacements (K,), of each validation record.
+def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], float, float]:
+    """Compute measured minus predicted twists (K, 3) of each validation record, traction slip, and fast displacement.
 
     The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the
-    rotation centre on the surface of the log. Measured twists are computed from poses. For records without poses they
-    are those of encoders and gyro, with zero lateral speed. The squared displacements [m^2] are those of single poses
-    from the motion between the means, forward, minus the power of the noise; NaN without a pose.
+    rotation centre on the surface of the log. Measured twists are computed from poses, except for yaw rates of a gyro.
+    For records without poses they are those of encoders and gyro, with zero lateral speed.
+
+    The traction slip c [s^2/rad] is fitted to all poses; the prediction includes the slip c |omega| dv/dt. The fast
+    displacement [m] is the standard deviation of single poses, without their noise, from the motion between the means.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
-    motion, squares = [], []
+    motion, by_pose = [], []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
-        displacements = np.full(len(outputs), np.nan)
         yaw_rate = record.yaw_rate if report.data.yaw == "gyro" else None
         errors = np.column_stack([record.twist[:, 0], np.zeros(len(outputs)), record.twist[:, 1]])
         errors[:, 2] = errors[:, 2] if yaw_rate is None else yaw_rate
         errors[:, [0, 2]] -= outputs
-        steps = max(1, round(trial_settings().window / record.dt))
-        errors = _block_means(np.nan_to_num(errors), np.arange(0, len(errors) + 1, steps))
+        yaw_window = trial_settings().window if yaw_rate is None else _GYRO_WINDOW
+        windows = (trial_settings().window, trial_settings().window, yaw_window)
+        columns = zip(np.nan_to_num(errors).T, windows, strict=True)
+        motion.append(np.column_stack([_block_means(column, window / record.dt) for column, window in columns]))
         if record.pose is not None:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             yaw_rates = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            by_pose = _motion_from_poses(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates)
-            if by_pose is not None:
-                slow, displacements = by_pose
-                errors = np.column_stack([slow[:, :2], (slow if yaw_rate is None else errors)[:, 2]])
-        motion.append(errors)
-        squares.append(displacements)
-    return motion, squares
+            pose_errors = _PoseErrors.create(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates)
+            if pose_errors is not None:
+                by_pose.append((pose_errors, motion[-1][:, : 3 if yaw_rate is None else 2]))
+    if not by_pose:
+        return motion, 0.0, 0.0
+    fast = np.concatenate([errors.fast for errors, _ in by_pose])
+    traction_slip = max(0.0, -(fast[:, 0] @ fast[:, 1]) / max(fast[:, 1] @ fast[:, 1], np.finfo(float).tiny))
+    for errors, columns in by_pose:
+        columns[:] = errors.twists(traction_slip)[:, : columns.shape[1]]
+    noise = np.average([errors.noise[0] for errors, _ in by_pose], weights=[len(errors.fast) for errors, _ in by_pose])
+    variance = np.mean((fast @ [1.0, traction_slip]) ** 2) - noise
+    return motion, float(traction_slip), math.sqrt(max(0.0, variance))
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
     """Build the robot of the log, with sensors like those of the log, for simulations; None if no motion is known.
 
-    The variance of the unexplained motion is a non-negative linear function of squared speeds and rates, fitted by
-    least squares, so that large variances in sharp turns do not affect straight and steady motion.
+    The variance of the unexplained motion is a non-negative linear function of squared speeds and rates. Iteratively
+    weighted least squares converge to maximum likelihood, so that large errors do not determine small variances.
     """
     report = identification.report
-    motion, displacements = unexplained_motion(identification)
+    motion, traction_slip, displacement = unexplained_motion(identification)
     motion = [rows for rows in motion if len(rows)]
     if not motion:
         return None
@@ -84,22 +94,15 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     slip, deviation = _subtract_slip(
         motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
     )
-    features, sample_features = [], []
+    features = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
-        steps = max(1, round(trial_settings().window / record.dt))
         squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
-        sample_features.append(smoothed(squares, record.dt))
-        features.append(_block_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
+        features.append(_block_means(squares, trial_settings().window / record.dt))
     all_features, errors = np.concatenate(features), np.concatenate(motion)
-    variance = np.array([nnls(all_features, column**2)[0] for column in errors.T])
+    variance = np.array([_fit_variance(all_features, column**2) for column in errors.T])
     variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0))
     variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
-    fast = np.concatenate(displacements)
-    measured = np.isfinite(fast)
-    displacement = nnls(np.concatenate(sample_features)[measured], fast[measured])[0] if measured.any() else np.zeros(6)
-    # The constant part contains noise with a correlation in time, which is no motion.
-    displacement[0] = 0.0
     normalised = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
@@ -110,7 +113,8 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_round_values(variance),
-        displacement=_round_values(displacement),
+        traction_slip=float(f"{traction_slip:.4g}"),
+        displacement=float(f"{displacement:.4g}"),
         largest=_round_values(all_features.max(axis=0)),
         motion=[intervals(row) for row in normalised],
     )
@@ -169,62 +173,114 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
     path.write_text(f"{_HEADER}{text}", encoding="utf-8")
 
 
-def _block_means(rows: FloatArray, ends: AnyArray) -> FloatArray:
-    """Replace rows (K, n) by their means over the blocks between `ends`; rows outside the blocks are zero."""
-    means = np.zeros_like(rows)
-    for start, end in itertools.pairwise(ends):
-        means[start:end] = rows[start:end].mean(axis=0)
+def _fit_variance(features: FloatArray, squares: FloatArray) -> FloatArray:
+    """Fit non-negative coefficients of features (K, 6) to squares (K,) of normal errors."""
+    variance = np.full(len(squares), max(squares.mean(), np.finfo(float).tiny))
+    lower = _MIN_VARIANCE * variance
+    for _ in range(20):
+        coefficients = nnls(features / variance[:, None], squares / variance)[0]
+        variance = np.maximum(features @ coefficients, lower)
+    return np.asarray(coefficients)
+
+
+def _block_means(rows: FloatArray, samples: float) -> FloatArray:
+    """Replace rows (K, ...) by their means over blocks of the rounded number of `samples`; the last may be shorter."""
+    means, steps = np.zeros_like(rows), max(1, round(samples))
+    for start in range(0, len(rows), steps):
+        means[start : start + steps] = rows[start : start + steps].mean(axis=0)
     return means
 
 
-def _motion_from_poses(
-    record: Record, predicted: FloatArray, yaw_rates: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Compute twists (K, 3) and squared displacements (K,) of `unexplained_motion` from poses; None for too few poses.
+def _middle(rows: FloatArray) -> FloatArray:
+    """Return means of consecutive rows, the first of which is unchanged."""
+    return np.asarray(0.5 * (rows + np.concatenate([rows[:1], rows[:-1]])))
 
-    The heading is the integral of the yaw rates (K,) [rad/s], aligned with the poses in a moving window, because it has
-    less noise than single poses. Displacements are differences between the mean poses of consecutive windows. The
-    windows are long enough that pose noise has a small effect, and the remaining power of the noise is subtracted.
+
+@dataclass(frozen=True)
+class _PoseErrors:
+    """Differences of the poses of a record from its predicted motion.
+
+    Attributes
+    ----------
+    record
+        Record with poses of the rotation centre.
+    heading
+        (K,) heading [rad]: the integral of the yaw rates, aligned with the poses in a moving window, because it has
+        less noise than single poses.
+    position
+        (K, 2) complex: measured minus predicted position [m], and displacement by the traction |omega| dv/dt [m rad/s^2].
+    turn
+        (K,) measured minus predicted heading [rad].
+    noise
+        Variances of the noise of each coordinate [m^2] and of the heading [rad^2].
+    groups
+        Samples of the poses in consecutive windows, which are so long that the noise of their means has a small effect.
     """
-    assert record.pose is not None and record.fresh_pose is not None
-    dt, fresh = record.dt, record.fresh_pose
-    if np.count_nonzero(fresh) < _MIN_POSES:
-        return None
-    integrated_turn = dt * np.cumsum(yaw_rates)
-    half = round(identification_settings().pose_window / dt)
-    offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
-    window = np.ones(2 * half + 1)
-    weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
-    heading = integrated_turn + np.convolve(offset, window, "same") / weight
-    # The motion between two samples has the mean velocity and heading of the body.
-    mean = 0.5 * (predicted + np.vstack([predicted[:1], predicted[:-1]]))
-    path = dt * np.cumsum((mean[:, 0] + 1j * mean[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
-    position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
-    heading_error = record.pose[:, 2] - dt * np.cumsum(mean[:, 2])
-    # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six times
-    # its variance.
-    pose_error = (position_error, heading_error)
-    noise = np.array([np.mean(np.abs(np.diff(error[fresh], 2)) ** 2) / 6.0 for error in pose_error])
-    noise[0] /= 2.0
-    steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
-    poses = np.flatnonzero(fresh)
-    groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
-    if len(groups) < _MIN_POSES:
-        return None
-    centres = np.array([round(group.mean()) for group in groups])
-    starts, ends = centres[:-1], centres[1:]
-    means = np.array([position_error[group].mean() for group in groups])
-    displacement = np.diff(means) * np.exp(-1j * heading[(starts + ends) // 2])
-    windows = np.column_stack(
-        [displacement.real, displacement.imag, np.diff([heading_error[group].mean() for group in groups])]
-    )
-    power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
-    noise_share = 2.0 * np.mean([1.0 / len(group) for group in groups])
-    windows *= np.sqrt(np.maximum(1.0 - noise_share * noise[[0, 0, 1]] / power, 0.0))
-    errors = np.zeros((len(fresh), 3))
-    errors[starts[0] : ends[-1]] = np.repeat(windows / (dt * (ends - starts))[:, None], ends - starts, axis=0)
-    slow = np.interp(np.arange(len(fresh)), centres, means)
-    fast = ((position_error - slow) * np.exp(-1j * heading)).real ** 2 - noise[0]
-    fast[~fresh] = np.nan
-    fast[: centres[0]] = fast[centres[-1] :] = np.nan
-    return errors, fast
+
+    record: Record
+    heading: FloatArray
+    position: AnyArray
+    turn: FloatArray
+    noise: tuple[float, float]
+    groups: list[AnyArray]
+
+    @classmethod
+    def create(cls, record: Record, predicted: FloatArray, yaw_rates: FloatArray) -> _PoseErrors | None:
+        """Compare poses with predicted twists (K, 3) and yaw rates (K,); return None for too few poses."""
+        assert record.pose is not None and record.fresh_pose is not None
+        dt, fresh = record.dt, record.fresh_pose
+        if np.count_nonzero(fresh) < _MIN_POSES:
+            return None
+        integrated_turn = dt * np.cumsum(_middle(yaw_rates))
+        half = round(identification_settings().pose_window / dt)
+        offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
+        window = np.ones(2 * half + 1)
+        weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
+        heading = integrated_turn + np.convolve(offset, window, "same") / weight
+        # The motion between two samples has the mean velocity and heading of the body.
+        traction = np.gradient(predicted[:, 0], dt) * np.abs(predicted[:, 2])
+        speeds = _middle(np.column_stack([predicted[:, 0] + 1j * predicted[:, 1], traction]))
+        paths = dt * np.cumsum(speeds * np.exp(1j * _middle(heading))[:, None], axis=0)
+        paths[:, 0] = record.pose[:, 0] + 1j * record.pose[:, 1] - paths[:, 0]
+        turn = record.pose[:, 2] - dt * np.cumsum(_middle(predicted[:, 2]))
+        # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six
+        # times its variance.
+        noise = [np.mean(np.abs(np.diff(error[fresh], 2)) ** 2) / 6.0 for error in (paths[:, 0], turn)]
+        noise[0] /= 2.0
+        steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
+        poses = np.flatnonzero(fresh)
+        groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
+        return None if len(groups) < _MIN_POSES else cls(record, heading, paths, turn, (noise[0], noise[1]), groups)
+
+    @property
+    def _centres(self) -> AnyArray:
+        """Central samples of the groups."""
+        return np.array([round(group.mean()) for group in self.groups])
+
+    @property
+    def fast(self) -> FloatArray:
+        """Forward deviations (N, 2) of `position` at single poses from the lines between the means of the groups."""
+        assert self.record.fresh_pose is not None
+        samples = np.flatnonzero(self.record.fresh_pose)
+        samples = samples[(samples >= self._centres[0]) & (samples < self._centres[-1])]
+        means = np.array([self.position[group].mean(axis=0) for group in self.groups])
+        slow = np.column_stack([np.interp(samples, self._centres, column) for column in means.T])
+        return ((self.position[samples] - slow) * np.exp(-1j * self.heading[samples])[:, None]).real
+
+    def twists(self, traction_slip: float) -> FloatArray:
+        """Compute twists (K, 3) of the displacements between the means of consecutive groups.
+
+        The power of the noise of the means is subtracted.
+        """
+        starts, ends = self._centres[:-1], self._centres[1:]
+        means = np.array([self.position[group].mean(axis=0) for group in self.groups]) @ [1.0, traction_slip]
+        displacement = np.diff(means) * np.exp(-1j * self.heading[(starts + ends) // 2])
+        turns = np.diff([self.turn[group].mean() for group in self.groups])
+        windows = np.column_stack([displacement.real, displacement.imag, turns])
+        power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
+        noise_share = 2.0 * np.mean([1.0 / len(group) for group in self.groups])
+        windows *= np.sqrt(np.maximum(1.0 - noise_share * np.array(self.noise)[[0, 0, 1]] / power, 0.0))
+        errors = np.zeros((len(self.heading), 3))
+        rates = windows / (self.record.dt * (ends - starts))[:, None]
+        errors[starts[0] : ends[-1]] = np.repeat(rates, ends - starts, axis=0)
+        return errors
