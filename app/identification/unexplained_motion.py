@@ -53,29 +53,25 @@ def unexplained_motion(identification: Identification) -> tuple[list[FloatArray]
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
         yaw_rate = record.yaw_rate if report.data.yaw == "gyro" else None
-        errors = np.column_stack([record.twist[:, 0], np.zeros(len(outputs)), record.twist[:, 1]])
-        errors[:, 2] = errors[:, 2] if yaw_rate is None else yaw_rate
-        errors[:, [0, 2]] -= outputs
-        yaw_window = trial_settings().window if yaw_rate is None else _GYRO_WINDOW
-        windows = (trial_settings().window, trial_settings().window, yaw_window)
-        columns = zip(np.nan_to_num(errors).T, windows, strict=True)
-        motion.append(np.column_stack([_block_means(column, window / record.dt) for column, window in columns]))
-        if record.pose is not None:
+        speeds = [record.twist[:, 0], record.twist[:, 1] if yaw_rate is None else yaw_rate] - outputs.T
+        errors = np.nan_to_num(np.column_stack([speeds[0], np.zeros(len(outputs)), speeds[1]]))
+        motion.append(_block_means(errors, trial_settings().window / record.dt))
+        if yaw_rate is not None:
+            motion[-1][:, 2] = _block_means(errors[:, 2], _GYRO_WINDOW / record.dt)
+        if record.fresh_pose is not None and np.count_nonzero(record.fresh_pose) >= _MIN_POSES:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             yaw_rates = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            pose_errors = _PoseErrors.create(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates)
-            if pose_errors is not None:
-                by_pose.append((pose_errors, motion[-1][:, : 3 if yaw_rate is None else 2]))
+            if part := _PoseErrors.create(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates):
+                by_pose.append((part, motion[-1][:, : 3 if yaw_rate is None else 2]))
     if not by_pose:
         return motion, 0.0, 0.0
-    fast = np.concatenate([errors.fast for errors, _ in by_pose])
-    traction_slip = max(0.0, -(fast[:, 0] @ fast[:, 1]) / max(fast[:, 1] @ fast[:, 1], np.finfo(float).tiny))
-    for errors, columns in by_pose:
-        columns[:] = errors.twists(traction_slip)[:, : columns.shape[1]]
-    noise = np.average([errors.noise[0] for errors, _ in by_pose], weights=[len(errors.fast) for errors, _ in by_pose])
-    variance = np.mean((fast @ [1.0, traction_slip]) ** 2) - noise
-    return motion, float(traction_slip), math.sqrt(max(0.0, variance))
+    fast, slipped, noise = np.concatenate([part.fast() for part, _ in by_pose]).T
+    traction_slip = max(0.0, float(-(fast @ slipped) / max(slipped @ slipped, np.finfo(float).tiny)))
+    for part, columns in by_pose:
+        columns[:] = part.twists(traction_slip)[:, : columns.shape[1]]
+    variance = float(np.mean((fast + traction_slip * slipped) ** 2 - noise))
+    return motion, traction_slip, math.sqrt(max(0.0, variance))
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
@@ -86,29 +82,23 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     """
     report = identification.report
     motion, traction_slip, displacement = unexplained_motion(identification)
-    motion = [rows for rows in motion if len(rows)]
-    if not motion:
+    if not any(map(len, motion)):
         return None
-    identified = report.fitted.identified
+    identified, dt = report.fitted.identified, report.data.validation[0].dt
     deviations = _deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}"))
-    slip, deviation = _subtract_slip(
-        motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
-    )
-    features = []
-    for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
-        twist = np.nan_to_num(outputs - report.fitted.offset)
-        squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
-        features.append(_block_means(squares, trial_settings().window / record.dt))
+    outputs = [rows - report.fitted.offset for rows in report.fitted.simulated]
+    slip, deviation = _subtract_slip(motion, outputs, identification)
+    squares = [intensity_features(twist, np.gradient(twist, dt, axis=0)) for twist in map(np.nan_to_num, outputs)]
+    features = [_block_means(rows, trial_settings().window / dt) for rows in squares]
     all_features, errors = np.concatenate(features), np.concatenate(motion)
     variance = np.array([_fit_variance(all_features, column**2) for column in errors.T])
-    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0))
-    variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
-    normalised = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
+    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0) + np.finfo(float).eps)
+    normalised = [row / np.sqrt(rows @ variance.T) for row, rows in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
         slip=slip,
         sensors=log_sensors(identification, config),
-        sample_time=identification.report.data.validation[0].dt,
+        sample_time=dt,
         block_time=identification_settings().block_time,
         gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
@@ -131,11 +121,8 @@ def _subtract_slip(
     not changed. The gain is computed from means over long blocks, in which responses to commands average out.
     """
     slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
-    pairs = [
-        pair
-        for pair, record in zip(zip(motion, outputs, strict=True), validation, strict=True)
-        if record.pose is not None
-    ]
+    records = zip(motion, outputs, validation, strict=True)
+    pairs = [(errors, twist) for errors, twist, record in records if record.pose is not None]
     if not pairs:
         return slip, None
     block = round(identification_settings().block_time / validation[0].dt)
@@ -175,11 +162,10 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
 
 def _fit_variance(features: FloatArray, squares: FloatArray) -> FloatArray:
     """Fit non-negative coefficients of features (K, 6) to squares (K,) of normal errors."""
-    variance = np.full(len(squares), max(squares.mean(), np.finfo(float).tiny))
-    lower = _MIN_VARIANCE * variance
+    mean = variance = np.array([max(squares.mean(), np.finfo(float).tiny)])
     for _ in range(20):
         coefficients = nnls(features / variance[:, None], squares / variance)[0]
-        variance = np.maximum(features @ coefficients, lower)
+        variance = np.maximum(features @ coefficients, _MIN_VARIANCE * mean)
     return np.asarray(coefficients)
 
 
@@ -202,85 +188,73 @@ class _PoseErrors:
 
     Attributes
     ----------
-    record
-        Record with poses of the rotation centre.
+    dt
+        Sample time [s].
     heading
         (K,) heading [rad]: the integral of the yaw rates, aligned with the poses in a moving window, because it has
         less noise than single poses.
-    position
-        (K, 2) complex: measured minus predicted position [m], and displacement by the traction |omega| dv/dt [m rad/s^2].
-    turn
-        (K,) measured minus predicted heading [rad].
+    errors
+        (K, 3) complex: measured minus predicted position [m], change of position per traction slip [m rad/s^2], and
+        measured minus predicted heading [rad].
     noise
-        Variances of the noise of each coordinate [m^2] and of the heading [rad^2].
+        (2,) variances of the noise of a coordinate [m^2] and of the heading [rad^2].
     groups
         Samples of the poses in consecutive windows, which are so long that the noise of their means has a small effect.
+    centres, means
+        (n,) central samples of the groups, and (n, 3) means of `errors`.
     """
 
-    record: Record
+    dt: float
     heading: FloatArray
-    position: AnyArray
-    turn: FloatArray
-    noise: tuple[float, float]
+    errors: AnyArray
+    noise: FloatArray
     groups: list[AnyArray]
+    centres: AnyArray
+    means: AnyArray
 
     @classmethod
     def create(cls, record: Record, predicted: FloatArray, yaw_rates: FloatArray) -> _PoseErrors | None:
-        """Compare poses with predicted twists (K, 3) and yaw rates (K,); return None for too few poses."""
+        """Compare poses with predicted twists (K, 3) and yaw rates (K,); return None for too few groups."""
         assert record.pose is not None and record.fresh_pose is not None
         dt, fresh = record.dt, record.fresh_pose
-        if np.count_nonzero(fresh) < _MIN_POSES:
-            return None
         integrated_turn = dt * np.cumsum(_middle(yaw_rates))
         half = round(identification_settings().pose_window / dt)
         offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
-        window = np.ones(2 * half + 1)
-        weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
-        heading = integrated_turn + np.convolve(offset, window, "same") / weight
+        total, count = (np.convolve(values, np.ones(2 * half + 1), "same") for values in (offset, fresh))
+        heading = integrated_turn + total / np.maximum(count, 1.0)
         # The motion between two samples has the mean velocity and heading of the body.
         traction = np.gradient(predicted[:, 0], dt) * np.abs(predicted[:, 2])
-        speeds = _middle(np.column_stack([predicted[:, 0] + 1j * predicted[:, 1], traction]))
-        paths = dt * np.cumsum(speeds * np.exp(1j * _middle(heading))[:, None], axis=0)
-        paths[:, 0] = record.pose[:, 0] + 1j * record.pose[:, 1] - paths[:, 0]
-        turn = record.pose[:, 2] - dt * np.cumsum(_middle(predicted[:, 2]))
+        speeds = _middle(np.column_stack([predicted[:, 0] + 1j * predicted[:, 1], traction, predicted[:, 2]]))
+        directions = np.exp(1j * _middle(np.column_stack([heading, heading, np.zeros(len(heading))])))
+        errors = dt * np.cumsum(speeds * directions, axis=0)
+        errors[:, [0, 2]] = record.pose @ [[1, 0], [1j, 0], [0, 1]] - errors[:, [0, 2]]
         # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six
-        # times its variance.
-        noise = [np.mean(np.abs(np.diff(error[fresh], 2)) ** 2) / 6.0 for error in (paths[:, 0], turn)]
-        noise[0] /= 2.0
+        # times its variance; a position has two coordinates.
+        noise = np.mean(np.abs(np.diff(errors[fresh][:, [0, 2]], 2, axis=0)) ** 2, axis=0) / [12.0, 6.0]
         steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
         poses = np.flatnonzero(fresh)
         groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
-        return None if len(groups) < _MIN_POSES else cls(record, heading, paths, turn, (noise[0], noise[1]), groups)
+        centres = np.array([round(group.mean()) for group in groups])
+        means = np.array([errors[group].mean(axis=0) for group in groups])
+        return cls(dt, heading, errors, noise, groups, centres, means) if len(groups) >= _MIN_POSES else None
 
-    @property
-    def _centres(self) -> AnyArray:
-        """Central samples of the groups."""
-        return np.array([round(group.mean()) for group in self.groups])
-
-    @property
     def fast(self) -> FloatArray:
-        """Forward deviations (N, 2) of `position` at single poses from the lines between the means of the groups."""
-        assert self.record.fresh_pose is not None
-        samples = np.flatnonzero(self.record.fresh_pose)
-        samples = samples[(samples >= self._centres[0]) & (samples < self._centres[-1])]
-        means = np.array([self.position[group].mean(axis=0) for group in self.groups])
-        slow = np.column_stack([np.interp(samples, self._centres, column) for column in means.T])
-        return ((self.position[samples] - slow) * np.exp(-1j * self.heading[samples])[:, None]).real
+        """Return forward deviations of `errors` at N poses from lines between the means, and noise variance (N, 3)."""
+        poses = np.concatenate(self.groups)
+        poses = poses[(poses >= self.centres[0]) & (poses < self.centres[-1])]
+        slow = np.column_stack([np.interp(poses, self.centres, column) for column in self.means[:, :2].T])
+        forward = ((self.errors[poses, :2] - slow) * np.exp(-1j * self.heading[poses])[:, None]).real
+        return np.column_stack([forward, np.full(len(poses), self.noise[0])])
 
     def twists(self, traction_slip: float) -> FloatArray:
-        """Compute twists (K, 3) of the displacements between the means of consecutive groups.
-
-        The power of the noise of the means is subtracted.
-        """
-        starts, ends = self._centres[:-1], self._centres[1:]
-        means = np.array([self.position[group].mean(axis=0) for group in self.groups]) @ [1.0, traction_slip]
-        displacement = np.diff(means) * np.exp(-1j * self.heading[(starts + ends) // 2])
-        turns = np.diff([self.turn[group].mean() for group in self.groups])
-        windows = np.column_stack([displacement.real, displacement.imag, turns])
+        """Compute twists (K, 3) from differences of the means; the power of their noise is subtracted."""
+        starts, ends = self.centres[:-1], self.centres[1:]
+        displacement, turns = np.diff(self.means @ [[1.0, 0.0], [traction_slip, 0.0], [0.0, 1.0]], axis=0).T
+        displacement = displacement * np.exp(-1j * self.heading[(starts + ends) // 2])
+        windows = np.column_stack([displacement.real, displacement.imag, turns.real])
         power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
         noise_share = 2.0 * np.mean([1.0 / len(group) for group in self.groups])
-        windows *= np.sqrt(np.maximum(1.0 - noise_share * np.array(self.noise)[[0, 0, 1]] / power, 0.0))
+        windows *= np.sqrt(np.maximum(1.0 - noise_share * self.noise[[0, 0, 1]] / power, 0.0))
         errors = np.zeros((len(self.heading), 3))
-        rates = windows / (self.record.dt * (ends - starts))[:, None]
-        errors[starts[0] : ends[-1]] = np.repeat(rates, ends - starts, axis=0)
+        errors[starts[0] : ends[-1]] = np.repeat(windows / (self.dt * (ends - starts))[:, None], ends - starts, axis=0)
         return errors
