@@ -28,6 +28,12 @@ from diffdrive_mpc.sim.plants.surface import BodySlip
 _MIN_POSES = 4
 _GYRO_WINDOW = 0.1
 """Window of the mean yaw rates of a gyro [s]; it removes most of the noise, and preserves swaying about the path."""
+_NOISE_BOUND = 2.27
+"""Upper 95 % bound of the error of a variance after subtraction of white noise, as a multiple of the power of the noise
+over the square root of the number of poses: 1.645 times the square root of 1.9.
+
+The noise power is estimated from second differences. They multiply the variance of that estimate by 35 / 18.
+"""
 _MIN_VARIANCE = 0.1
 """Minimum constant variance as a share of the mean variance [-], because logs have little straight, steady motion."""
 _HEADER = (
@@ -45,7 +51,8 @@ def unexplained_motion(identification: Identification) -> tuple[list[FloatArray]
     For records without poses they are those of encoders and gyro, with zero lateral speed.
 
     The traction slip c [s^2/rad] is fitted to all poses; the prediction includes the slip c |omega| dv/dt. The fast
-    displacement [m] is the standard deviation of single poses, without their noise, from the motion between the means.
+    displacement [m] is the standard deviation of single poses, without their noise, from the motion between the means;
+    it includes the part that the noise can hide.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
@@ -70,8 +77,8 @@ def unexplained_motion(identification: Identification) -> tuple[list[FloatArray]
     traction_slip = max(0.0, float(-(fast @ slipped) / max(slipped @ slipped, np.finfo(float).tiny)))
     for part, columns in by_pose:
         columns[:] = part.twists(traction_slip)[:, : columns.shape[1]]
-    variance = float(np.mean((fast + traction_slip * slipped) ** 2 - noise))
-    return motion, traction_slip, math.sqrt(max(0.0, variance))
+    variance = max(0.0, float(np.mean((fast + traction_slip * slipped) ** 2 - noise)))
+    return motion, traction_slip, math.sqrt(variance + _NOISE_BOUND * math.sqrt(np.mean(noise**2) / len(noise)))
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
