@@ -82,7 +82,7 @@ class IdentifiedRobot(StrictModel):
         "v^2, omega^2, (v omega)^2 and the squared rates of v and omega, SI units"
     )
     traction_slip: NotNegative = Field(
-        default=0.0, description="ratio of forward slip speed and |omega| dv/dt, for wheels that slide in turns [s^2/rad]"
+        default=0.0, description="forward slip speed of wheels that slide in a turn, per |omega| dv/dt [s^2/rad]"
     )
     displacement: NotNegative = Field(
         default=0.0,
