@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,18 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import student_factor
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals, smoothed
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
 from diffdrive_mpc.sim.plants.surface import BodySlip
 
 _MIN_POSES = 4
+_GYRO_WINDOW = 0.1
+"""Window of the mean yaw rates of a gyro [s]; it removes most of the noise, and preserves swaying about the path."""
+_NOISE_BOUND = 2.27
+"""Upper 95 % bound of the error of a variance after subtraction of white noise, as a multiple of the power of the noise
+over the square root of the number of poses: 1.645 times the square root of 1.9.
+
+The noise power is estimated from second differences. They multiply the variance of that estimate by 35 / 18.
+"""
 _MIN_VARIANCE = 0.1
 """Minimum constant variance as a share of the mean variance [-], because logs have little straight, steady motion."""
 _HEADER = (
@@ -35,82 +43,75 @@ _HEADER = (
 )
 
 
-def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Compute measured minus predicted twists (K, 3), and squared fast displacements (K,), of each validation record.
+def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], float, float]:
+    """Compute measured minus predicted twists (K, 3) of each validation record, traction slip, and fast displacement.
 
     The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the
-    rotation centre on the surface of the log. Measured twists are computed from poses. For records without poses they
-    are those of encoders and gyro, with zero lateral speed. The squared displacements [m^2] are those of single poses
-    from the motion between the means, forward, minus the power of the noise; NaN without a pose.
+    rotation centre on the surface of the log. Measured twists are computed from poses, except for yaw rates of a gyro.
+    For records without poses they are those of encoders and gyro, with zero lateral speed.
+
+    The traction slip c [s^2/rad] is fitted to all poses; the prediction includes the slip c |omega| dv/dt. The fast
+    displacement [m] is the standard deviation of single poses, without their noise, from the motion between the means;
+    it includes the part that the noise can hide.
     """
     report = identification.report
     slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
-    motion, squares = [], []
+    motion, by_pose = [], []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
-        displacements = np.full(len(outputs), np.nan)
         yaw_rate = record.yaw_rate if report.data.yaw == "gyro" else None
-        errors = np.column_stack([record.twist[:, 0], np.zeros(len(outputs)), record.twist[:, 1]])
-        errors[:, 2] = errors[:, 2] if yaw_rate is None else yaw_rate
-        errors[:, [0, 2]] -= outputs
-        steps = max(1, round(trial_settings().window / record.dt))
-        errors = _block_means(np.nan_to_num(errors), np.arange(0, len(errors) + 1, steps))
-        if record.pose is not None:
+        speeds = [record.twist[:, 0], record.twist[:, 1] if yaw_rate is None else yaw_rate] - outputs.T
+        errors = np.nan_to_num(np.column_stack([speeds[0], np.zeros(len(outputs)), speeds[1]]))
+        motion.append(_block_means(errors, trial_settings().window / record.dt))
+        if yaw_rate is not None:
+            motion[-1][:, 2] = _block_means(errors[:, 2], _GYRO_WINDOW / record.dt)
+        if record.fresh_pose is not None and np.count_nonzero(record.fresh_pose) >= _MIN_POSES:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             yaw_rates = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            by_pose = _motion_from_poses(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates)
-            if by_pose is not None:
-                slow, displacements = by_pose
-                errors = np.column_stack([slow[:, :2], (slow if yaw_rate is None else errors)[:, 2]])
-        motion.append(errors)
-        squares.append(displacements)
-    return motion, squares
+            if part := _PoseErrors.create(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates):
+                by_pose.append((part, motion[-1][:, : 3 if yaw_rate is None else 2]))
+    if not by_pose:
+        return motion, 0.0, 0.0
+    fast, slipped, noise = np.concatenate([part.fast() for part, _ in by_pose]).T
+    traction_slip = max(0.0, float(-(fast @ slipped) / max(slipped @ slipped, np.finfo(float).tiny)))
+    for part, columns in by_pose:
+        columns[:] = part.twists(traction_slip)[:, : columns.shape[1]]
+    variance = max(0.0, float(np.mean((fast + traction_slip * slipped) ** 2 - noise)))
+    return motion, traction_slip, math.sqrt(variance + _NOISE_BOUND * math.sqrt(np.mean(noise**2) / len(noise)))
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
     """Build the robot of the log, with sensors like those of the log, for simulations; None if no motion is known.
 
-    The variance of the unexplained motion is a non-negative linear function of squared speeds and rates, fitted by
-    least squares, so that large variances in sharp turns do not affect straight and steady motion.
+    The variance of the unexplained motion is a non-negative linear function of squared speeds and rates. Iteratively
+    weighted least squares converge to maximum likelihood, so that large errors do not determine small variances.
     """
     report = identification.report
-    motion, displacements = unexplained_motion(identification)
-    motion = [rows for rows in motion if len(rows)]
-    if not motion:
+    motion, traction_slip, displacement = unexplained_motion(identification)
+    if not any(map(len, motion)):
         return None
-    identified = report.fitted.identified
+    identified, dt = report.fitted.identified, report.data.validation[0].dt
     deviations = _deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}"))
-    slip, deviation = _subtract_slip(
-        motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification
-    )
-    features, sample_features = [], []
-    for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
-        twist = np.nan_to_num(outputs - report.fitted.offset)
-        steps = max(1, round(trial_settings().window / record.dt))
-        squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
-        sample_features.append(smoothed(squares, record.dt))
-        features.append(_block_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
+    outputs = [rows - report.fitted.offset for rows in report.fitted.simulated]
+    slip, deviation = _subtract_slip(motion, outputs, identification)
+    squares = [intensity_features(twist, np.gradient(twist, dt, axis=0)) for twist in map(np.nan_to_num, outputs)]
+    features = [_block_means(rows, trial_settings().window / dt) for rows in squares]
     all_features, errors = np.concatenate(features), np.concatenate(motion)
-    variance = np.array([nnls(all_features, column**2)[0] for column in errors.T])
-    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0))
-    variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
-    fast = np.concatenate(displacements)
-    measured = np.isfinite(fast)
-    displacement = nnls(np.concatenate(sample_features)[measured], fast[measured])[0] if measured.any() else np.zeros(6)
-    # The constant part contains noise with a correlation in time, which is no motion.
-    displacement[0] = 0.0
-    normalised = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
+    variance = np.array([_fit_variance(all_features, column**2) for column in errors.T])
+    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0) + np.finfo(float).eps)
+    normalised = [row / np.sqrt(rows @ variance.T) for row, rows in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
         slip=slip,
         sensors=log_sensors(identification, config),
-        sample_time=identification.report.data.validation[0].dt,
+        sample_time=dt,
         block_time=identification_settings().block_time,
         gain_deviation=(deviations[0] if deviation is None else deviation, deviations[1]),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_round_values(variance),
-        displacement=_round_values(displacement),
+        traction_slip=float(f"{traction_slip:.4g}"),
+        displacement=float(f"{displacement:.4g}"),
         largest=_round_values(all_features.max(axis=0)),
         motion=[intervals(row) for row in normalised],
     )
@@ -127,11 +128,8 @@ def _subtract_slip(
     not changed. The gain is computed from means over long blocks, in which responses to commands average out.
     """
     slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
-    pairs = [
-        pair
-        for pair, record in zip(zip(motion, outputs, strict=True), validation, strict=True)
-        if record.pose is not None
-    ]
+    records = zip(motion, outputs, validation, strict=True)
+    pairs = [(errors, twist) for errors, twist, record in records if record.pose is not None]
     if not pairs:
         return slip, None
     block = round(identification_settings().block_time / validation[0].dt)
@@ -169,61 +167,101 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
     path.write_text(f"{_HEADER}{text}", encoding="utf-8")
 
 
-def _block_means(rows: FloatArray, ends: AnyArray) -> FloatArray:
-    """Replace rows (K, n) by their means over the blocks between `ends`; rows outside the blocks are zero."""
-    means = np.zeros_like(rows)
-    for start, end in itertools.pairwise(ends):
-        means[start:end] = rows[start:end].mean(axis=0)
+def _fit_variance(features: FloatArray, squares: FloatArray) -> FloatArray:
+    """Fit non-negative coefficients of features (K, 6) to squares (K,) of normal errors."""
+    mean = variance = np.array([max(squares.mean(), np.finfo(float).tiny)])
+    for _ in range(20):
+        coefficients = nnls(features / variance[:, None], squares / variance)[0]
+        variance = np.maximum(features @ coefficients, _MIN_VARIANCE * mean)
+    return np.asarray(coefficients)
+
+
+def _block_means(rows: FloatArray, samples: float) -> FloatArray:
+    """Replace rows (K, ...) by their means over blocks of the rounded number of `samples`; the last may be shorter."""
+    means, steps = np.zeros_like(rows), max(1, round(samples))
+    for start in range(0, len(rows), steps):
+        means[start : start + steps] = rows[start : start + steps].mean(axis=0)
     return means
 
 
-def _motion_from_poses(
-    record: Record, predicted: FloatArray, yaw_rates: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Compute twists (K, 3) and squared displacements (K,) of `unexplained_motion` from poses; None for too few poses.
+def _middle(rows: FloatArray) -> FloatArray:
+    """Return means of consecutive rows, the first of which is unchanged."""
+    return np.asarray(0.5 * (rows + np.concatenate([rows[:1], rows[:-1]])))
 
-    The heading is the integral of the yaw rates (K,) [rad/s], aligned with the poses in a moving window, because it has
-    less noise than single poses. Displacements are differences between the mean poses of consecutive windows. The
-    windows are long enough that pose noise has a small effect, and the remaining power of the noise is subtracted.
+
+@dataclass(frozen=True)
+class _PoseErrors:
+    """Differences of the poses of a record from its predicted motion.
+
+    Attributes
+    ----------
+    dt
+        Sample time [s].
+    heading
+        (K,) heading [rad]: the integral of the yaw rates, aligned with the poses in a moving window, because it has
+        less noise than single poses.
+    errors
+        (K, 3) complex: measured minus predicted position [m], change of position per traction slip [m rad/s^2], and
+        measured minus predicted heading [rad].
+    noise
+        (2,) variances of the noise of a coordinate [m^2] and of the heading [rad^2].
+    groups
+        Samples of the poses in consecutive windows, which are so long that the noise of their means has a small effect.
+    centres, means
+        (n,) central samples of the groups, and (n, 3) means of `errors`.
     """
-    assert record.pose is not None and record.fresh_pose is not None
-    dt, fresh = record.dt, record.fresh_pose
-    if np.count_nonzero(fresh) < _MIN_POSES:
-        return None
-    integrated_turn = dt * np.cumsum(yaw_rates)
-    half = round(identification_settings().pose_window / dt)
-    offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
-    window = np.ones(2 * half + 1)
-    weight = np.maximum(np.convolve(fresh, window, "same"), 1.0)
-    heading = integrated_turn + np.convolve(offset, window, "same") / weight
-    # The motion between two samples has the mean heading of the body.
-    path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * yaw_rates)))
-    position_error = record.pose[:, 0] + 1j * record.pose[:, 1] - path
-    heading_error = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
-    # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six times
-    # its variance.
-    pose_error = (position_error, heading_error)
-    noise = np.array([np.mean(np.abs(np.diff(error[fresh], 2)) ** 2) / 6.0 for error in pose_error])
-    noise[0] /= 2.0
-    steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
-    poses = np.flatnonzero(fresh)
-    groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
-    if len(groups) < _MIN_POSES:
-        return None
-    centres = np.array([round(group.mean()) for group in groups])
-    starts, ends = centres[:-1], centres[1:]
-    means = np.array([position_error[group].mean() for group in groups])
-    displacement = np.diff(means) * np.exp(-1j * heading[(starts + ends) // 2])
-    windows = np.column_stack(
-        [displacement.real, displacement.imag, np.diff([heading_error[group].mean() for group in groups])]
-    )
-    power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
-    noise_share = 2.0 * np.mean([1.0 / len(group) for group in groups])
-    windows *= np.sqrt(np.maximum(1.0 - noise_share * noise[[0, 0, 1]] / power, 0.0))
-    errors = np.zeros((len(fresh), 3))
-    errors[starts[0] : ends[-1]] = np.repeat(windows / (dt * (ends - starts))[:, None], ends - starts, axis=0)
-    slow = np.interp(np.arange(len(fresh)), centres, means)
-    fast = ((position_error - slow) * np.exp(-1j * heading)).real ** 2 - noise[0]
-    fast[~fresh] = np.nan
-    fast[: centres[0]] = fast[centres[-1] :] = np.nan
-    return errors, fast
+
+    dt: float
+    heading: FloatArray
+    errors: AnyArray
+    noise: FloatArray
+    groups: list[AnyArray]
+    centres: AnyArray
+    means: AnyArray
+
+    @classmethod
+    def create(cls, record: Record, predicted: FloatArray, yaw_rates: FloatArray) -> _PoseErrors | None:
+        """Compare poses with predicted twists (K, 3) and yaw rates (K,); return None for too few groups."""
+        assert record.pose is not None and record.fresh_pose is not None
+        dt, fresh = record.dt, record.fresh_pose
+        integrated_turn = dt * np.cumsum(_middle(yaw_rates))
+        half = round(identification_settings().pose_window / dt)
+        offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
+        total, count = (np.convolve(values, np.ones(2 * half + 1), "same") for values in (offset, fresh))
+        heading = integrated_turn + total / np.maximum(count, 1.0)
+        # The motion between two samples has the mean velocity and heading of the body.
+        traction = np.gradient(predicted[:, 0], dt) * np.abs(predicted[:, 2])
+        speeds = _middle(np.column_stack([predicted[:, 0] + 1j * predicted[:, 1], traction, predicted[:, 2]]))
+        directions = np.exp(1j * _middle(np.column_stack([heading, heading, np.zeros(len(heading))])))
+        errors = dt * np.cumsum(speeds * directions, axis=0)
+        errors[:, [0, 2]] = record.pose @ [[1, 0], [1j, 0], [0, 1]] - errors[:, [0, 2]]
+        # Second differences of smooth motion are negligible, so second differences of the errors are noise, with six
+        # times its variance; a position has two coordinates.
+        noise = np.mean(np.abs(np.diff(errors[fresh][:, [0, 2]], 2, axis=0)) ** 2, axis=0) / [12.0, 6.0]
+        steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
+        poses = np.flatnonzero(fresh)
+        groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
+        centres = np.array([round(group.mean()) for group in groups])
+        means = np.array([errors[group].mean(axis=0) for group in groups])
+        return cls(dt, heading, errors, noise, groups, centres, means) if len(groups) >= _MIN_POSES else None
+
+    def fast(self) -> FloatArray:
+        """Return forward deviations of `errors` at N poses from lines between the means, and noise variance (N, 3)."""
+        poses = np.concatenate(self.groups)
+        poses = poses[(poses >= self.centres[0]) & (poses < self.centres[-1])]
+        slow = np.column_stack([np.interp(poses, self.centres, column) for column in self.means[:, :2].T])
+        forward = ((self.errors[poses, :2] - slow) * np.exp(-1j * self.heading[poses])[:, None]).real
+        return np.column_stack([forward, np.full(len(poses), self.noise[0])])
+
+    def twists(self, traction_slip: float) -> FloatArray:
+        """Compute twists (K, 3) from differences of the means; the power of their noise is subtracted."""
+        starts, ends = self.centres[:-1], self.centres[1:]
+        displacement, turns = np.diff(self.means @ [[1.0, 0.0], [traction_slip, 0.0], [0.0, 1.0]], axis=0).T
+        displacement = displacement * np.exp(-1j * self.heading[(starts + ends) // 2])
+        windows = np.column_stack([displacement.real, displacement.imag, turns.real])
+        power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
+        noise_share = 2.0 * np.mean([1.0 / len(group) for group in self.groups])
+        windows *= np.sqrt(np.maximum(1.0 - noise_share * self.noise[[0, 0, 1]] / power, 0.0))
+        errors = np.zeros((len(self.heading), 3))
+        errors[starts[0] : ends[-1]] = np.repeat(windows / (self.dt * (ends - starts))[:, None], ends - starts, axis=0)
+        return errors

@@ -109,6 +109,7 @@ static void compute_twist(const velocity_plant *p, const double *output, double 
                 variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->max_squares[j]);
             twist[i] += row[i] * sqrt(variance);
         }
+        twist[0] -= p->traction_slip * fabs(output[1]) * p->rate[0];
     }
 }
 

@@ -45,14 +45,6 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
     return np.asarray(np.stack([np.ones_like(v), v, omega, v * omega, rate[..., 0], rate[..., 1]], axis=-1) ** 2)
 
 
-def smoothed(features: FloatArray, sample_time: float) -> FloatArray:
-    """Return means of the features (K, 6) over the duration of a displacement."""
-    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - slow import, not needed to drive
-
-    steps = max(1, round(DISPLACEMENT_TIME / sample_time))
-    return np.asarray(uniform_filter1d(features, steps, axis=0, mode="nearest"))
-
-
 @dataclass(frozen=True)
 class UnexplainedMotion:
     """Unexplained motion of the body: a difference from the model that the encoders do not measure.
@@ -65,11 +57,14 @@ class UnexplainedMotion:
         (3, 6) coefficients of `intensity_features` in the variances of forward speed, lateral speed and yaw rate.
     largest
         (6,) maximum of each feature in the log, to which features are clipped.
+    traction_slip
+        Ratio of forward slip speed and |omega| dv/dt [s^2/rad].
     """
 
     rows: FloatArray
     variance: FloatArray
     largest: FloatArray
+    traction_slip: float = 0.0
 
 
 class IdentifiedRobot(StrictModel):
@@ -86,10 +81,13 @@ class IdentifiedRobot(StrictModel):
         description="coefficients of the variance of unexplained forward speed, lateral speed and yaw rate, for 1, "
         "v^2, omega^2, (v omega)^2 and the squared rates of v and omega, SI units"
     )
-    displacement: _Variances = Field(
-        default=(0.0,) * 6,
-        description="coefficients of the variance of fast forward displacements, for example by backlash, which are "
-        "too short for `motion` [m^2]",
+    traction_slip: NotNegative = Field(
+        default=0.0, description="forward slip speed of wheels that slide in a turn, per |omega| dv/dt [s^2/rad]"
+    )
+    displacement: NotNegative = Field(
+        default=0.0,
+        description="standard deviation of fast forward displacements, for example by backlash, which are too short "
+        "for `motion` [m]",
     )
     largest: _Variances = Field(description="maxima of the six features in the log, which bound the variances")
     motion: list[list[_Interval]] = Field(
@@ -114,27 +112,15 @@ class IdentifiedRobot(StrictModel):
         dead_time = np.maximum(model.dead_time + delays, 0.0)
         return replace(model, C=gains[:, None] * model.C, dead_time=dead_time)
 
-    def displacements(self, twist: FloatArray, sample_time: float, rng: np.random.Generator) -> FloatArray:
-        """Draw fast forward displacements (K,) [m].
-
-        Parameters
-        ----------
-        twist
-            (K, 2) v [m/s], omega [rad/s] of the reference.
-        sample_time
-            Sample time of the twists [s].
-        rng
-            Random generator.
-        """
-        features = smoothed(intensity_features(twist, np.gradient(twist, sample_time, axis=0)), sample_time)
-        deviation = np.sqrt(np.clip(features, 0.0, self.largest) @ self.displacement)
+    def displacements(self, count: int, sample_time: float, rng: np.random.Generator) -> FloatArray:
+        """Draw fast forward displacements (count,) [m] at samples of `sample_time` [s]."""
         steps = max(1, round(DISPLACEMENT_TIME / sample_time))
-        return np.asarray(deviation * rng.normal(size=len(twist) // steps + 1).repeat(steps)[: len(twist)])
+        return rng.normal(0.0, self.displacement, count // steps + 1).repeat(steps)[:count]
 
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
         rows = draw_motion(self.records, MOTION_DURATION, (self.sample_time, sample_time), self.block_time, rng)
-        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
+        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest), self.traction_slip)
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:

@@ -98,15 +98,13 @@ def test_recorded_drives_scale_the_tubes_and_too_few_are_refused(folder):
     assert "1 recorded drive" in refusal("predict-error", *options, "--learn-from", logs[0])
 
 
-def test_fast_displacements_widen_the_tube_along_where_the_robot_accelerates(folder):
+def test_fast_displacements_widen_only_the_tube_along(folder):
     config, path = str(folder / "config.yaml"), str(folder / "short.yaml")
     before = predict_by_drives(config, path, own_plant(config), 20)
-    played = robot().model_copy(update={"displacement": (0.0, 0.0, 0.0, 0.0, 0.01**2, 0.0)})
-    write_robot(played, folder / "robot.yaml")
+    write_robot(robot().model_copy(update={"displacement": 0.01}), folder / "robot.yaml")
     after = predict_by_drives(config, path, own_plant(config), 20)
     assert np.array_equal(after.lateral.everywhere, before.lateral.everywhere)
-    ratio = after.along.everywhere / before.along.everywhere
-    assert ratio[0] > ratio[len(ratio) // 2] and ratio[0] > 1.3
+    assert (after.along.everywhere > 1.3 * before.along.everywhere).all()
 
 
 def test_errors_depend_on_the_seed_and_grow_with_the_unexplained_motion(folder):

@@ -133,7 +133,7 @@ def predict_reference(
     results, sample = np.array(run_tasks(tasks, jobs, on_done)), reference.sample(time)
     if robot := identified_robot_of(plant):
         rngs = (np.random.default_rng([seed, 1]) for seed in range(draws))
-        results[:, 1] = np.abs(results[:, 1] + [robot.displacements(sample.twist, dt, rng) for rng in rngs])
+        results[:, 1] = np.abs(results[:, 1] + [robot.displacements(len(time), dt, rng) for rng in rngs])
     lateral, along = (tube(errors, dt).scaled(MODEL_ERROR) for errors in results.swapaxes(0, 1))
     return PredictedError(
         reference.name,
