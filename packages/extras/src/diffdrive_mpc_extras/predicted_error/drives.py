@@ -148,6 +148,12 @@ def predict_reference(
     )
 
 
+def check_count(logs: Sequence[Path]) -> None:
+    """Raise ConfigError if there are recorded drives, but too few for a conformal quantile of the level."""
+    if 0 < len(logs) < (required := round(LEVEL / (1.0 - LEVEL))):
+        raise ConfigError(f"{len(logs)} recorded drives: {100 * LEVEL:g} % needs {required}; record more drives")
+
+
 def scale_by_logs(
     logs: Sequence[Path], predicted: PredictedError, config: ControllerConfig, plant: str, draws: int, jobs: int
 ) -> PredictedError:
@@ -165,6 +171,7 @@ def scale_by_logs(
     ConfigError
         If a log is not readable or has no reference, or there are too few logs for the level.
     """
+    check_count(logs)
     scores, metres, predictions = [], 0.0, dict[bytes, PredictedError]()
     for log in logs:
         columns = read_drive_log(log).columns
@@ -176,9 +183,6 @@ def scale_by_logs(
         widths = [np.interp(time, tubes.time, tube.everywhere) for tube in (tubes.lateral, tubes.along)]
         scores.append(np.nanmax(np.abs([columns[f"error_{name}_m"] for name in ("across", "along")]) / widths, axis=1))
     lateral, along = (conformal_quantile([row[None] for row in rows], LEVEL) for rows in np.transpose(scores))
-    if not np.isfinite([lateral, along]).all():
-        required = f"{100 * LEVEL:g} % needs {LEVEL / (1.0 - LEVEL):.0f}"
-        raise ConfigError(f"{len(logs)} recorded drives: {required}; record more drives")
     factors = f"scaled by {len(logs)} recorded drives of {metres:.0f} m, lateral {lateral:.2f}, along {along:.2f} times"
     predicted = replace(predicted, lateral=predicted.lateral.scaled(lateral), along=predicted.along.scaled(along))
     return replace(predicted, drives=f"{predicted.drives}, {factors}")

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import Direction
-from diffdrive_mpc_extras.predicted_error.drives import DRAWS, predict_by_drives, scale_by_logs
+from diffdrive_mpc_extras.predicted_error.drives import DRAWS, check_count, predict_by_drives, scale_by_logs
 from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
@@ -45,6 +45,7 @@ def predict_robot_into(
     plant, jobs = plant or own_plant(config), jobs or available_cores()
     if missing := [log for log in logs if not log.exists()]:
         raise ConfigError(f"--learn-from {missing[0]}: there is no such file; give a log of simulate or of the node")
+    check_count(logs)
     with ProgressBar("driving", draws, lines=True) as bar:
         predicted = predict_by_drives(config, trajectory, plant, draws, jobs, bar.advance)
     if logs:
