@@ -10,12 +10,13 @@ number of experiments.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
+from diffdrive_mpc.models.base_effects import apply_limits
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.input_limits import limit_derivatives, limited_inputs
@@ -36,10 +37,53 @@ _MIN_SINGULAR_VALUE = 1e-9
 _MIN_EXCITATION = 1e-4
 # Relative size at which the decaying effect of an initial state is neglected.
 _DECAYED = 1e-12
+# Number of samples from which an experiment is simulated separately.
+_LONG = 1024
 
 
 _Drive = tuple[FloatArray, FloatArray]
-"""Limited and delayed inputs of B0 and of B1, each (m, K)."""
+"""Limited and delayed inputs of B0 and of B1, each (m, S, K)."""
+
+
+class _Batch(NamedTuple):
+    """S experiments of one sample time, extended by zeros to K samples, simulated together."""
+
+    indices: list[int]
+    experiments: list[SampledExperiment]
+    dt: float
+    inputs: FloatArray
+    """(S, K, m)"""
+    outputs: FloatArray
+    """(S, K, p)"""
+
+    def limited(self, system: LinearSystem, function: Callable[..., FloatArray] = apply_limits) -> FloatArray:
+        """Return `limited_inputs` of the experiments (..., S, K, m)."""
+        if np.isinf(system.limit).all():
+            return self.inputs
+        return _stacked([limited_inputs(system, experiment, function) for experiment in self.experiments])
+
+
+def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """Stack arrays (..., K, r) of different K as (..., S, max K, r), extended by zeros."""
+    *leading, _, columns = parts[0].shape
+    stack = np.zeros((*leading, len(parts), max(part.shape[-2] for part in parts), columns))
+    for i, part in enumerate(parts):
+        stack[..., i, : part.shape[-2], :] = part
+    return stack
+
+
+def _batches(experiments: Sequence[SampledExperiment]) -> list[_Batch]:
+    """Group experiments by sample time and length; lengths in a group differ by less than a factor of two."""
+    groups: dict[tuple[float, int], list[int]] = {}
+    for i, experiment in enumerate(experiments):
+        length = -i if experiment.samples >= _LONG else experiment.samples.bit_length()
+        groups.setdefault((experiment.dt, length), []).append(i)
+    batches = []
+    for (dt, _), indices in groups.items():
+        parts = [experiments[i] for i in indices]
+        inputs, outputs = _stacked([part.inputs for part in parts]), _stacked([part.outputs for part in parts])
+        batches.append(_Batch(indices, parts, dt, inputs, outputs))
+    return batches
 
 
 class _Model(NamedTuple):
@@ -55,14 +99,14 @@ class _Model(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """Effect of the unknown past on the first E samples, in r directions."""
+    """Effect of the unknown pasts of S experiments on the first E samples, in m + n directions; zero if unobservable."""
 
     outputs: FloatArray
-    """(E p, r) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
+    """(S, E p, m + n) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
     prior: FloatArray
-    """(m + n, r) prior rows of this basis."""
+    """(S, m + n, m + n) prior rows of this basis."""
     recover: FloatArray
-    """(m + n, r) map from components along the basis to previous command and deviation."""
+    """(S, m + n, m + n) map from components along the basis to previous command and deviation."""
 
 
 class OutputErrorProblem:
@@ -88,50 +132,53 @@ class OutputErrorProblem:
         weights: Sequence[FloatArray],
         prior: Sequence[FloatArray] | None = None,
     ) -> None:
-        self._layout, self._experiments, self._weights = layout, list(experiments), list(weights)
-        self._rows = sum(weight.size for weight in weights)
-        self._prior = [None] * len(weights) if prior is None else list(prior)
-        self._max_samples = {experiment.dt: 0 for experiment in experiments}
-        for experiment in experiments:
-            self._max_samples[experiment.dt] = max(self._max_samples[experiment.dt], experiment.samples)
+        self._layout, self._samples = layout, [len(weight) for weight in weights]
+        self._batches: list[tuple[_Batch, FloatArray, FloatArray | None]] = []
+        self._max_samples: dict[float, int] = {}
+        for batch in _batches(experiments):
+            priors = None if prior is None else np.stack([prior[i] for i in batch.indices])
+            self._batches.append((batch, _stacked([weights[i] for i in batch.indices]), priors))
+            self._max_samples[batch.dt] = max(self._max_samples.get(batch.dt, 0), batch.inputs.shape[1])
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return the weighted residuals (rows,) of all experiments, then those of the pasts; inf if unstable."""
         system = self._layout.system(parameters)
         # The trust-region method rejects a step with infinite cost and reduces the region.
         if np.linalg.eigvals(system.A).real.max() >= 0:
-            return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
+            rows = sum(self._samples) * len(system.C)
+            return np.full(rows + len(self._samples) * (system.B.shape[1] + len(system.A)), np.inf)
         models = self._models(system)
-        parts, pasts = [], []
-        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
-            model = models[experiment.dt]
-            states = _simulate_from_rest(model, limited_inputs(system, experiment))
-            error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
-            pasts.append(_project(error, _past(model, weight, prior)))
-            parts.append(error)
-        return np.concatenate(parts + pasts)
+        parts = []
+        for batch, weight, prior in self._batches:
+            model = models[batch.dt]
+            error = _errors(model, batch, weight, _simulate_from_rest(model, batch.limited(system)))
+            parts.append((error, _project(error, _past(model, weight, prior))))
+        return self._ordered(parts)[:, 0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Return the (rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
-        parts, pasts = [], []
-        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
-            model = models[experiment.dt]
-            rows, past = _experiment_jacobian(model, *slopes[experiment.dt], experiment, weight, prior)
-            parts.append(rows)
-            pasts.append(past)
-        return np.concatenate(parts + pasts)
+        return self._ordered([_jacobian(models[part[0].dt], *slopes[part[0].dt], *part) for part in self._batches])
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
         system = self._layout.system(parameters)
-        models = self._models(system)
-        return [
-            _simulate(models[experiment.dt], experiment, weight, prior)[0].T @ system.C.T + system.offset
-            for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True)
-        ]
+        models, simulated = self._models(system), {}
+        for batch, weight, prior in self._batches:
+            states = _simulate(models[batch.dt], batch, weight, prior)[0]
+            simulated |= zip(batch.indices, np.moveaxis(states, 0, -1) @ system.C.T + system.offset, strict=True)
+        return [simulated[i][:samples] for i, samples in enumerate(self._samples)]
+
+    def _ordered(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+        """Concatenate rows (S, K p, q) of all experiments without their extension, then those (S, m + n, q) of pasts."""
+        rows: dict[int, FloatArray] = {}
+        pasts: dict[int, FloatArray] = {}
+        for (batch, weight, _), (errors, past) in zip(self._batches, parts, strict=True):
+            rows |= {i: part[: self._samples[i] * weight.shape[2]] for i, part in zip(batch.indices, errors, strict=True)}
+            pasts |= zip(batch.indices, past, strict=True)
+        return np.concatenate([part[i] for part in (rows, pasts) for i in range(len(self._samples))])
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
         """Discretise the system for each sample time of the data."""
@@ -171,55 +218,71 @@ class OutputErrorProblem:
 
 
 def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
-    states = model.past[..., : len(weight)]
-    count = states.shape[1]
-    rows = weight[: states.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
-    prior_rows = np.zeros((count, count)) if prior is None else prior
-    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), prior_rows]), full_matrices=False)
-    is_observable = values > _MIN_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)
-    return _Past(
-        left[:-count, is_observable], left[-count:, is_observable], right[is_observable].T / values[is_observable]
+    states = model.past[..., : weight.shape[1]]
+    count, early = states.shape[1:]
+    rows = weight[:, :early, :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
+    prior_rows = np.zeros((len(weight), count, count)) if prior is None else prior
+    left, values, right = np.linalg.svd(
+        np.concatenate([rows.reshape(len(weight), -1, count), prior_rows], axis=1), full_matrices=False
     )
+    is_observable = values > _MIN_SINGULAR_VALUE * np.maximum(values[:, :1], np.finfo(float).tiny)
+    left *= is_observable[:, None]
+    inverse = is_observable / np.where(is_observable, values, 1.0)
+    return _Past(left[:, :-count], left[:, -count:], np.swapaxes(right, 1, 2) * inverse[:, None])
+
+
+def _errors(model: _Model, batch: _Batch, weight: FloatArray, states: FloatArray) -> FloatArray:
+    """Return weighted errors (S, K p, 1) of simulated states (n, S, K)."""
+    outputs = np.moveaxis(states, 0, -1) @ model.system.C.T
+    return np.asarray((weight * (batch.outputs - model.system.offset - outputs)).reshape(len(weight), -1, 1))
 
 
 def _simulate(
-    model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
+    model: _Model, batch: _Batch, weight: FloatArray, prior: FloatArray | None
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-    """Return the states (n, K) from the best past, the delayed inputs, the previous command, and the past's effect."""
-    system, past = model.system, _past(model, weight, prior)
-    inputs = limited_inputs(system, experiment)
+    """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
+    past, inputs = _past(model, weight, prior), batch.limited(model.system)
     states = _simulate_from_rest(model, inputs)
-    early = len(past.outputs) // experiment.outputs.shape[1]
-    error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-    recovered = past.recover @ (past.outputs.T @ error[:early].ravel())
-    states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
-    before = recovered[: inputs.shape[1]]
-    return states, delay_inputs(inputs, model.sampled.delay, before), before, past
+    rows = past.outputs.shape[1]
+    early = rows // weight.shape[2]
+    error = _errors(model, batch, weight, states)[:, :rows]
+    recovered = (past.recover @ (np.swapaxes(past.outputs, 1, 2) @ error))[..., 0].T
+    states[..., :early] += np.moveaxis(np.tensordot(model.past[..., :early], recovered, (1, 0)), 1, 2)
+    before = recovered[: inputs.shape[2]]
+    return states, delay_inputs(inputs, model.sampled.delay, before.T), before, past
 
 
-def _experiment_jacobian(
+def _jacobian(
     model: _Model,
     slope: LinearSystem,
     sampled_slope: SampledSystem,
-    experiment: SampledExperiment,
+    batch: _Batch,
     weight: FloatArray,
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the weighted residuals of an experiment (K p, q) and of its past (m + n, q)."""
-    states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
+    """Return the derivatives of the weighted residuals of S experiments (S, K p, q) and of pasts (S, m + n, q)."""
+    states, (recent, older), before, past = _simulate(model, batch, weight, prior)
+    count = len(slope.A)
+
+    def flat(values: FloatArray) -> FloatArray:
+        return values.reshape(len(values), -1)
+
     # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
-    forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
+    forcing = sampled_slope.A @ flat(states) + sampled_slope.B0 @ flat(recent) + sampled_slope.B1 @ flat(older)
     # Estimated limits also change the inputs.
     if slope.limit.any():
-        changes = limited_inputs(model.system, experiment, limit_derivatives)
+        changes = batch.limited(model.system, limit_derivatives)
         for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
-            recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[1]))
-            forcing += (model.sampled.B0 * rates) @ recent + (model.sampled.B1 * rates) @ older
-    steady_slope = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.steady_states + slope.B) @ before).T))
-    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), steady_slope)
-    change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
-    change += slope.offset.T[:, :, None]
-    rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
+            recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[::2]))
+            forcing += (model.sampled.B0 * rates) @ flat(recent) + (model.sampled.B1 * rates) @ flat(older)
+    change = np.moveaxis((slope.A @ model.steady_states + slope.B) @ before, 0, 1)
+    steady_slope = np.asarray(-np.linalg.solve(model.system.A, flat(change)))
+    drive = np.moveaxis(forcing, 0, 1).reshape(len(states), -1, states.shape[2])
+    sensitivity = model.respond(drive, steady_slope)
+    outputs = np.tensordot(model.system.C, sensitivity, 1).reshape(weight.shape[2], count, -1)
+    outputs += np.moveaxis(slope.C @ flat(states), 0, 1) + slope.offset.T[:, :, None]
+    rows = np.transpose(outputs.reshape(weight.shape[2], count, *weight.shape[:2]), (2, 3, 0, 1))
+    rows = -(weight[..., None] * rows).reshape(len(weight), -1, count)
     return rows, _project(rows, past)
 
 
@@ -233,15 +296,16 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     steady_states, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
     respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
-    for experiment in experiments:
-        discrete = sampled[experiment.dt]
-        inputs = limited_inputs(system, experiment)
-        recent, older = delay_inputs(inputs, discrete.delay, np.zeros(inputs.shape[1]))
-        difference = (
-            respond[experiment.dt]((discrete.B0 @ recent + discrete.B1 @ older)[:, None, :])[:, 0]
-            - steady_states @ inputs.T
-        )
-        total, count = total + difference @ difference.T, count + len(inputs)
+    for batch in _batches(experiments):
+        discrete = sampled[batch.dt]
+        inputs = batch.limited(system)
+        recent, older = delay_inputs(inputs, discrete.delay, np.zeros(inputs.shape[::2]))
+        states = respond[batch.dt](np.tensordot(discrete.B0, recent, 1) + np.tensordot(discrete.B1, older, 1))
+        # The extensions of the experiments do not count.
+        ends = np.array([[experiment.samples] for experiment in batch.experiments])
+        counts = np.arange(inputs.shape[1]) < ends
+        difference = (states - np.tensordot(steady_states, inputs, (1, 2)))[:, counts]
+        total, count = total + difference @ difference.T, count + difference.shape[1]
     # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
@@ -251,14 +315,14 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
 
 
 def _simulate_from_rest(model: _Model, inputs: FloatArray) -> FloatArray:
-    """Simulate the states (n, K) from rest with limited inputs (K, m)."""
-    recent, older = delay_inputs(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
-    return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
+    """Simulate the states (n, S, K) from rest with limited inputs (S, K, m)."""
+    recent, older = delay_inputs(inputs, model.sampled.delay, np.zeros(inputs.shape[::2]))
+    return model.respond(np.tensordot(model.sampled.B0, recent, 1) + np.tensordot(model.sampled.B1, older, 1))
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
-    """Remove the effect of the past from `rows` (K p, ...) in place; return the prior rows (m + n, ...)."""
-    early = rows[: len(past.outputs)]
-    components = past.outputs.T @ early
+    """Remove the effect of the pasts from `rows` (S, K p, q) in place; return the prior rows (S, m + n, q)."""
+    early = rows[:, : past.outputs.shape[1]]
+    components = np.swapaxes(past.outputs, 1, 2) @ early
     early -= past.outputs @ components
-    return -past.prior @ components
+    return np.asarray(-past.prior @ components)
