@@ -50,11 +50,18 @@ class _Batch(NamedTuple):
 
     indices: list[int]
     experiments: list[SampledExperiment]
-    dt: float
     inputs: FloatArray
     """(S, K, m)"""
     outputs: FloatArray
     """(S, K, p)"""
+    weight: FloatArray
+    """(S, K, p) factors of the residuals; by default 1 for readings, 0 for other samples."""
+    prior: FloatArray | float = 0.0
+    """(S, m + n, m + n) inverse standard deviations of the pasts; 0 for no prior."""
+
+    @property
+    def dt(self) -> float:
+        return self.experiments[0].dt
 
     def limited(self, system: LinearSystem, function: Callable[..., FloatArray] = apply_limits) -> FloatArray:
         """Return `limited_inputs` of the experiments (..., S, K, m)."""
@@ -75,15 +82,18 @@ def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
 def _batches(experiments: Sequence[SampledExperiment]) -> list[_Batch]:
     """Group experiments by sample time and length; lengths in a group differ by less than a factor of two."""
     groups: dict[tuple[float, int], list[int]] = {}
-    for i, experiment in enumerate(experiments):
-        length = -i if experiment.samples >= _LONG else experiment.samples.bit_length()
-        groups.setdefault((experiment.dt, length), []).append(i)
-    batches = []
-    for (dt, _), indices in groups.items():
-        parts = [experiments[i] for i in indices]
-        inputs, outputs = _stacked([part.inputs for part in parts]), _stacked([part.outputs for part in parts])
-        batches.append(_Batch(indices, parts, dt, inputs, outputs))
-    return batches
+    for i, part in enumerate(experiments):
+        length = -i if part.samples >= _LONG else part.samples.bit_length()
+        groups.setdefault((part.dt, length), []).append(i)
+    members = [(indices, [experiments[i] for i in indices]) for indices in groups.values()]
+    return [
+        _Batch(
+            indices,
+            parts,
+            *(_stacked([getattr(part, name) for part in parts]) for name in ("inputs", "outputs", "counts")),
+        )
+        for indices, parts in members
+    ]
 
 
 class _Model(NamedTuple):
@@ -99,7 +109,7 @@ class _Model(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """Effect of the unknown pasts of S experiments on the first E samples, in m + n directions; zero if unobservable."""
+    """Effect of the unknown pasts of S experiments on the first E samples; unobservable directions are zero."""
 
     outputs: FloatArray
     """(S, E p, m + n) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
@@ -133,12 +143,12 @@ class OutputErrorProblem:
         prior: Sequence[FloatArray] | None = None,
     ) -> None:
         self._layout, self._samples = layout, [len(weight) for weight in weights]
-        self._batches: list[tuple[_Batch, FloatArray, FloatArray | None]] = []
-        self._max_samples: dict[float, int] = {}
+        self._batches, self._max_samples = [], dict.fromkeys((part.dt for part in experiments), 0)
         for batch in _batches(experiments):
-            priors = None if prior is None else np.stack([prior[i] for i in batch.indices])
-            self._batches.append((batch, _stacked([weights[i] for i in batch.indices]), priors))
-            self._max_samples[batch.dt] = max(self._max_samples.get(batch.dt, 0), batch.inputs.shape[1])
+            weight = _stacked([weights[i] for i in batch.indices])
+            priors = 0.0 if prior is None else np.stack([prior[i] for i in batch.indices])
+            self._batches.append(batch._replace(weight=weight, prior=priors))
+            self._max_samples[batch.dt] = max(self._max_samples[batch.dt], weight.shape[1])
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return the weighted residuals (rows,) of all experiments, then those of the pasts; inf if unstable."""
@@ -147,12 +157,11 @@ class OutputErrorProblem:
         if np.linalg.eigvals(system.A).real.max() >= 0:
             rows = sum(self._samples) * len(system.C)
             return np.full(rows + len(self._samples) * (system.B.shape[1] + len(system.A)), np.inf)
-        models = self._models(system)
-        parts = []
-        for batch, weight, prior in self._batches:
+        models, parts = self._models(system), []
+        for batch in self._batches:
             model = models[batch.dt]
-            error = _errors(model, batch, weight, _simulate_from_rest(model, batch.limited(system)))
-            parts.append((error, _project(error, _past(model, weight, prior))))
+            error = _errors(model, batch, _simulate_from_rest(model.sampled, model.respond, batch.limited(system)))
+            parts.append((error, _project(error, _past(model, batch))))
         return self._ordered(parts)[:, 0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
@@ -160,25 +169,26 @@ class OutputErrorProblem:
         system = self._layout.system(parameters)
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
-        return self._ordered([_jacobian(models[part[0].dt], *slopes[part[0].dt], *part) for part in self._batches])
+        return self._ordered([_jacobian(models[batch.dt], *slopes[batch.dt], batch) for batch in self._batches])
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
         system = self._layout.system(parameters)
         models, simulated = self._models(system), {}
-        for batch, weight, prior in self._batches:
-            states = _simulate(models[batch.dt], batch, weight, prior)[0]
+        for batch in self._batches:
+            states = _simulate(models[batch.dt], batch)[0]
             simulated |= zip(batch.indices, np.moveaxis(states, 0, -1) @ system.C.T + system.offset, strict=True)
         return [simulated[i][:samples] for i, samples in enumerate(self._samples)]
 
     def _ordered(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-        """Concatenate rows (S, K p, q) of all experiments without their extension, then those (S, m + n, q) of pasts."""
+        """Concatenate rows (S, K p, q) of experiments without their extension, then those (S, m + n, q) of pasts."""
         rows: dict[int, FloatArray] = {}
         pasts: dict[int, FloatArray] = {}
-        for (batch, weight, _), (errors, past) in zip(self._batches, parts, strict=True):
-            rows |= {i: part[: self._samples[i] * weight.shape[2]] for i, part in zip(batch.indices, errors, strict=True)}
+        for batch, (errors, past) in zip(self._batches, parts, strict=True):
+            rows |= zip(batch.indices, errors, strict=True)
             pasts |= zip(batch.indices, past, strict=True)
-        return np.concatenate([part[i] for part in (rows, pasts) for i in range(len(self._samples))])
+        ordered = [rows[i][: samples * self._layout.outputs] for i, samples in enumerate(self._samples)]
+        return np.concatenate(ordered + [pasts[i] for i in range(len(ordered))])
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
         """Discretise the system for each sample time of the data."""
@@ -217,72 +227,59 @@ class OutputErrorProblem:
         )
 
 
-def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
-    states = model.past[..., : weight.shape[1]]
-    count, early = states.shape[1:]
-    rows = weight[:, :early, :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
-    prior_rows = np.zeros((len(weight), count, count)) if prior is None else prior
-    left, values, right = np.linalg.svd(
-        np.concatenate([rows.reshape(len(weight), -1, count), prior_rows], axis=1), full_matrices=False
-    )
+def _past(model: _Model, batch: _Batch) -> _Past:
+    states = model.past[..., : batch.weight.shape[1]]
+    size, (count, early) = len(batch.weight), states.shape[1:]
+    effects = batch.weight[:, :early, :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
+    rows = [effects.reshape(size, -1, count), np.broadcast_to(batch.prior, (size, count, count))]
+    left, values, right = np.linalg.svd(np.concatenate(rows, axis=1), full_matrices=False)
     is_observable = values > _MIN_SINGULAR_VALUE * np.maximum(values[:, :1], np.finfo(float).tiny)
     left *= is_observable[:, None]
     inverse = is_observable / np.where(is_observable, values, 1.0)
     return _Past(left[:, :-count], left[:, -count:], np.swapaxes(right, 1, 2) * inverse[:, None])
 
 
-def _errors(model: _Model, batch: _Batch, weight: FloatArray, states: FloatArray) -> FloatArray:
+def _errors(model: _Model, batch: _Batch, states: FloatArray) -> FloatArray:
     """Return weighted errors (S, K p, 1) of simulated states (n, S, K)."""
-    outputs = np.moveaxis(states, 0, -1) @ model.system.C.T
-    return np.asarray((weight * (batch.outputs - model.system.offset - outputs)).reshape(len(weight), -1, 1))
+    error = batch.outputs - model.system.offset - np.moveaxis(states, 0, -1) @ model.system.C.T
+    return np.asarray((batch.weight * error).reshape(len(error), -1, 1))
 
 
-def _simulate(
-    model: _Model, batch: _Batch, weight: FloatArray, prior: FloatArray | None
-) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
+def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
     """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
-    past, inputs = _past(model, weight, prior), batch.limited(model.system)
-    states = _simulate_from_rest(model, inputs)
-    rows = past.outputs.shape[1]
-    early = rows // weight.shape[2]
-    error = _errors(model, batch, weight, states)[:, :rows]
+    past, inputs = _past(model, batch), batch.limited(model.system)
+    states = _simulate_from_rest(model.sampled, model.respond, inputs)
+    error = _errors(model, batch, states)[:, : past.outputs.shape[1]]
     recovered = (past.recover @ (np.swapaxes(past.outputs, 1, 2) @ error))[..., 0].T
-    states[..., :early] += np.moveaxis(np.tensordot(model.past[..., :early], recovered, (1, 0)), 1, 2)
+    effect = np.moveaxis(np.tensordot(model.past[..., : states.shape[2]], recovered, (1, 0)), 1, 2)
+    states[..., : effect.shape[2]] += effect
     before = recovered[: inputs.shape[2]]
     return states, delay_inputs(inputs, model.sampled.delay, before.T), before, past
 
 
 def _jacobian(
-    model: _Model,
-    slope: LinearSystem,
-    sampled_slope: SampledSystem,
-    batch: _Batch,
-    weight: FloatArray,
-    prior: FloatArray | None,
+    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, batch: _Batch
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the weighted residuals of S experiments (S, K p, q) and of pasts (S, m + n, q)."""
-    states, (recent, older), before, past = _simulate(model, batch, weight, prior)
-    count = len(slope.A)
-
-    def flat(values: FloatArray) -> FloatArray:
-        return values.reshape(len(values), -1)
-
+    states, (recent, older), before, past = _simulate(model, batch)
+    n, size, samples = states.shape
+    states, recent, older = (values.reshape(len(values), -1) for values in (states, recent, older))
     # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
-    forcing = sampled_slope.A @ flat(states) + sampled_slope.B0 @ flat(recent) + sampled_slope.B1 @ flat(older)
+    forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     # Estimated limits also change the inputs.
     if slope.limit.any():
         changes = batch.limited(model.system, limit_derivatives)
         for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
             recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[::2]))
-            forcing += (model.sampled.B0 * rates) @ flat(recent) + (model.sampled.B1 * rates) @ flat(older)
-    change = np.moveaxis((slope.A @ model.steady_states + slope.B) @ before, 0, 1)
-    steady_slope = np.asarray(-np.linalg.solve(model.system.A, flat(change)))
-    drive = np.moveaxis(forcing, 0, 1).reshape(len(states), -1, states.shape[2])
-    sensitivity = model.respond(drive, steady_slope)
-    outputs = np.tensordot(model.system.C, sensitivity, 1).reshape(weight.shape[2], count, -1)
-    outputs += np.moveaxis(slope.C @ flat(states), 0, 1) + slope.offset.T[:, :, None]
-    rows = np.transpose(outputs.reshape(weight.shape[2], count, *weight.shape[:2]), (2, 3, 0, 1))
-    rows = -(weight[..., None] * rows).reshape(len(weight), -1, count)
+            drive = (model.sampled.B0 * rates) @ recent.reshape(len(recent), -1)
+            forcing += drive + (model.sampled.B1 * rates) @ older.reshape(len(older), -1)
+    steady_slope = np.moveaxis((slope.A @ model.steady_states + slope.B) @ before, 0, 1).reshape(n, -1)
+    start = np.asarray(-np.linalg.solve(model.system.A, steady_slope))
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1).reshape(n, -1, samples), start)
+    change = np.tensordot(model.system.C, sensitivity, 1).reshape(len(model.system.C), -1, size * samples)
+    change += np.moveaxis(slope.C @ states, 0, 1) + slope.offset.T[:, :, None]
+    rows = np.moveaxis(change, 2, 0).reshape(size, samples, *change.shape[:2])
+    rows = -(batch.weight[..., None] * rows).reshape(size, -1, change.shape[1])
     return rows, _project(rows, past)
 
 
@@ -297,14 +294,10 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
     respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
     for batch in _batches(experiments):
-        discrete = sampled[batch.dt]
         inputs = batch.limited(system)
-        recent, older = delay_inputs(inputs, discrete.delay, np.zeros(inputs.shape[::2]))
-        states = respond[batch.dt](np.tensordot(discrete.B0, recent, 1) + np.tensordot(discrete.B1, older, 1))
-        # The extensions of the experiments do not count.
-        ends = np.array([[experiment.samples] for experiment in batch.experiments])
-        counts = np.arange(inputs.shape[1]) < ends
-        difference = (states - np.tensordot(steady_states, inputs, (1, 2)))[:, counts]
+        states = _simulate_from_rest(sampled[batch.dt], respond[batch.dt], inputs)
+        is_sample = np.arange(inputs.shape[1]) < np.array([[part.samples] for part in batch.experiments])
+        difference = (states - np.tensordot(steady_states, inputs, (1, 2)))[:, is_sample]
         total, count = total + difference @ difference.T, count + difference.shape[1]
     # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
     sizes, axes = np.linalg.eigh(total / count)
@@ -314,10 +307,10 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _simulate_from_rest(model: _Model, inputs: FloatArray) -> FloatArray:
+def _simulate_from_rest(sampled: SampledSystem, respond: StateResponse, inputs: FloatArray) -> FloatArray:
     """Simulate the states (n, S, K) from rest with limited inputs (S, K, m)."""
-    recent, older = delay_inputs(inputs, model.sampled.delay, np.zeros(inputs.shape[::2]))
-    return model.respond(np.tensordot(model.sampled.B0, recent, 1) + np.tensordot(model.sampled.B1, older, 1))
+    recent, older = delay_inputs(inputs, sampled.delay, np.zeros(inputs.shape[::2]))
+    return respond(np.tensordot(sampled.B0, recent, 1) + np.tensordot(sampled.B1, older, 1))
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
