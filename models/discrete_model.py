@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diffdrive_mpc.models.errors import checked_methods
 from diffdrive_mpc.models.interface import FloatArray
 
 # Tolerance for dead times that are whole numbers of samples before rounding of their decimals [samples].
 _WHOLE = 1e-9
 
 
+@checked_methods
 @dataclass(frozen=True)
 class DiscreteModel:
     """x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1],  y[k] = C x[k].

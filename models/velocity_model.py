@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
-from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_number
+from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_methods, checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, checked_array
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 CHANNELS = ("v", "omega")
 
@@ -37,6 +38,7 @@ def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArra
     return np.asarray(np.asarray(dead_time)[pairs[1]] - (C @ np.linalg.solve(A, settled))[pairs] / (C @ settled)[pairs])
 
 
+@checked_methods
 @dataclass(frozen=True, repr=False)
 class VelocityModel:
     """Linear dynamics from commanded to true body twist, x' = A x + B u(t - dead_time), y = C x.
@@ -75,6 +77,7 @@ class VelocityModel:
         """Convert the fields to arrays and check them."""
         for name in ("A", "B", "C", "dead_time"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
+        self._check_names()
         self._check()
 
     @staticmethod
@@ -170,6 +173,17 @@ class VelocityModel:
         if not (np.isfinite(dt) and dt > 0):
             raise ModelError(f"model '{self.name}': sample time {dt} s; it must be positive and finite")
         return zero_order_hold(self.A, self.B, self.C, self.dead_time, dt)
+
+    def _check_names(self) -> None:
+        from diffdrive_mpc.models.structures.registry import STRUCTURES  # noqa: PLC0415 - needs this module
+
+        for label, value in (("name", self.name), ("structure", self.structure)):
+            if not isinstance(value, str):
+                raise wrong_type(label, "a text", value, 'write VelocityModel("mine", "ssm", A, B, C)')
+        if self.structure not in STRUCTURES:
+            raise ModelError(
+                f"model '{self.name}': unknown structure {format_unknown_name(self.structure, STRUCTURES)}"
+            )
 
     def _check(self) -> None:
         where = f"model '{self.name}'"
