@@ -21,6 +21,7 @@ _GAIN_RANGE = (0.05, 20.0)
 # Plausible time constants of a robot's velocity dynamics [s].
 _TIME_CONSTANT_RANGE = (1e-3, 20.0)
 _MAX_DEAD_TIME = 2.0
+_REMEDY = 'write VelocityModel("mine", "ssm", A, B, C, dead_time) with arrays (n, n), (n, 2), (2, n), (2,)'
 
 
 class ModelError(DiffdriveMpcError, ValueError):
@@ -75,9 +76,10 @@ class VelocityModel:
 
     def __post_init__(self) -> None:
         """Convert the fields to arrays and check them."""
-        for name in ("A", "B", "C", "dead_time"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
         self._check_names()
+        for name in ("A", "B", "C", "dead_time"):
+            value = checked_array(name, getattr(self, name), "numbers", _REMEDY)
+            object.__setattr__(self, name, value.copy())
         self._check()
 
     @staticmethod
@@ -179,7 +181,7 @@ class VelocityModel:
 
         for label, value in (("name", self.name), ("structure", self.structure)):
             if not isinstance(value, str):
-                raise wrong_type(label, "a text", value, 'write VelocityModel("mine", "ssm", A, B, C)')
+                raise wrong_type(label, "a text", value, _REMEDY)
         if self.structure not in STRUCTURES:
             raise ModelError(
                 f"model '{self.name}': unknown structure {format_unknown_name(self.structure, STRUCTURES)}"
@@ -187,7 +189,7 @@ class VelocityModel:
 
     def _check(self) -> None:
         where = f"model '{self.name}'"
-        n = self.A.shape[0]
+        n = len(self.A) if self.A.ndim else 0
         shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "dead_time": (2,)}
         for name, shape in shapes.items():
             value = getattr(self, name)

@@ -679,6 +679,8 @@ class Controller:
                 measurement,
                 "call step(t, Measurement(...)), or step(t, Measurement()) if there are no new data",
             ) from error
+        if not (hold is None or isinstance(hold, Hold)):
+            raise wrong_type("hold", "a Hold or None", hold, "write hold=Hold(reason)")
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
         # Values of `ddmpc_request`.

@@ -112,9 +112,9 @@ class _Past(NamedTuple):
     """Effect of the unknown pasts of S experiments on the first E samples; unobservable directions are zero."""
 
     outputs: FloatArray
-    """(S, E p, m + n) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
+    """(S, m + n, E p) orthonormal basis of the effects of the past on outputs and prior: its part for outputs."""
     prior: FloatArray
-    """(S, m + n, m + n) prior rows of this basis."""
+    """(S, m + n, m + n) part of this basis for the prior, transposed."""
     recover: FloatArray
     """(S, m + n, m + n) map from components along the basis to previous command and deviation."""
 
@@ -234,9 +234,10 @@ def _past(model: _Model, batch: _Batch) -> _Past:
     rows = [effects.reshape(size, -1, count), np.broadcast_to(batch.prior, (size, count, count))]
     left, values, right = np.linalg.svd(np.concatenate(rows, axis=1), full_matrices=False)
     is_observable = values > _MIN_SINGULAR_VALUE * np.maximum(values[:, :1], np.finfo(float).tiny)
-    left *= is_observable[:, None]
-    inverse = is_observable / np.where(is_observable, values, 1.0)
-    return _Past(left[:, :-count], left[:, -count:], np.swapaxes(right, 1, 2) * inverse[:, None])
+    basis = np.swapaxes(left * is_observable[:, None], 1, 2)
+    # This order in memory is fast in products.
+    outputs, prior = np.ascontiguousarray(basis[..., :-count]), np.swapaxes(basis[..., -count:], 1, 2)
+    return _Past(outputs, prior, np.swapaxes(right, 1, 2) / np.where(is_observable, values, np.inf)[:, None])
 
 
 def _errors(model: _Model, batch: _Batch, states: FloatArray) -> FloatArray:
@@ -249,8 +250,8 @@ def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, _Drive, FloatAr
     """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
     past, inputs = _past(model, batch), batch.limited(model.system)
     states = _simulate_from_rest(model.sampled, model.respond, inputs)
-    error = _errors(model, batch, states)[:, : past.outputs.shape[1]]
-    recovered = (past.recover @ (np.swapaxes(past.outputs, 1, 2) @ error))[..., 0].T
+    error = _errors(model, batch, states)[:, : past.outputs.shape[2]]
+    recovered = (past.recover @ (past.outputs @ error))[..., 0].T
     effect = np.moveaxis(np.tensordot(model.past[..., : states.shape[2]], recovered, (1, 0)), 1, 2)
     states[..., : effect.shape[2]] += effect
     before = recovered[: inputs.shape[2]]
@@ -315,7 +316,7 @@ def _simulate_from_rest(sampled: SampledSystem, respond: StateResponse, inputs: 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
     """Remove the effect of the pasts from `rows` (S, K p, q) in place; return the prior rows (S, m + n, q)."""
-    early = rows[:, : past.outputs.shape[1]]
-    components = np.swapaxes(past.outputs, 1, 2) @ early
-    early -= past.outputs @ components
+    early = rows[:, : past.outputs.shape[2]]
+    components = past.outputs @ early
+    early -= np.swapaxes(past.outputs, 1, 2) @ components
     return np.asarray(-past.prior @ components)

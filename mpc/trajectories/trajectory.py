@@ -41,6 +41,10 @@ class Trajectory(ABC):
     duration: float
     remark: str = field(default="", kw_only=True)
 
+    def __init_subclass__(cls) -> None:
+        """Check the calls of all kinds of trajectories."""
+        checked_methods(cls)
+
     @staticmethod
     def from_arrays(
         t: ArrayLike,
