@@ -114,7 +114,7 @@ class _Past(NamedTuple):
     outputs: FloatArray
     """(S, m + n, E p) orthonormal basis of the effects of the past on outputs and prior: its part for outputs."""
     prior: FloatArray
-    """(S, m + n, m + n) part of this basis for the prior, transposed."""
+    """(S, m + n, m + n) rows of this basis for the prior."""
     recover: FloatArray
     """(S, m + n, m + n) map from components along the basis to previous command and deviation."""
 
@@ -234,8 +234,8 @@ def _past(model: _Model, batch: _Batch) -> _Past:
     rows = [effects.reshape(size, -1, count), np.broadcast_to(batch.prior, (size, count, count))]
     left, values, right = np.linalg.svd(np.concatenate(rows, axis=1), full_matrices=False)
     is_observable = values > _MIN_SINGULAR_VALUE * np.maximum(values[:, :1], np.finfo(float).tiny)
-    basis = np.swapaxes(left * is_observable[:, None], 1, 2)
     # This order in memory is fast in products.
+    basis = np.ascontiguousarray(np.swapaxes(left * is_observable[:, None], 1, 2))
     outputs, prior = np.ascontiguousarray(basis[..., :-count]), np.swapaxes(basis[..., -count:], 1, 2)
     return _Past(outputs, prior, np.swapaxes(right, 1, 2) / np.where(is_observable, values, np.inf)[:, None])
 
