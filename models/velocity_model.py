@@ -179,10 +179,9 @@ class VelocityModel:
     def _check_names(self) -> None:
         from diffdrive_mpc.models.structures.registry import STRUCTURES  # noqa: PLC0415 - needs this module
 
-        for label, value in (("name", self.name), ("structure", self.structure)):
-            if not isinstance(value, str):
-                raise wrong_type(label, "a text", value, _REMEDY)
-        if self.structure not in STRUCTURES:
+        if not isinstance(self.name, str):
+            raise wrong_type("name", "a text", self.name, _REMEDY)
+        if str(self.structure) not in STRUCTURES:
             raise ModelError(
                 f"model '{self.name}': unknown structure {format_unknown_name(self.structure, STRUCTURES)}"
             )

@@ -48,6 +48,7 @@ _Drive = tuple[FloatArray, FloatArray]
 class _Batch(NamedTuple):
     """S experiments of one sample time, extended by zeros to K samples, simulated together."""
 
+    dt: float
     indices: list[int]
     experiments: list[SampledExperiment]
     inputs: FloatArray
@@ -58,10 +59,6 @@ class _Batch(NamedTuple):
     """(S, K, p) factors of the residuals; by default 1 for readings, 0 for other samples."""
     prior: FloatArray | float = 0.0
     """(S, m + n, m + n) inverse standard deviations of the pasts; 0 for no prior."""
-
-    @property
-    def dt(self) -> float:
-        return self.experiments[0].dt
 
     def limited(self, system: LinearSystem, function: Callable[..., FloatArray] = apply_limits) -> FloatArray:
         """Return `limited_inputs` of the experiments (..., S, K, m)."""
@@ -85,15 +82,12 @@ def _batches(experiments: Sequence[SampledExperiment]) -> list[_Batch]:
     for i, part in enumerate(experiments):
         length = -i if part.samples >= _LONG else part.samples.bit_length()
         groups.setdefault((part.dt, length), []).append(i)
-    members = [(indices, [experiments[i] for i in indices]) for indices in groups.values()]
-    return [
-        _Batch(
-            indices,
-            parts,
-            *(_stacked([getattr(part, name) for part in parts]) for name in ("inputs", "outputs", "counts")),
-        )
-        for indices, parts in members
-    ]
+    batches = []
+    for (dt, _), indices in groups.items():
+        parts = [experiments[i] for i in indices]
+        arrays = (_stacked([getattr(part, name) for part in parts]) for name in ("inputs", "outputs", "counts"))
+        batches.append(_Batch(dt, indices, parts, *arrays))
+    return batches
 
 
 class _Model(NamedTuple):
@@ -182,13 +176,10 @@ class OutputErrorProblem:
 
     def _ordered(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
         """Concatenate rows (S, K p, q) of experiments without their extension, then those (S, m + n, q) of pasts."""
-        rows: dict[int, FloatArray] = {}
-        pasts: dict[int, FloatArray] = {}
-        for batch, (errors, past) in zip(self._batches, parts, strict=True):
-            rows |= zip(batch.indices, errors, strict=True)
-            pasts |= zip(batch.indices, past, strict=True)
-        ordered = [rows[i][: samples * self._layout.outputs] for i, samples in enumerate(self._samples)]
-        return np.concatenate(ordered + [pasts[i] for i in range(len(ordered))])
+        rows, pasts = ([row for part in group for row in part] for group in zip(*parts, strict=True))
+        order = np.argsort([i for batch in self._batches for i in batch.indices])
+        ends = [samples * self._layout.outputs for samples in self._samples]
+        return np.concatenate([rows[k][:end] for k, end in zip(order, ends, strict=True)] + [pasts[k] for k in order])
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
         """Discretise the system for each sample time of the data."""

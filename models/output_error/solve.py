@@ -136,7 +136,7 @@ def fit_output_error(
         split_rows(trust, experiments) if trust is not None else [np.ones_like(part.outputs) for part in experiments]
     )
     with threadpool_limits(1):  # the matrices are small, so threads would only add overhead
-        data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
+        data = FitData(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
         rounds = _MAX_ROUNDS if not brief and evaluations > 1 else int(trust is None or not brief)
@@ -163,7 +163,7 @@ def brief_cost(
 ) -> tuple[float, FloatArray]:
     """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
-    data = _Data(
+    data = FitData(
         experiments,
         _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments)),
         np.ones(len(experiments)),
@@ -173,7 +173,7 @@ def brief_cost(
     return cost, parameters
 
 
-class _Data(NamedTuple):
+class FitData(NamedTuple):
     """Experiments with their weights."""
 
     experiments: Sequence[SampledExperiment]
@@ -190,6 +190,7 @@ class _Data(NamedTuple):
         )
 
     def cost(self, layout: Layout, parameters: FloatArray) -> float:
+        """Return half the sum of squared residuals."""
         return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
 
     def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
@@ -201,7 +202,7 @@ class _Data(NamedTuple):
         ]
 
 
-def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
+def _solve(layout: Layout, start: FloatArray, data: FitData, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - slow import, not needed to load a model
 
     # Local coordinates are only valid near their origin, so each search starts at the origin.
@@ -224,7 +225,7 @@ def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> 
     return layout, np.asarray(result.x), float(result.cost)
 
 
-def _prior_factors(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
+def _prior_factors(layout: Layout, parameters: FloatArray, data: FitData) -> FloatArray:
     """Return the factor (experiments,) of the prior of each past: 1, or less if readings contradict it (Huber)."""
     residuals = data.problem(layout, parameters).residuals(parameters)
     size = (
@@ -260,7 +261,7 @@ AT_BOUND = 1e-3
 """Distance from a bound below which a parameter counts as at the bound."""
 
 
-def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
+def _covariance(layout: Layout, parameters: FloatArray, data: FitData) -> Sandwich:
     problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
     # A time constant at a bound is treated as known, because the data do not determine it.

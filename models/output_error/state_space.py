@@ -168,14 +168,9 @@ class LocalStateSpace:
     def __post_init__(self) -> None:
         """Compute the basis of the coordinates."""
         n = len(self.A)
-        equivalent = []
-        for unit in np.eye(n * n).reshape(-1, n, n):
-            equivalent.append(
-                np.concatenate(
-                    [(self.A @ unit - unit @ self.A).ravel(), (-unit @ self.B).ravel(), (self.C @ unit).ravel()]
-                )
-            )
-        left = np.linalg.svd(np.array(equivalent).T)[0]
+        units = np.eye(n * n).reshape(-1, n, n)
+        changes = (self.A @ units - units @ self.A, -units @ self.B, self.C @ units)
+        left = np.linalg.svd(np.concatenate([change.reshape(n * n, -1) for change in changes], axis=1).T)[0]
         object.__setattr__(self, "basis", left[:, n * n :])
 
     @property
