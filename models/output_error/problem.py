@@ -41,10 +41,6 @@ _DECAYED = 1e-12
 _LONG = 1024
 
 
-_Drive = tuple[FloatArray, FloatArray]
-"""Limited and delayed inputs of B0 and of B1, each (m, S, K)."""
-
-
 class _Batch(NamedTuple):
     """S experiments of one sample time, extended by zeros to K samples, simulated together."""
 
@@ -237,7 +233,7 @@ def _errors(model: _Model, batch: _Batch, states: FloatArray) -> FloatArray:
     return np.asarray((batch.weight * error).reshape(len(error), -1, 1))
 
 
-def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
+def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, tuple[FloatArray, FloatArray], FloatArray, _Past]:
     """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
     past, inputs = _past(model, batch), batch.limited(model.system)
     states = _simulate_from_rest(model.sampled, model.respond, inputs)

@@ -163,11 +163,8 @@ def brief_cost(
 ) -> tuple[float, FloatArray]:
     """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
-    data = FitData(
-        experiments,
-        _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments)),
-        np.ones(len(experiments)),
-    )
+    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
+    data = FitData(experiments, weights, np.ones(len(experiments)))
     start = min(starts, key=lambda start: data.cost(layout, start))
     _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
     return cost, parameters
@@ -211,17 +208,16 @@ def _solve(layout: Layout, start: FloatArray, data: FitData, evaluations: int) -
     start = np.concatenate([coordinates, start[len(coordinates) :]])
     problem = data.problem(layout, start)
     low, high = layout.bounds
-    result = least_squares(
-        problem.residuals,
-        np.clip(start, low + 1e-9, high - 1e-9),
-        problem.jacobian,
-        bounds=(low, high),
-        x_scale="jac",
-        max_nfev=evaluations,
-        xtol=1e-8,
-        ftol=1e-8,
-        gtol=1e-8,
-    )
+    start = np.clip(start, low + 1e-9, high - 1e-9)
+    options = {
+        "bounds": (low, high),
+        "x_scale": "jac",
+        "max_nfev": evaluations,
+        "xtol": 1e-8,
+        "ftol": 1e-8,
+        "gtol": 1e-8,
+    }
+    result = least_squares(problem.residuals, start, problem.jacobian, **options)
     return layout, np.asarray(result.x), float(result.cost)
 
 
@@ -236,10 +232,7 @@ def _prior_factors(layout: Layout, parameters: FloatArray, data: FitData) -> Flo
 
 
 def _weights(
-    experiments: Sequence[SampledExperiment],
-    scale: FloatArray,
-    noise: FloatArray,
-    trust: list[FloatArray] | None = None,
+    experiments: Sequence[SampledExperiment], scale: FloatArray, noise: FloatArray, trust: list[FloatArray]
 ) -> list[FloatArray]:
     """Return the square roots of the weights divided by the scale.
 
@@ -250,8 +243,6 @@ def _weights(
     factor = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MAX_FIRST_WEIGHT)
     for weight, experiment in zip(weights, experiments, strict=True):
         weight[experiment.counts.argmax(axis=0), np.arange(len(factor))] *= factor
-    if trust is None:
-        return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
