@@ -164,7 +164,8 @@ class OutputErrorProblem:
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
         system = self._layout.system(parameters)
-        models, simulated = self._models(system), {}
+        models = self._models(system)
+        simulated: dict[int, FloatArray] = {}
         for batch in self._batches:
             states = _simulate(models[batch.dt], batch)[0]
             simulated |= zip(batch.indices, np.moveaxis(states, 0, -1) @ system.C.T + system.offset, strict=True)
