@@ -167,6 +167,12 @@ def _bounds_error(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
 
 _MAX_SHOWN_LENGTH = 100
 """Maximum number of characters of a value or a key in a message."""
+_MESSAGES = {
+    "invalid_key": "a key is text; write a decimal with a point, as in 1.5",
+    "model_type": "expected keys and values",
+    "list_type": "expected a list; write [A, B], or one item per line after a dash",
+}
+"""Messages by kind of mistake, where those of Pydantic name no remedy."""
 _MAX_BITS = 1024
 _MAX_MISTAKES = 10
 """Maximum number of mistakes that a message lists."""
@@ -210,6 +216,7 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a 
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         problem = str(error.problem or "not valid YAML")
         problem += "; indent with spaces, not tabs, or quote it" if "cannot start any token" in problem else ""
+        problem += "; give a YAML file" if "non-alphabetical" in problem else ""
         raise ConfigError(f"{path}{line}: {problem}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
@@ -291,10 +298,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     stated_value, hint = error.get("input"), ""
     if kind.startswith(("less_than", "greater_than", "float", "int")) and (unit := unit_of(schema, location)):
         message += f" {unit}" if "_than" in kind else f" in {unit}"
-    if kind == "invalid_key":
-        message = "a key is text; write a decimal with a point, as in 1.5"
-    if kind == "model_type":
-        message = "expected keys and values"
+    message = _MESSAGES.get(kind, message)
     if stated_value is None and kind.endswith("_type") and place:
         return f"{place} is empty: " + message.replace("Input should be", "fill in")
     if kind == "literal_error":

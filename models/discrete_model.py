@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.errors import ArgumentError, checked_methods
+from diffdrive_mpc.models.interface import FloatArray, checked_array
 
 # Tolerance for dead times that are whole numbers of samples before rounding of their decimals [samples].
 _WHOLE = 1e-9
 
 
+@checked_methods
 @dataclass(frozen=True)
 class DiscreteModel:
     """x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1],  y[k] = C x[k].
@@ -107,7 +109,9 @@ class DiscreteModel:
         FloatArray
             (K, 2) v [m/s] and omega [rad/s] at samples 0 to K - 1.
         """
-        commands = np.asarray(commands, dtype=float)
+        commands = checked_array("commands", commands, "numbers of shape (K, 2)", "give v [m/s], omega [rad/s] per row")
+        if commands.ndim != 2 or commands.shape[1] != 2:
+            raise ArgumentError(f"commands: shape {commands.shape}; give v [m/s], omega [rad/s] per row, shape (K, 2)")
         x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
         before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
         recent, older = self.effective_inputs(commands, before)

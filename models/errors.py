@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import wraps
-from inspect import signature
+from inspect import isfunction, signature
 from typing import Any, ParamSpec, TypeVar
 
 from diffdrive_mpc.models.table import escape
 
 P = ParamSpec("P")
 R = TypeVar("R")
+C = TypeVar("C")
 _MAX_VALUE_LENGTH = 40
 """Maximum number of characters of a value in a message."""
 _MAX_LENGTH = 4000
@@ -93,6 +94,16 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return wrapper
 
     return decorate
+
+
+def checked_methods(kind: type[C]) -> type[C]:
+    """Apply `checked_call` to the constructor and to the public methods of a class."""
+    for name, value in list(vars(kind).items()):
+        function = getattr(value, "__func__", value)
+        if isfunction(function) and (name == "__init__" or not name.startswith("_")):
+            checked = checked_call()(function)
+            setattr(kind, name, checked if function is value else type(value)(checked))
+    return kind
 
 
 def checked_number(argument: str, value: object, remedy: str) -> float:

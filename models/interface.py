@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.errors import checked_call, wrong_type
+from diffdrive_mpc.models.errors import checked_methods, wrong_type
 
-T = TypeVar("T")
 FloatArray = NDArray[np.float64]
 AnyArray = NDArray[Any]
 """Array of real numbers, or of complex numbers for complex-step differentiation."""
@@ -28,13 +27,7 @@ def checked_array(argument: str, value: ArrayLike, expected: str, remedy: str) -
         raise wrong_type(argument, expected, value, remedy) from error
 
 
-def _checked_init(kind: type[T]) -> type[T]:
-    """Raise ArgumentError if an object of the class is created with a missing or an unknown argument."""
-    kind.__init__ = checked_call()(kind.__init__)  # type: ignore[method-assign]
-    return kind
-
-
-@_checked_init
+@checked_methods
 @dataclass(frozen=True, slots=True)
 class Stamped:
     """Measured value with the time of its measurement.
@@ -54,7 +47,7 @@ class Stamped:
     covariance: ArrayLike | None = None
 
 
-@_checked_init
+@checked_methods
 @dataclass(frozen=True, slots=True)
 class Measurement:
     """Measurements since the last control tick; None if there is no new measurement.

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diffdrive_mpc.models.errors import checked_methods
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError
 
@@ -35,6 +36,7 @@ class CompiledStep:
     work: int
 
 
+@checked_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.

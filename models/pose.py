@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.interface import FloatArray
 
 # Below this |x| the series of sin(x)/x is used: its first omitted term is below 1e-18. Above it the derivative of
@@ -81,6 +82,7 @@ def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, lateral: c
     return ca.SX(ca.vertcat(*_displacement(_SYMBOLIC, theta, v, omega, dt, lateral)))
 
 
+@checked_call()
 def integrate_pose(
     pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: ArrayLike, side_slip: ArrayLike = 0.0
 ) -> FloatArray:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
-from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_number
+from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_methods, checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, checked_array
+from diffdrive_mpc.models.suggestions import format_unknown_name
 
 CHANNELS = ("v", "omega")
 
@@ -20,6 +21,7 @@ _GAIN_RANGE = (0.05, 20.0)
 # Plausible time constants of a robot's velocity dynamics [s].
 _TIME_CONSTANT_RANGE = (1e-3, 20.0)
 _MAX_DEAD_TIME = 2.0
+_REMEDY = 'write VelocityModel("mine", "ssm", A, B, C, dead_time) with arrays (n, n), (n, 2), (2, n), (2,)'
 
 
 class ModelError(DiffdriveMpcError, ValueError):
@@ -37,6 +39,7 @@ def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArra
     return np.asarray(np.asarray(dead_time)[pairs[1]] - (C @ np.linalg.solve(A, settled))[pairs] / (C @ settled)[pairs])
 
 
+@checked_methods
 @dataclass(frozen=True, repr=False)
 class VelocityModel:
     """Linear dynamics from commanded to true body twist, x' = A x + B u(t - dead_time), y = C x.
@@ -73,8 +76,10 @@ class VelocityModel:
 
     def __post_init__(self) -> None:
         """Convert the fields to arrays and check them."""
+        self._check_names()
         for name in ("A", "B", "C", "dead_time"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
+            value = checked_array(name, getattr(self, name), "numbers", _REMEDY)
+            object.__setattr__(self, name, value.copy())
         self._check()
 
     @staticmethod
@@ -171,9 +176,19 @@ class VelocityModel:
             raise ModelError(f"model '{self.name}': sample time {dt} s; it must be positive and finite")
         return zero_order_hold(self.A, self.B, self.C, self.dead_time, dt)
 
+    def _check_names(self) -> None:
+        from diffdrive_mpc.models.structures.registry import STRUCTURES  # noqa: PLC0415 - needs this module
+
+        if not isinstance(self.name, str):
+            raise wrong_type("name", "a text", self.name, _REMEDY)
+        if str(self.structure) not in STRUCTURES:
+            raise ModelError(
+                f"model '{self.name}': unknown structure {format_unknown_name(self.structure, STRUCTURES)}"
+            )
+
     def _check(self) -> None:
         where = f"model '{self.name}'"
-        n = self.A.shape[0]
+        n = len(self.A) if self.A.ndim else 0
         shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "dead_time": (2,)}
         for name, shape in shapes.items():
             value = getattr(self, name)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.errors import checked_call, checked_number, wrong_type
+from diffdrive_mpc.models.errors import checked_methods, checked_number, wrong_type
 from diffdrive_mpc.models.interface import CompiledTick, FloatArray, Measurement, Reference, checked_array
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.plug_ins import missing_part, plug_in_names
@@ -80,6 +80,7 @@ class _PendingUpdate:
     backend: Backend
 
 
+@checked_methods
 class Controller:
     """Model-predictive controller that tracks a timed reference.
 
@@ -106,7 +107,6 @@ class Controller:
         If an argument has a wrong type.
     """
 
-    @checked_call()
     def __init__(
         self,
         config: ControllerConfig | str | Path | Mapping[str, object],
@@ -392,7 +392,6 @@ class Controller:
         for feature in self._features.values():
             feature.set_applied(pairs[-1])
 
-    @checked_call()
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Start to track `reference`, whose time 0 is `t0` [s] on the clock of `step`.
 
@@ -527,7 +526,6 @@ class Controller:
         """Continue along the waiting reference after a latched failure, see `is_latched`."""
         self._tick.lib.ddmpc_resume(self._c)
 
-    @checked_call()
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
@@ -681,6 +679,8 @@ class Controller:
                 measurement,
                 "call step(t, Measurement(...)), or step(t, Measurement()) if there are no new data",
             ) from error
+        if not (hold is None or isinstance(hold, Hold)):
+            raise wrong_type("hold", "a Hold or None", hold, "write hold=Hold(reason)")
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
         # Values of `ddmpc_request`.

@@ -31,8 +31,9 @@ from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import format_labelled_findings
-from diffdrive_mpc.models.plug_ins import plug_in
+from diffdrive_mpc.models.plug_ins import known_packages, plug_in, plug_in_names
 from diffdrive_mpc.models.stated_robot import load_stated_robot
+from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.models.table import TextTable, plain_line
 from diffdrive_mpc.sim.plants.identified_robot import ROBOT_FILE
 
@@ -76,6 +77,9 @@ def identify_into(
         except for a mapping that corrects the logs.
     """
     names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
+    known = {*known_packages()["parameter_writers"], *plug_in_names("parameter_writers")}
+    if unknown := names.keys() - known:
+        raise ConfigError(f"--for {format_unknown_name(min(unknown), sorted(known))}")
     writers = {name: plug_in("parameter_writers", name) for name in names}
     try:
         _identify_into(logs, out, writers, force, options)

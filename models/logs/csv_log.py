@@ -114,9 +114,7 @@ class RowReader:
         """Return twist commands (n, 2), wheel commands (n, 2) or None, and a mask (n,) of non-finite commands."""
         names = ("v", "omega") if command.has("v") else SIDES
         values, bad = self._columns(command, names)
-        if command.has("v"):
-            return values, None, bad
-        return self._twist(values, "command"), values, bad
+        return (values, None, bad) if command.has("v") else (self._twist(values, "command"), values, bad)
 
     def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
         """Return the fields of a record from the encoders, and True if the columns are running counts."""

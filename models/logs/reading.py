@@ -109,11 +109,7 @@ def _read_raw(path: Path, mapping: LogMapping | None) -> RawLog:
 
 
 def _build_records(
-    raw: RawLog,
-    dt: float,
-    max_step: float,
-    times: Sequence[tuple[float, float]],
-    settings: CheckSettings,
+    raw: RawLog, dt: float, max_step: float, times: Sequence[tuple[float, float]], settings: CheckSettings
 ) -> tuple[list[Record], list[Finding]]:
     """Build the records of all sufficiently long stretches, with findings about gaps and shorter stretches."""
     records: list[Record] = []

@@ -127,10 +127,7 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
     experiments = []
     for record in records:
         twist, fresh_twist = _signal(record, "twist")
-        if yaw == "gyro":
-            omega, fresh_omega = _signal(record, "yaw_rate")
-        else:
-            omega, fresh_omega = twist[:, 1], fresh_twist
+        omega, fresh_omega = _signal(record, "yaw_rate") if yaw == "gyro" else (twist[:, 1], fresh_twist)
         inputs, span = record.command, record.twist_span
         if span:
             # The mean of the response to a command is the response to the mean of the command.

@@ -10,12 +10,13 @@ number of experiments.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
+from diffdrive_mpc.models.base_effects import apply_limits
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.input_limits import limit_derivatives, limited_inputs
@@ -36,10 +37,53 @@ _MIN_SINGULAR_VALUE = 1e-9
 _MIN_EXCITATION = 1e-4
 # Relative size at which the decaying effect of an initial state is neglected.
 _DECAYED = 1e-12
+# Number of samples from which an experiment is simulated separately.
+_LONG = 1024
 
 
-_Drive = tuple[FloatArray, FloatArray]
-"""Limited and delayed inputs of B0 and of B1, each (m, K)."""
+class _Batch(NamedTuple):
+    """S experiments of one sample time, extended by zeros to K samples, simulated together."""
+
+    dt: float
+    indices: list[int]
+    experiments: list[SampledExperiment]
+    inputs: FloatArray
+    """(S, K, m)"""
+    outputs: FloatArray
+    """(S, K, p)"""
+    weight: FloatArray
+    """(S, K, p) factors of the residuals; by default 1 for readings, 0 for other samples."""
+    prior: FloatArray | float = 0.0
+    """(S, m + n, m + n) inverse standard deviations of the pasts; 0 for no prior."""
+
+    def limited(self, system: LinearSystem, function: Callable[..., FloatArray] = apply_limits) -> FloatArray:
+        """Return `limited_inputs` of the experiments (..., S, K, m)."""
+        if np.isinf(system.limit).all():
+            return self.inputs
+        return _stacked([limited_inputs(system, experiment, function) for experiment in self.experiments])
+
+
+def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """Stack arrays (..., K, r) of different K as (..., S, max K, r), extended by zeros."""
+    *leading, _, columns = parts[0].shape
+    stack = np.zeros((*leading, len(parts), max(part.shape[-2] for part in parts), columns))
+    for i, part in enumerate(parts):
+        stack[..., i, : part.shape[-2], :] = part
+    return stack
+
+
+def _batches(experiments: Sequence[SampledExperiment]) -> list[_Batch]:
+    """Group experiments by sample time and length; lengths in a group differ by less than a factor of two."""
+    groups: dict[tuple[float, int], list[int]] = {}
+    for i, part in enumerate(experiments):
+        length = -i if part.samples >= _LONG else part.samples.bit_length()
+        groups.setdefault((part.dt, length), []).append(i)
+    batches = []
+    for (dt, _), indices in groups.items():
+        parts = [experiments[i] for i in indices]
+        arrays = (_stacked([getattr(part, name) for part in parts]) for name in ("inputs", "outputs", "counts"))
+        batches.append(_Batch(dt, indices, parts, *arrays))
+    return batches
 
 
 class _Model(NamedTuple):
@@ -55,14 +99,14 @@ class _Model(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """Effect of the unknown past on the first E samples, in r directions."""
+    """Effect of the unknown pasts of S experiments on the first E samples; unobservable directions are zero."""
 
     outputs: FloatArray
-    """(E p, r) output rows of an orthonormal basis of the effects of the past on outputs and prior."""
+    """(S, m + n, E p) orthonormal basis of the effects of the past on outputs and prior: its part for outputs."""
     prior: FloatArray
-    """(m + n, r) prior rows of this basis."""
+    """(S, m + n, m + n) rows of this basis for the prior."""
     recover: FloatArray
-    """(m + n, r) map from components along the basis to previous command and deviation."""
+    """(S, m + n, m + n) map from components along the basis to previous command and deviation."""
 
 
 class OutputErrorProblem:
@@ -88,50 +132,51 @@ class OutputErrorProblem:
         weights: Sequence[FloatArray],
         prior: Sequence[FloatArray] | None = None,
     ) -> None:
-        self._layout, self._experiments, self._weights = layout, list(experiments), list(weights)
-        self._rows = sum(weight.size for weight in weights)
-        self._prior = [None] * len(weights) if prior is None else list(prior)
-        self._max_samples = {experiment.dt: 0 for experiment in experiments}
-        for experiment in experiments:
-            self._max_samples[experiment.dt] = max(self._max_samples[experiment.dt], experiment.samples)
+        self._layout, self._samples = layout, [len(weight) for weight in weights]
+        self._batches, self._max_samples = [], dict.fromkeys((part.dt for part in experiments), 0)
+        for batch in _batches(experiments):
+            weight = _stacked([weights[i] for i in batch.indices])
+            priors = 0.0 if prior is None else np.stack([prior[i] for i in batch.indices])
+            self._batches.append(batch._replace(weight=weight, prior=priors))
+            self._max_samples[batch.dt] = max(self._max_samples[batch.dt], weight.shape[1])
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return the weighted residuals (rows,) of all experiments, then those of the pasts; inf if unstable."""
         system = self._layout.system(parameters)
         # The trust-region method rejects a step with infinite cost and reduces the region.
         if np.linalg.eigvals(system.A).real.max() >= 0:
-            return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
-        models = self._models(system)
-        parts, pasts = [], []
-        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
-            model = models[experiment.dt]
-            states = _simulate_from_rest(model, limited_inputs(system, experiment))
-            error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
-            pasts.append(_project(error, _past(model, weight, prior)))
-            parts.append(error)
-        return np.concatenate(parts + pasts)
+            rows = sum(self._samples) * len(system.C)
+            return np.full(rows + len(self._samples) * (system.B.shape[1] + len(system.A)), np.inf)
+        models, parts = self._models(system), []
+        for batch in self._batches:
+            model = models[batch.dt]
+            error = _errors(model, batch, _simulate_from_rest(model.sampled, model.respond, batch.limited(system)))
+            parts.append((error, _project(error, _past(model, batch))))
+        return self._ordered(parts)[:, 0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Return the (rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
-        parts, pasts = [], []
-        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
-            model = models[experiment.dt]
-            rows, past = _experiment_jacobian(model, *slopes[experiment.dt], experiment, weight, prior)
-            parts.append(rows)
-            pasts.append(past)
-        return np.concatenate(parts + pasts)
+        return self._ordered([_jacobian(models[batch.dt], *slopes[batch.dt], batch) for batch in self._batches])
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
         system = self._layout.system(parameters)
         models = self._models(system)
-        return [
-            _simulate(models[experiment.dt], experiment, weight, prior)[0].T @ system.C.T + system.offset
-            for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True)
-        ]
+        simulated: dict[int, FloatArray] = {}
+        for batch in self._batches:
+            states = _simulate(models[batch.dt], batch)[0]
+            simulated |= zip(batch.indices, np.moveaxis(states, 0, -1) @ system.C.T + system.offset, strict=True)
+        return [simulated[i][:samples] for i, samples in enumerate(self._samples)]
+
+    def _ordered(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+        """Concatenate rows (S, K p, q) of experiments without their extension, then those (S, m + n, q) of pasts."""
+        rows, pasts = ([row for part in group for row in part] for group in zip(*parts, strict=True))
+        order = np.argsort([i for batch in self._batches for i in batch.indices])
+        ends = [samples * self._layout.outputs for samples in self._samples]
+        return np.concatenate([rows[k][:end] for k, end in zip(order, ends, strict=True)] + [pasts[k] for k in order])
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
         """Discretise the system for each sample time of the data."""
@@ -170,56 +215,60 @@ class OutputErrorProblem:
         )
 
 
-def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
-    states = model.past[..., : len(weight)]
-    count = states.shape[1]
-    rows = weight[: states.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
-    prior_rows = np.zeros((count, count)) if prior is None else prior
-    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), prior_rows]), full_matrices=False)
-    is_observable = values > _MIN_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)
-    return _Past(
-        left[:-count, is_observable], left[-count:, is_observable], right[is_observable].T / values[is_observable]
-    )
+def _past(model: _Model, batch: _Batch) -> _Past:
+    states = model.past[..., : batch.weight.shape[1]]
+    size, (count, early) = len(batch.weight), states.shape[1:]
+    effects = batch.weight[:, :early, :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
+    rows = [effects.reshape(size, -1, count), np.broadcast_to(batch.prior, (size, count, count))]
+    left, values, right = np.linalg.svd(np.concatenate(rows, axis=1), full_matrices=False)
+    is_observable = values > _MIN_SINGULAR_VALUE * np.maximum(values[:, :1], np.finfo(float).tiny)
+    # This order in memory is fast in products.
+    basis = np.ascontiguousarray(np.swapaxes(left * is_observable[:, None], 1, 2))
+    outputs, prior = np.ascontiguousarray(basis[..., :-count]), np.swapaxes(basis[..., -count:], 1, 2)
+    return _Past(outputs, prior, np.swapaxes(right, 1, 2) / np.where(is_observable, values, np.inf)[:, None])
 
 
-def _simulate(
-    model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
-) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-    """Return the states (n, K) from the best past, the delayed inputs, the previous command, and the past's effect."""
-    system, past = model.system, _past(model, weight, prior)
-    inputs = limited_inputs(system, experiment)
-    states = _simulate_from_rest(model, inputs)
-    early = len(past.outputs) // experiment.outputs.shape[1]
-    error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-    recovered = past.recover @ (past.outputs.T @ error[:early].ravel())
-    states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
-    before = recovered[: inputs.shape[1]]
-    return states, delay_inputs(inputs, model.sampled.delay, before), before, past
+def _errors(model: _Model, batch: _Batch, states: FloatArray) -> FloatArray:
+    """Return weighted errors (S, K p, 1) of simulated states (n, S, K)."""
+    error = batch.outputs - model.system.offset - np.moveaxis(states, 0, -1) @ model.system.C.T
+    return np.asarray((batch.weight * error).reshape(len(error), -1, 1))
 
 
-def _experiment_jacobian(
-    model: _Model,
-    slope: LinearSystem,
-    sampled_slope: SampledSystem,
-    experiment: SampledExperiment,
-    weight: FloatArray,
-    prior: FloatArray | None,
+def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, tuple[FloatArray, FloatArray], FloatArray, _Past]:
+    """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
+    past, inputs = _past(model, batch), batch.limited(model.system)
+    states = _simulate_from_rest(model.sampled, model.respond, inputs)
+    error = _errors(model, batch, states)[:, : past.outputs.shape[2]]
+    recovered = (past.recover @ (past.outputs @ error))[..., 0].T
+    effect = np.moveaxis(np.tensordot(model.past[..., : states.shape[2]], recovered, (1, 0)), 1, 2)
+    states[..., : effect.shape[2]] += effect
+    before = recovered[: inputs.shape[2]]
+    return states, delay_inputs(inputs, model.sampled.delay, before.T), before, past
+
+
+def _jacobian(
+    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, batch: _Batch
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the weighted residuals of an experiment (K p, q) and of its past (m + n, q)."""
-    states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
+    """Return the derivatives of the weighted residuals of S experiments (S, K p, q) and of pasts (S, m + n, q)."""
+    states, (recent, older), before, past = _simulate(model, batch)
+    n, size, samples = states.shape
+    states, recent, older = (values.reshape(len(values), -1) for values in (states, recent, older))
     # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     # Estimated limits also change the inputs.
     if slope.limit.any():
-        changes = limited_inputs(model.system, experiment, limit_derivatives)
+        changes = batch.limited(model.system, limit_derivatives)
         for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
-            recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[1]))
-            forcing += (model.sampled.B0 * rates) @ recent + (model.sampled.B1 * rates) @ older
-    steady_slope = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.steady_states + slope.B) @ before).T))
-    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), steady_slope)
-    change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
-    change += slope.offset.T[:, :, None]
-    rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
+            recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[::2]))
+            drive = (model.sampled.B0 * rates) @ recent.reshape(len(recent), -1)
+            forcing += drive + (model.sampled.B1 * rates) @ older.reshape(len(older), -1)
+    steady_slope = np.moveaxis((slope.A @ model.steady_states + slope.B) @ before, 0, 1).reshape(n, -1)
+    start = np.asarray(-np.linalg.solve(model.system.A, steady_slope))
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1).reshape(n, -1, samples), start)
+    change = np.tensordot(model.system.C, sensitivity, 1).reshape(len(model.system.C), -1, size * samples)
+    change += np.moveaxis(slope.C @ states, 0, 1) + slope.offset.T[:, :, None]
+    rows = np.moveaxis(change, 2, 0).reshape(size, samples, *change.shape[:2])
+    rows = -(batch.weight[..., None] * rows).reshape(size, -1, change.shape[1])
     return rows, _project(rows, past)
 
 
@@ -233,15 +282,12 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     steady_states, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
     respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
-    for experiment in experiments:
-        discrete = sampled[experiment.dt]
-        inputs = limited_inputs(system, experiment)
-        recent, older = delay_inputs(inputs, discrete.delay, np.zeros(inputs.shape[1]))
-        difference = (
-            respond[experiment.dt]((discrete.B0 @ recent + discrete.B1 @ older)[:, None, :])[:, 0]
-            - steady_states @ inputs.T
-        )
-        total, count = total + difference @ difference.T, count + len(inputs)
+    for batch in _batches(experiments):
+        inputs = batch.limited(system)
+        states = _simulate_from_rest(sampled[batch.dt], respond[batch.dt], inputs)
+        is_sample = np.arange(inputs.shape[1]) < np.array([[part.samples] for part in batch.experiments])
+        difference = (states - np.tensordot(steady_states, inputs, (1, 2)))[:, is_sample]
+        total, count = total + difference @ difference.T, count + difference.shape[1]
     # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
@@ -250,15 +296,15 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _simulate_from_rest(model: _Model, inputs: FloatArray) -> FloatArray:
-    """Simulate the states (n, K) from rest with limited inputs (K, m)."""
-    recent, older = delay_inputs(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
-    return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
+def _simulate_from_rest(sampled: SampledSystem, respond: StateResponse, inputs: FloatArray) -> FloatArray:
+    """Simulate the states (n, S, K) from rest with limited inputs (S, K, m)."""
+    recent, older = delay_inputs(inputs, sampled.delay, np.zeros(inputs.shape[::2]))
+    return respond(np.tensordot(sampled.B0, recent, 1) + np.tensordot(sampled.B1, older, 1))
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
-    """Remove the effect of the past from `rows` (K p, ...) in place; return the prior rows (m + n, ...)."""
-    early = rows[: len(past.outputs)]
-    components = past.outputs.T @ early
-    early -= past.outputs @ components
-    return -past.prior @ components
+    """Remove the effect of the pasts from `rows` (S, K p, q) in place; return the prior rows (S, m + n, q)."""
+    early = rows[:, : past.outputs.shape[2]]
+    components = past.outputs @ early
+    early -= np.swapaxes(past.outputs, 1, 2) @ components
+    return np.asarray(-past.prior @ components)

@@ -136,7 +136,7 @@ def fit_output_error(
         split_rows(trust, experiments) if trust is not None else [np.ones_like(part.outputs) for part in experiments]
     )
     with threadpool_limits(1):  # the matrices are small, so threads would only add overhead
-        data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
+        data = FitData(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
         rounds = _MAX_ROUNDS if not brief and evaluations > 1 else int(trust is None or not brief)
@@ -163,17 +163,14 @@ def brief_cost(
 ) -> tuple[float, FloatArray]:
     """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
-    data = _Data(
-        experiments,
-        _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments)),
-        np.ones(len(experiments)),
-    )
+    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
+    data = FitData(experiments, weights, np.ones(len(experiments)))
     start = min(starts, key=lambda start: data.cost(layout, start))
     _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
     return cost, parameters
 
 
-class _Data(NamedTuple):
+class FitData(NamedTuple):
     """Experiments with their weights."""
 
     experiments: Sequence[SampledExperiment]
@@ -190,6 +187,7 @@ class _Data(NamedTuple):
         )
 
     def cost(self, layout: Layout, parameters: FloatArray) -> float:
+        """Return half the sum of squared residuals."""
         return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
 
     def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
@@ -201,7 +199,7 @@ class _Data(NamedTuple):
         ]
 
 
-def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
+def _solve(layout: Layout, start: FloatArray, data: FitData, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - slow import, not needed to load a model
 
     # Local coordinates are only valid near their origin, so each search starts at the origin.
@@ -210,21 +208,20 @@ def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> 
     start = np.concatenate([coordinates, start[len(coordinates) :]])
     problem = data.problem(layout, start)
     low, high = layout.bounds
-    result = least_squares(
-        problem.residuals,
-        np.clip(start, low + 1e-9, high - 1e-9),
-        problem.jacobian,
-        bounds=(low, high),
-        x_scale="jac",
-        max_nfev=evaluations,
-        xtol=1e-8,
-        ftol=1e-8,
-        gtol=1e-8,
-    )
+    start = np.clip(start, low + 1e-9, high - 1e-9)
+    options = {
+        "bounds": (low, high),
+        "x_scale": "jac",
+        "max_nfev": evaluations,
+        "xtol": 1e-8,
+        "ftol": 1e-8,
+        "gtol": 1e-8,
+    }
+    result = least_squares(problem.residuals, start, problem.jacobian, **options)
     return layout, np.asarray(result.x), float(result.cost)
 
 
-def _prior_factors(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
+def _prior_factors(layout: Layout, parameters: FloatArray, data: FitData) -> FloatArray:
     """Return the factor (experiments,) of the prior of each past: 1, or less if readings contradict it (Huber)."""
     residuals = data.problem(layout, parameters).residuals(parameters)
     size = (
@@ -235,10 +232,7 @@ def _prior_factors(layout: Layout, parameters: FloatArray, data: _Data) -> Float
 
 
 def _weights(
-    experiments: Sequence[SampledExperiment],
-    scale: FloatArray,
-    noise: FloatArray,
-    trust: list[FloatArray] | None = None,
+    experiments: Sequence[SampledExperiment], scale: FloatArray, noise: FloatArray, trust: list[FloatArray]
 ) -> list[FloatArray]:
     """Return the square roots of the weights divided by the scale.
 
@@ -249,8 +243,6 @@ def _weights(
     factor = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MAX_FIRST_WEIGHT)
     for weight, experiment in zip(weights, experiments, strict=True):
         weight[experiment.counts.argmax(axis=0), np.arange(len(factor))] *= factor
-    if trust is None:
-        return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
@@ -260,7 +252,7 @@ AT_BOUND = 1e-3
 """Distance from a bound below which a parameter counts as at the bound."""
 
 
-def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
+def _covariance(layout: Layout, parameters: FloatArray, data: FitData) -> Sandwich:
     problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
     # A time constant at a bound is treated as known, because the data do not determine it.

@@ -70,14 +70,15 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
 def delay_inputs(
     inputs: FloatArray, delay: NDArray[np.int64], before: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Delay inputs (K, m) and return the inputs of B0 and B1, each (m, K).
+    """Delay inputs (..., K, m) and return the inputs of B0 and B1, each (m, ..., K).
 
-    The inputs before sample 0 are `before` (m,), by default the first row.
+    The inputs before sample 0 are `before` (..., m), by default the first row.
     """
     padding = int(delay.max()) + 1
-    padded = np.vstack([np.tile(inputs[0] if before is None else before, (padding, 1)), inputs])
-    rows = np.arange(len(inputs)) + padding
-    recent, older = ([padded[rows - d - lag, j] for j, d in enumerate(delay)] for lag in (0, 1))
+    first = inputs[..., 0, :] if before is None else before
+    padded = np.concatenate([np.repeat(first[..., None, :], padding, axis=-2), inputs], axis=-2)
+    rows = np.arange(inputs.shape[-2]) + padding
+    recent, older = ([padded[..., rows - d - lag, j] for j, d in enumerate(delay)] for lag in (0, 1))
     return np.array(recent), np.array(older)
 
 
@@ -167,14 +168,9 @@ class LocalStateSpace:
     def __post_init__(self) -> None:
         """Compute the basis of the coordinates."""
         n = len(self.A)
-        equivalent = []
-        for unit in np.eye(n * n).reshape(-1, n, n):
-            equivalent.append(
-                np.concatenate(
-                    [(self.A @ unit - unit @ self.A).ravel(), (-unit @ self.B).ravel(), (self.C @ unit).ravel()]
-                )
-            )
-        left = np.linalg.svd(np.array(equivalent).T)[0]
+        units = np.eye(n * n).reshape(-1, n, n)
+        changes = (self.A @ units - units @ self.A, -units @ self.B, self.C @ units)
+        left = np.linalg.svd(np.concatenate([change.reshape(n * n, -1) for change in changes], axis=1).T)[0]
         object.__setattr__(self, "basis", left[:, n * n :])
 
     @property

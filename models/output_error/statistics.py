@@ -84,9 +84,8 @@ def _root_mean_square(rows: FloatArray) -> FloatArray:
 
 def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:
     """Return the standard deviation (p,) of each output; raise ValueError if an output never changes."""
-    spread = []
-    for row in range(experiments[0].outputs.shape[1]):
-        spread.append(np.std(np.concatenate([s.outputs[s.counts[:, row], row] for s in experiments])))
+    readings = np.concatenate([experiment.readings for experiment in experiments])
+    spread = [np.std(column[~np.isnan(column)]) for column in readings.T]
     if min(spread) == 0.0:
         raise ValueError("an output never changes: check that the sensor is connected and that the robot moves")
     return np.array(spread)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,9 +17,8 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join
 from diffdrive_mpc.models.output_error.input_limits import side_name
 from diffdrive_mpc.models.output_error.limits import find_limits
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, Parametrisation
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
+from diffdrive_mpc.models.output_error.solve import FitData, OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import distinct_poles, pole_names, pole_numbers, real_pole_names
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.model_file import TransferFunction
@@ -183,6 +183,7 @@ def _initial_guesses(
     gain = float(np.clip(spread[0] / commanded, *settings.gain))
     experiments = join_experiments(experiments)
     weights = [experiment.counts / spread for experiment in experiments]
+    data = FitData(experiments, weights, np.ones(len(experiments)))
     _, dead_times, *others = layout.counts
     rest = np.zeros(sum(others))
     grid = [
@@ -191,14 +192,7 @@ def _initial_guesses(
         for form_values in form.initial_guesses(gain, frequency)
         for dead_time in (settings.start_dead_times if dead_times else (0.0,))
     ]
-
-    def cost(start: FloatArray) -> float:
-        prior = past_prior(layout.system(start), experiments, settings.start_deviation)
-        return float(
-            np.sum(OutputErrorProblem(layout, experiments, weights, [prior] * len(experiments)).residuals(start) ** 2)
-        )
-
-    return sorted(grid, key=cost)[:_STARTS]
+    return sorted(grid, key=partial(data.cost, layout))[:_STARTS]
 
 
 def _fast_parameters(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:

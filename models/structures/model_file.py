@@ -120,16 +120,8 @@ class ModelFile(ParameterFile):
 
 def build_model(data: ModelFile) -> VelocityModel:
     """Build the model of a parameter file; raise ModelError if it cannot describe a robot."""
-    A, B, C = data.matrices()
-    return VelocityModel(
-        name=data.name,
-        structure=data.structure,
-        A=A,
-        B=B,
-        C=C,
-        dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.origins,
-    )
+    dead_time = np.array([data.dead_time.v, data.dead_time.omega])
+    return VelocityModel(data.name, data.structure, *data.matrices(), dead_time, data.origins)
 
 
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:

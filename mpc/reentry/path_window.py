@@ -176,12 +176,7 @@ def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
 
 
 def path_speeds(
-    paths: Paths,
-    enter: FloatArray,
-    leave: FloatArray,
-    limits: TrajectoryLimits,
-    shares: FloatArray,
-    travel: FloatArray,
+    paths: Paths, enter: FloatArray, leave: FloatArray, limits: TrajectoryLimits, shares: FloatArray, travel: FloatArray
 ) -> FloatArray:
     """Compute the maximum speed at the nodes of each path.
 

@@ -82,8 +82,7 @@ def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
     turn = theta - start[2]
     cos, sin = np.cos(turn), np.sin(turn)
     return MovedReference(
-        reference,
-        np.array([x - cos * start[0] + sin * start[1], y - sin * start[0] - cos * start[1], turn]),
+        reference, np.array([x - cos * start[0] + sin * start[1], y - sin * start[0] - cos * start[1], turn])
     )
 
 

@@ -48,8 +48,7 @@ class SpeedPassport(StrictModel):
     share: Share = Field(description="minimum share of the robots within the tolerance [-]")
     confidence: Share = Field(description="confidence level of each speed [-]")
     curvatures: list[Annotated[float, Field(ge=0)]] = Field(
-        min_length=1,
-        description="upper ends of the classes of curvature; the first class starts at 0 [1/m]",
+        min_length=1, description="upper ends of the classes of curvature; the first class starts at 0 [1/m]"
     )
     rows: list[PassportRow] = Field(min_length=1, description="speeds for each surface and tolerance")
 

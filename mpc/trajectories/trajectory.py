@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.errors import checked_call
+from diffdrive_mpc.models.errors import checked_methods
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.trajectories.timing import Timing
 
 
+@checked_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(ABC):
     """Timed reference, see `models.interface.Reference`.
@@ -40,8 +41,11 @@ class Trajectory(ABC):
     duration: float
     remark: str = field(default="", kw_only=True)
 
+    def __init_subclass__(cls) -> None:
+        """Check the calls of all kinds of trajectories."""
+        checked_methods(cls)
+
     @staticmethod
-    @checked_call()
     def from_arrays(
         t: ArrayLike,
         x: ArrayLike,
@@ -81,7 +85,6 @@ class Trajectory(ABC):
         return trajectory_from_arrays(name, columns)
 
     @staticmethod
-    @checked_call()
     def from_waypoints(
         points: ArrayLike,
         *,

@@ -38,11 +38,7 @@ class DisturbedPlant(PlantAround):
     """
 
     def __init__(
-        self,
-        plant: Plant,
-        scenario: Scenario,
-        robot: Robot,
-        patch_spans: Callable[[], Sequence[Span]] = tuple,
+        self, plant: Plant, scenario: Scenario, robot: Robot, patch_spans: Callable[[], Sequence[Span]] = tuple
     ) -> None:
         super().__init__(plant)
         self._scenario, self._limits, self._patch_spans = scenario, robot.limits, patch_spans

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistRange, TwistSlew
+from diffdrive_mpc.models.errors import checked_methods
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Robot, load_robot
@@ -26,6 +27,7 @@ _NO_LIMIT = 1e6
 """Limit above all commands; it is finite, so that ratios of limits are finite."""
 
 
+@checked_methods
 class ModelPlant:
     """Plant with velocity model, extra dead time, slip, and simulated sensors; see `sim.plants.plant.Plant`.
 

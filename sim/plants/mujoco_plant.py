@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.errors import checked_methods
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -26,6 +27,7 @@ from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 _ENCODER_PHASE_KEY = 1_000
 
 
+@checked_methods
 class MujocoPlant:
     """Digital twin of the papers' robot or of another robot, see `sim.plants.plant.Plant`.
 

@@ -35,8 +35,7 @@ class ChassisParameters(StrictModel):
         "origin of the body frame, which is the centre of rotation",
     )
     wheel_drag: NotNegative = Field(
-        default=0.0,
-        description="speed-independent friction torque of the drive train of each wheel [N m]",
+        default=0.0, description="speed-independent friction torque of the drive train of each wheel [N m]"
     )
 
 

@@ -92,17 +92,17 @@ def result(tmp_path_factory):
     rng = np.random.default_rng(3)
     command = np.repeat(rng.uniform([-1.0, -1.5], [1.0, 1.5], (200, 2)), 25, axis=0)
     clipped = np.clip(command, [-LIMIT, -np.inf], [LIMIT, np.inf])
-    twist = build_model(ZeroFile.model_validate(truth)).discretise(DT).simulate(clipped)
-    columns = {"t": DT * np.arange(len(command)), "v_ref": command[:, 0], "omega_ref": command[:, 1]}
-    readings = dict(zip(("v", "gyro"), (twist + rng.normal(0.0, 0.01, twist.shape)).T, strict=True))
-    write_csv(folder / "drive.csv", columns | readings | {"omega_wheels": twist[:, 1]})
-    write_mapping(folder / "map.yaml", "\n".join(line for line in MAPPING.splitlines() if "pose" not in line))
 
     def identify_zeros(records, conditions):
         return StructureFit(identify_sm(records, yaw=conditions.yaw, form=ZeroForm(), schema=ZeroFile))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(registry.STRUCTURES, "zeros", Structure("zeros", ZeroFile, identify_zeros))
+        twist = build_model(ZeroFile.model_validate(truth)).discretise(DT).simulate(clipped)
+        columns = {"t": DT * np.arange(len(command)), "v_ref": command[:, 0], "omega_ref": command[:, 1]}
+        readings = dict(zip(("v", "gyro"), (twist + rng.normal(0.0, 0.01, twist.shape)).T, strict=True))
+        write_csv(folder / "drive.csv", columns | readings | {"omega_wheels": twist[:, 1]})
+        write_mapping(folder / "map.yaml", "\n".join(line for line in MAPPING.splitlines() if "pose" not in line))
         identification = identify(folder / "drive.csv", folder / "map.yaml", "zeros")
         identification.write(folder / "written")
         yield identification, load_model(folder / "written" / "model.yaml")

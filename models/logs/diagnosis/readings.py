@@ -215,9 +215,10 @@ def in_degrees(heading: FloatArray) -> bool:
     Between readings, headings in radians change by less than 1.5 modulo a full turn, and headings in degrees by up to
     360. Headings with a range of less than 10 count as radians, because poses also leap when they restart.
     """
-    steps = np.abs(np.diff(heading[np.isfinite(heading)]))
+    heading = heading[np.isfinite(heading)]
+    steps = np.abs(np.diff(heading))[heading[1:] != 0]  # zero is the heading after a restart
     steps = steps[steps > 0]
     wrapped_steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
     full_turn = np.abs(steps - 360.0) < 20.0
     leaps = len(steps) > 0 and (full_turn.any() or np.mean((wrapped_steps > 1.5) | (steps > 50)) > 0.003)
-    return bool(leaps and np.nanmax(heading) - np.nanmin(heading) > 10.0)
+    return bool(leaps and np.ptp(heading) > 10.0)

@@ -310,9 +310,7 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
         if streams.wheels is None:
             return (CHANNELS[channel],)
         return SIDES if streams.wheels.shape[1] == len(SIDES) else FOUR_WHEELS
-    if name == GYRO:
-        return ("yaw_rate",)
-    return ("x", "y") if channel == 0 else ("theta",)
+    return ("yaw_rate",) if name == GYRO else ("x", "y") if channel == 0 else ("theta",)
 
 
 def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:

@@ -383,10 +383,7 @@ def _peak(explained_variance: FloatArray, low: int) -> float:
 
 def finite_pairs(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
     """Return the rows of u and the rows of y `shift` samples later for which both are finite."""
-    if shift >= 0:
-        u, y = u[: len(u) - shift], y[shift:]
-    else:
-        u, y = u[-shift:], y[: len(y) + shift]
+    u, y = (u[: len(u) - shift], y[shift:]) if shift >= 0 else (u[-shift:], y[: len(y) + shift])
     both = np.isfinite(u).reshape(len(u), -1).all(axis=1) & np.isfinite(y).reshape(len(y), -1).all(axis=1)
     return u[both], y[both]
 
