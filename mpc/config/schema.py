@@ -396,12 +396,10 @@ class Fence(Group):
     length: Positive = Field(4.0, description="size of the rectangle along its heading [m]")
     width: Positive = Field(3.0, description="size of the rectangle across its heading [m]")
     margin: NotNegative = Field(
-        0.1,
-        description="minimum distance between the stopping position and the edges, a reserve for model errors [m]",
+        0.1, description="minimum distance between the stopping position and the edges, a reserve for model errors [m]"
     )
     frame: Literal["start", "poses"] = Field(
-        "start",
-        description="frame of the rectangle: start pose of the reference, or frame of the poses [-]",
+        "start", description="frame of the rectangle: start pose of the reference, or frame of the poses [-]"
     )
     x: Coordinate = Field(0.0, description="x of the centre of the rectangle in `frame` [m]")
     y: Coordinate = Field(0.0, description="y of the centre of the rectangle in `frame` [m]")
