@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
 from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_methods, checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, checked_array
-from diffdrive_mpc.models.suggestions import format_unknown_name
 
 CHANNELS = ("v", "omega")
 
@@ -76,7 +75,9 @@ class VelocityModel:
 
     def __post_init__(self) -> None:
         """Convert the fields to arrays and check them."""
-        self._check_names()
+        for name in ("name", "structure"):
+            if not isinstance(getattr(self, name), str):
+                raise wrong_type(name, "a text", getattr(self, name), _REMEDY)
         for name in ("A", "B", "C", "dead_time"):
             value = checked_array(name, getattr(self, name), "numbers", _REMEDY)
             object.__setattr__(self, name, value.copy())
@@ -175,16 +176,6 @@ class VelocityModel:
         if not (np.isfinite(dt) and dt > 0):
             raise ModelError(f"model '{self.name}': sample time {dt} s; it must be positive and finite")
         return zero_order_hold(self.A, self.B, self.C, self.dead_time, dt)
-
-    def _check_names(self) -> None:
-        from diffdrive_mpc.models.structures.registry import STRUCTURES  # noqa: PLC0415 - needs this module
-
-        if not isinstance(self.name, str):
-            raise wrong_type("name", "a text", self.name, _REMEDY)
-        if str(self.structure) not in STRUCTURES:
-            raise ModelError(
-                f"model '{self.name}': unknown structure {format_unknown_name(self.structure, STRUCTURES)}"
-            )
 
     def _check(self) -> None:
         where = f"model '{self.name}'"
