@@ -18,6 +18,10 @@ class FaultError(AssertionError):
     """Violation of a guarantee of the project; the message starts with the name of the guarantee and a colon."""
 
 
+class DeadlineError(FaultError):
+    """Step that takes longer than its sample; other processes can cause it, so a repetition must confirm it."""
+
+
 class HangError(BaseException):
     """Exceeded time limit of a case; derived from BaseException, so that the project does not catch it."""
 

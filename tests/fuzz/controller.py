@@ -36,7 +36,7 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands, time
 from diffdrive_mpc.mpc.trajectories.smooth_segments import time_smooth_path
 from diffdrive_mpc.mpc.trajectories.waypoints import time_waypoints
 from fuzz import odd
-from fuzz.case import Case, FaultError
+from fuzz.case import Case, DeadlineError, FaultError
 from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
 CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "nonlinear", "windowed")
@@ -299,7 +299,8 @@ class Session:
         self.steps, self.late = self.steps + 1, self.late + (result.solver.missed > 0)
         self.longest_step = max(self.longest_step, duration / sample_time)
         if duration > sample_time + _ITERATION:
-            raise FaultError(f"deadline: a step of {1e3 * duration:.1f} ms in a sample of {1e3 * sample_time:g} ms")
+            text = f"deadline: a step of {1e3 * duration:.1f} ms in a sample of {1e3 * sample_time:g} ms"
+            raise DeadlineError(text)
         # A repeated tick has the report of the previous tick.
         is_new = "its command is repeated" not in result.message
         if is_new and bound and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > bound:

@@ -19,7 +19,7 @@ from types import FrameType
 from hypothesis import HealthCheck, example, given, seed, settings
 from hypothesis import strategies as st
 
-from fuzz.case import Case, FaultError, Fuzzer, HangError, draw, save, saved_findings
+from fuzz.case import Case, DeadlineError, FaultError, Fuzzer, HangError, draw, save, saved_findings
 
 _MAX_MEMORY = 8_000_000_000
 """Address space of a process; libraries alone reserve 2 GB [byte]."""
@@ -48,7 +48,10 @@ def search(
             return
         on_case(case)
         try:
-            check_within_bounds(fuzzer, case)
+            try:
+                check_within_bounds(fuzzer, case)
+            except DeadlineError:
+                check_within_bounds(fuzzer, case)
         except Exception as error:
             failed = True
             on_fault(case, error)
