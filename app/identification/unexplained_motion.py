@@ -169,7 +169,7 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
 
 def _fit_variance(features: FloatArray, squares: FloatArray) -> FloatArray:
     """Fit non-negative coefficients of features (K, 6) to squares (K,) of normal errors."""
-    mean = variance = np.array([max(squares.mean(), np.finfo(float).tiny)])
+    mean = variance = np.array([max(squares.mean(), np.finfo(float).eps)])
     for _ in range(20):
         coefficients = nnls(features / variance[:, None], squares / variance)[0]
         variance = np.maximum(features @ coefficients, _MIN_VARIANCE * mean)
@@ -259,7 +259,7 @@ class _PoseErrors:
         displacement, turns = np.diff(self.means @ [[1.0, 0.0], [traction_slip, 0.0], [0.0, 1.0]], axis=0).T
         displacement = displacement * np.exp(-1j * self.heading[(starts + ends) // 2])
         windows = np.column_stack([displacement.real, displacement.imag, turns.real])
-        power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
+        power = np.maximum((windows**2).mean(axis=0), np.finfo(float).eps)
         noise_share = 2.0 * np.mean([1.0 / len(group) for group in self.groups])
         windows *= np.sqrt(np.maximum(1.0 - noise_share * self.noise[[0, 0, 1]] / power, 0.0))
         errors = np.zeros((len(self.heading), 3))
