@@ -77,7 +77,7 @@ def identify_into(
         except for a mapping that corrects the logs.
     """
     names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
-    known = {*known_packages()["parameter_writers"], *plug_in_names("parameter_writers")}
+    known = {*known_packages()["parameter_writers"], *plug_in_names("parameter_writers")} if names else set()
     if unknown := names.keys() - known:
         raise ConfigError(f"--for {format_unknown_name(min(unknown), sorted(known))}")
     writers = {name: plug_in("parameter_writers", name) for name in names}

@@ -208,16 +208,17 @@ def _solve(layout: Layout, start: FloatArray, data: FitData, evaluations: int) -
     start = np.concatenate([coordinates, start[len(coordinates) :]])
     problem = data.problem(layout, start)
     low, high = layout.bounds
-    start = np.clip(start, low + 1e-9, high - 1e-9)
-    options = {
-        "bounds": (low, high),
-        "x_scale": "jac",
-        "max_nfev": evaluations,
-        "xtol": 1e-8,
-        "ftol": 1e-8,
-        "gtol": 1e-8,
-    }
-    result = least_squares(problem.residuals, start, problem.jacobian, **options)
+    result = least_squares(
+        problem.residuals,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        problem.jacobian,
+        bounds=(low, high),
+        x_scale="jac",
+        max_nfev=evaluations,
+        xtol=1e-8,
+        ftol=1e-8,
+        gtol=1e-8,
+    )
     return layout, np.asarray(result.x), float(result.cost)
 
 

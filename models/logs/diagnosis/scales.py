@@ -310,7 +310,9 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
         if streams.wheels is None:
             return (CHANNELS[channel],)
         return SIDES if streams.wheels.shape[1] == len(SIDES) else FOUR_WHEELS
-    return ("yaw_rate",) if name == GYRO else ("x", "y") if channel == 0 else ("theta",)
+    if name == GYRO:
+        return ("yaw_rate",)
+    return ("x", "y") if channel == 0 else ("theta",)
 
 
 def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
