@@ -6,6 +6,7 @@ from scipy.optimize import linprog
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import controller_config, run_case
+from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.schema import Limits
@@ -94,16 +95,25 @@ SETTLING_TICKS = 10
 """Ticks after which the filter has processed the first poses."""
 
 
+def record_steps(controller: Controller) -> list[StepResult]:
+    """Return a list to which each call of `step` appends its result."""
+    steps, step = list[StepResult](), controller.step
+
+    def step_and_record(t: float, measurement: Measurement) -> StepResult:
+        steps.append(step(t, measurement))
+        return steps[-1]
+
+    controller.step = step_and_record
+    return steps
+
+
 def normalised_errors(model: str) -> tuple[dict[str, float], np.ndarray]:
     """Compute over four paths the mean normalised innovation per sensor and the mean normalised squared pose error."""
     innovations: dict[str, list[float]] = {}
     errors = []
     for trajectory in PATHS:
-        controller, steps = Controller(load_config(model)), list[StepResult]()
-        step_once = controller.step
-        controller.step = lambda *inputs, step_once=step_once, steps=steps: (
-            steps.append(step_once(*inputs)) or steps[-1]
-        )
+        controller = Controller(load_config(model))
+        steps = record_steps(controller)
         run = simulate(controller, make_plant("mujoco", seed=20), load_trajectory(trajectory))
         for step, true_pose in zip(steps[SETTLING_TICKS:], run.true_pose[SETTLING_TICKS:], strict=True):
             for sensor, value in step.estimate.innovations.items():

@@ -48,10 +48,7 @@ def search(
             return
         on_case(case)
         try:
-            try:
-                check_within_bounds(fuzzer, case)
-            except DeadlineError:
-                check_within_bounds(fuzzer, case)
+            check_within_bounds(fuzzer, case)
         except Exception as error:
             failed = True
             on_fault(case, error)
@@ -100,12 +97,19 @@ def run_search(name: str, origin: str, count: int, seconds: float, scratch: str)
         Path(scratch, "statistics.json").write_text(json.dumps({"cases": cases, **statistics}))
 
 
+def _check_twice_if_late(fuzzer: Fuzzer, case: Case) -> None:
+    try:
+        fuzzer.check(case)
+    except DeadlineError:
+        fuzzer.check(case)
+
+
 def check_within_bounds(fuzzer: Fuzzer, case: Case) -> None:
     """Check a case with limits of time and memory; raise FaultError or an error of the project."""
     previous = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with _bounded(fuzzer.time_limit):
-            fuzzer.check(case)
+            _check_twice_if_late(fuzzer, case)
     except HangError:
         raise FaultError(f"hangs: the case takes longer than {fuzzer.time_limit:g} s") from None
     except SystemExit as error:  # raised by a library

@@ -19,6 +19,7 @@ from side_by_side import ACTIVE_SET, Pair, replace_parts
 from diffdrive_mpc import Measurement, Stamped, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.mpc.trajectories.segments import Segment, time_commands
@@ -252,6 +253,8 @@ def test_failing_solves_are_handled_equally():
         return t, m, None
 
     both.drive(make_plant("mujoco", seed=2), reference, 150, corrupt)
+    assert {both.results[k].solver.status for k in (40, 41)} == {SolverStatus.NOT_FINITE}
+    assert not SolverStatus.NOT_FINITE.usable
     recovery = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "TRACKING"]
     assert both.modes == ["TRACKING", "REUSED_PLAN", *recovery]
 

@@ -95,6 +95,17 @@ def corrupt_sensor(field, value):
     return change
 
 
+def delay_poses(ticks):
+    """Return a change for `drive`: each pose is that of `ticks` before, with the present stamp."""
+    past = []
+
+    def change(k, m):
+        past[k:] = [m.pose.value]
+        return replace(m, pose=Stamped(past[max(0, k - ticks)], m.pose.time))
+
+    return change
+
+
 def fail_encoder(wheels, _):
     """Return the twist if one of the two left wheels reads zero: the speed of the left side is halved."""
     right, left = wheels[0] + 0.5 * TRACK * wheels[1], wheels[0] - 0.5 * TRACK * wheels[1]
@@ -260,11 +271,10 @@ def test_recovered_sensor_is_used_again(name, field):
 @pytest.mark.parametrize(("ticks", "has_gyro"), [(1, True), (3, True), (10, True), (5, False), (10, False)])
 @pytest.mark.parametrize("trajectory", ["s", "square", "k_turn"])
 def test_poses_later_than_their_stamps_are_reported_within_5_s_and_used(trajectory, ticks, has_gyro):
-    past = []
+    delay = delay_poses(ticks)
 
     def change(k, m):
-        past.append(m.pose.value)
-        return replace(m, pose=Stamped(past[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None)
+        return delay(k, m if has_gyro else replace(m, yaw_rate=None))
 
     results, _ = run(change, trajectory, seconds=7.0)
     assert unused_sensors(results) == set()

@@ -17,9 +17,10 @@ import test_monitor as faults
 import yaml
 from ideal_robot import PROMPT, IdealRobot
 from test_curved_slip import CURVES, estimator_settings
+from test_fence import FENCE
 from test_reentry import wheels
 
-from diffdrive_mpc import Controller, Stamped, load_config, load_model, load_trajectory
+from diffdrive_mpc import Controller, load_config, load_model, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
@@ -43,16 +44,6 @@ def drop(field, first=0, end=TICKS, every=TICKS):
     return lambda k, m: replace(m, **{field: None}) if first <= k < end and (k % every or k == 0) else m
 
 
-def delay_poses(ticks):
-    past = []
-
-    def change(k, m):
-        past[k:] = [m.pose.value]
-        return replace(m, pose=Stamped(past[max(0, k - ticks)], m.pose.time))
-
-    return change
-
-
 def chain(*changes):
     def change(k, m):
         for part in changes:
@@ -67,7 +58,7 @@ def corrupt_in_turn():
     queue, corruptions = [], list(events.CORRUPTIONS.values())
 
     def change(k, m):
-        queue.append(m.pose)
+        queue[k:] = [m.pose]
         return corruptions[k // 4 % len(corruptions)](m, queue)
 
     return change
@@ -114,11 +105,11 @@ SCENARIOS = {
     "wheels silent": (drop("wheel_twist", 100, 220), {"path": "cane"}),
     "rare wheels": (drop("wheel_twist", every=4), {}),
     "wheels and gyro silent": (chain(drop("wheel_twist", 100, 130), drop("yaw_rate", 160, 190)), {"path": "square"}),
-    "poses 1 tick late": (delay_poses(1), {}),
-    "poses 3 ticks late": (delay_poses(3), {"path": "square"}),
-    "poses 10 ticks late": (delay_poses(10), {"path": "k_turn"}),
-    "poses late, no gyro": (chain(delay_poses(7), drop("yaw_rate")), {}),
-    "poses late, no wheels": (chain(delay_poses(5), drop("wheel_twist")), {"path": "circle"}),
+    "poses 1 tick late": (faults.delay_poses(1), {}),
+    "poses 3 ticks late": (faults.delay_poses(3), {"path": "square"}),
+    "poses 10 ticks late": (faults.delay_poses(10), {"path": "k_turn"}),
+    "poses late, no gyro": (chain(faults.delay_poses(7), drop("yaw_rate")), {}),
+    "poses late, no wheels": (chain(faults.delay_poses(5), drop("wheel_twist")), {"path": "circle"}),
     "odd measurements": (corrupt_in_turn(), {}),
     "held": (None, {"robot": faults.HeldRobot}),
     "held, encoders at zero": (None, {"robot": faults.QuietHeldRobot, "path": "cane"}),
@@ -138,7 +129,6 @@ EVENTS = ("displace", "displace_far", "false_pose", "no_pose_for_long", "hold", 
 EVENTS += ("no_odometry", "new_limits", "no_sensors", "wrong_times", "clock_set_back", "pause", "foreign_commands")
 EVENTS += ("halved_commands", "first_pose_wrong", "no_measurement")
 SCENARIOS |= {name: (None, {"path": "circle", "ticks": 250, "event": getattr(events, name)}) for name in EVENTS}
-FENCE = {"fence.enabled": True, "fence.length": 2.4, "fence.width": 1.6, "fence.margin": 0.1}
 RADIUS = {"limits.min_turn_radius": 0.6, "limits.min_commanded_radius": 0.5}
 CUSP = {"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5}
 WEIGHTS = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0, "weights.soft": 5.0, "weights.terminal": 2.0}
@@ -178,8 +168,20 @@ SETTINGS = {
 SCENARIOS |= {name: (None, {"ticks": 200, **options}) for name, options in SETTINGS.items()}
 
 
-def record(change, *, path="s", robot=IdealRobot, slip=None, start=None, displaced=(0.0, 0.0, 0.0), model="ssm",
-           ticks=TICKS, event=None, from_end=0.0, **settings):  # fmt: skip
+def record(
+    change,
+    *,
+    path="s",
+    robot=IdealRobot,
+    slip=None,
+    start=None,
+    displaced=(0.0, 0.0, 0.0),
+    model="ssm",
+    ticks=TICKS,
+    event=None,
+    from_end=0.0,
+    **settings,
+):
     """Drive and return the events, at which a report changes, and means of commands and estimated quantities."""
     reference = load_trajectory(path)
     reference = starting_at(reference, np.array(start)) if start else reference

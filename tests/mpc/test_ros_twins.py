@@ -23,9 +23,11 @@ def twin_of(kind, topic, name="fake_base"):
     context = Context()
     rclpy.init(context=context, args=[])
     node = rclpy.create_node(name, context=context)
-    yield node.create_publisher(kind, topic, qos_profile_sensor_data)
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    try:
+        yield node.create_publisher(kind, topic, qos_profile_sensor_data)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 @pytest.mark.system
