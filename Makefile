@@ -11,6 +11,7 @@ TUNE_OUT ?= out/tune
 REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
 LAB_OUT ?= docs/laboratory/index.html
+COVERAGE_OUT ?= out/coverage
 BILL_OUT ?= out/bill.json
 # Which study, and options of it: make study NAME=tracking OPTIONS=--quick
 NAME ?=
@@ -29,6 +30,7 @@ PACKAGE ?= $(notdir $(patsubst %/,%,$(dir $(wildcard packages/*/pyproject.toml))
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 MARKED ?= not system and not long
+SYSTEM ?= system and not long
 # Lists of packages that stand beside the project's own, pinned with hashes too.
 HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	--no-header --no-annotate --quiet
@@ -50,7 +52,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel wheels test test-packages test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel wheels test test-packages test-system coverage fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -139,7 +141,11 @@ test-packages: $(READY) ## tests of the packages, each on built wheels in an env
 	VENV=$(VENV) .ci/test_package $(PACKAGE) -- -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
 test-system: $(LAB_READY) ## tests of several processes, many drives and documents, and those that need Debian packages: browser, emulator, X server
-	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
+	$(BIN)/pytest -n 2 --dist worksteal -m "$(SYSTEM)" $(TEST)
+
+coverage: $(READY) ## line coverage of `make test`, as a table and in out/coverage
+	$(PIP_INSTALL) $(LOCKED) .ci/coverage.txt
+	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" --cov=diffdrive_mpc --cov-report=term:skip-covered --cov-report=html:$(COVERAGE_OUT) $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
 	PYTHONPATH=tests:tests/models:tests/mpc $(BIN)/python -m fuzz $(FUZZ)
@@ -202,14 +208,14 @@ requirements: ## pin all dependencies anew (needs uv)
 	echo 'setuptools>=77' | uv pip compile pyproject.toml - --constraint requirements.txt --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet \
 		--output-file requirements-bench.txt
-	for list in .ci/colcon .ci/tools .ci/lab; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
+	for list in .ci/colcon .ci/tools .ci/lab .ci/coverage; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
 	uv pip compile $(PEERS_LIST).in --no-deps $(HASHED) --output-file $(PEERS_LIST).txt
 
 bill: $(READY) ## what is installed, with versions, hashes and licences, as CycloneDX: out/bill.json
 	$(BIN)/python .ci/tools.py bill $(BIN)/python $(BILL_OUT)
 
 audit: $(READY) ## known vulnerabilities of what is pinned; says so where nobody could be asked
-	$(BIN)/python .ci/tools.py audit requirements.txt requirements-bench.txt .ci/colcon.txt .ci/lab.txt $(PEERS_LIST).txt
+	$(BIN)/python .ci/tools.py audit requirements.txt requirements-bench.txt .ci/colcon.txt .ci/lab.txt .ci/coverage.txt $(PEERS_LIST).txt
 
 clean: ## remove what make has built
 	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

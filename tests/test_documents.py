@@ -30,8 +30,8 @@ MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # CI executes these lines unchanged, after the setup by make.
-CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
+CI_SCRIPT = "".join((ROOT / ".ci" / name).read_text(encoding="utf-8") for name in ("run", "long"))
+RUN_IN_CI = {line.strip().removesuffix(" &&") for line in CI_SCRIPT.splitlines()}
 # Commands that a line of .ci/run or .ci/long runs with additional options.
 PART_OF_CI = {
     "python -m studies speed --out out/speed --quick --peers ours,casadi/sqpmethod --horizons 10": (
@@ -45,6 +45,14 @@ RUN_IN_TESTS = {
     "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "packages/extras/tests/test_model_comparison.py",
     "diffdrive-mpc predict-error --config my_robot/config.yaml --trajectory path.yaml "
     "--learn-from 1.mcap --learn-from 2.mcap --out predicted": "packages/extras/tests/test_own_robot.py",
+}
+# Commands of more than six seconds of processor time that other tests run in a similar form: only `.ci/long tests` runs these.
+SLOW_COMMANDS = {
+    "python -m studies tracking --only floor --out out/floor",
+    "python -m studies robustness --robots 3 --rates 10 --trajectories circle --out out/market",
+    "diffdrive-mpc identify drive.csv square.csv s.csv --structure hybrid --out hybrid",
+    "diffdrive-mpc simulate --model hybrid/model.yaml --trajectory cane",
+    "diffdrive-mpc predict-error --config ssm --trajectory s --out predicted",
 }
 RESULT_FOLDERS = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
@@ -66,16 +74,22 @@ def name_of(document):
     return str(document.relative_to(ROOT))
 
 
-def as_system_test(document):
-    """Return the document as a parameter of the system suite, with the needs of its commands."""
-    commands = "".join(body for language, body in blocks(document) if language == "sh")
-    needs = [need for option, need in NEEDS.items() if option in commands]
-    return pytest.param(document, marks=pytest.mark.system(*needs))
+def as_system_tests(document):
+    """Return a document and the commands to omit as parameters of the system suite, with the needs of its commands."""
+    lines = [line for language, body in blocks(document) if language == "sh" for line in body.splitlines()]
+    needs = [need for option, need in NEEDS.items() if any(option in line for line in lines)]
+    slow, marks = SLOW_COMMANDS.intersection(lines), pytest.mark.system(*needs)
+    tests = [pytest.param(document, slow, marks=marks, id=name_of(document))]
+    if slow:
+        tests += [pytest.param(document, set(), marks=[marks, pytest.mark.long], id=f"all of {name_of(document)}")]
+    return tests
 
 
 @pytest.mark.usefixtures("one_process", "quick_search")
-@pytest.mark.parametrize("document", [*map(as_system_test, sorted({*DOCUMENTS} - TOUR_PAGES))], ids=name_of)
-def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("document", "omitted"), [test for page in sorted({*DOCUMENTS} - TOUR_PAGES) for test in as_system_tests(page)]
+)
+def test_every_command_and_example_runs(document, omitted, tmp_path, monkeypatch):
     """Examples run in order in one folder, after files are written as shown in the document."""
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
@@ -91,7 +105,7 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
                 arguments = shlex.split(line)
                 if arguments[0] == "make":
                     assert RUN_BY_CI.match(line), f"{name_of(document)}: no test runs `{line}`"
-                elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
+                elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS or line in omitted:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line:
                     raise AssertionError(f"{name_of(document)}: .ci/run does not contain `{line}`")

@@ -41,7 +41,8 @@ def test_tipped_robot_is_an_incomplete_run_and_the_bench_continues(tmp_path: Pat
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario"
     result = invoke(app, "bench", "--out", out, *arguments.split(), scenarios, code=1)
     first = r"1 of 2 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0, scenario tips"
-    assert re.fullmatch(rf"error: {first} \({TIPPED}\); bench.json lists them\n", result.stderr)
+    # A slow machine also prints the progress.
+    assert re.fullmatch(rf"error: {first} \({TIPPED}\); bench.json lists them", result.stderr.splitlines()[-1])
     tipped, upright = json.loads((out / "bench.json").read_text())["runs"]
     assert (tipped["completed"], upright["completed"]) == (False, True)
     assert re.fullmatch(TIPPED, tipped["ended"])

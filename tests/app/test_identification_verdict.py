@@ -117,6 +117,7 @@ def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeyp
     assert "faster trial drives failed" in verdict.identification.configuration.text()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_path")
 def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatch):
     """The robot hardly turns: exit code 2 and only the report; --force writes the unchanged configuration."""

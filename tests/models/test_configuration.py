@@ -169,6 +169,7 @@ def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
     assert "position_noise" not in result
 
 
+@pytest.mark.long
 def test_each_side_of_range_and_ramp_is_identified():
     """The base is slower in reverse and brakes harder than it accelerates; omega is not limited."""
     rng = np.random.default_rng(3)

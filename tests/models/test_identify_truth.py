@@ -201,6 +201,7 @@ def test_mbm_recovers_motors_both_tracks_and_a_limit(has_four_wheels, limit):
     assert identified.model.order == 8
 
 
+@pytest.mark.long
 def test_mbm_by_modes_recovers_motors_of_a_robot_that_turns_more_slowly_than_it_drives():
     drive, gains, track, radius = noisy_drive(SM, 21, count=2000), {"front_left": 0.97, "front_right": 1.03}, 0.5, 0.07
     rims = drive.twist @ np.array([[1.0, 1.0], [-track / 2, track / 2]]) * list(gains.values())

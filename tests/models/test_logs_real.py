@@ -115,6 +115,7 @@ def shipped_fit(log):
     return validate(identify_sm(train, limits=False).system, held_out).fit_percent
 
 
+@pytest.mark.long
 @pytest.mark.real_logs
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
 def test_cut_reduces_the_fit_by_less_than_three_points(log, cut):

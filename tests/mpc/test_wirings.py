@@ -72,14 +72,15 @@ def follows(robot):
     return metrics.completed and metrics.position_rmse_m < 0.1
 
 
-def robots_that_follow():
-    """Return the first twenty robots that follow their path with correct wiring; other robots slide or stop."""
-    return list(islice(filter(follows, range(RESERVED + 300, RESERVED + 350)), 20))
+def robots_that_follow(count=20):
+    """Return the first robots that follow their path with correct wiring; other robots slide or stop."""
+    return list(islice(filter(follows, range(RESERVED + 300, RESERVED + 350)), count))
 
 
 @pytest.mark.system
-def test_messages_name_wrong_wirings_on_twenty_random_robots(tmp_path):
-    robots = robots_that_follow()
+@pytest.mark.parametrize("robot_count", [2, pytest.param(20, marks=pytest.mark.long)])
+def test_messages_name_wrong_wirings_on_random_robots(robot_count, tmp_path):
+    robots = robots_that_follow(robot_count)
     wrong_cases, lateral, count = judge_wirings(robots, tmp_path, jobs=2)
     assert len(wrong_cases) <= 0.03 * count, wrong_cases
     assert np.median(lateral) < 0.1
