@@ -19,6 +19,7 @@ _FLAGS = {
     "solved": (osqp.SolverStatus.OSQP_SOLVED, 1),
     "iteration limit": (osqp.SolverStatus.OSQP_MAX_ITER_REACHED, -4),
     "infeasible": (osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE, -1),
+    "time limit": (osqp.SolverStatus.OSQP_TIME_LIMIT_REACHED, -7),
 }
 
 

@@ -277,6 +277,13 @@ def test_lasting_solver_failure_leads_through_every_mode_and_recovers(monkeypatc
 
 
 @every_backend
+def test_solve_that_ends_at_its_time_limit_counts_as_missed(monkeypatch, backend):
+    solver = FailingSolver(monkeypatch, "time limit")
+    results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 1.5, change=solver.during({60}))
+    assert [result.solver.missed for result in results[59:62]] == [0, 1, 0]
+
+
+@every_backend
 def test_nonfinite_plan_is_not_executed(monkeypatch, backend):
     solver = FailingSolver(monkeypatch, "solved", garbage=math.nan)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 3.0, change=solver.during({100}))

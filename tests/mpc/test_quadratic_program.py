@@ -144,6 +144,18 @@ def test_casadi_problem_gives_the_compiled_plan_without_effect_on_the_next_tick(
     assert (commands[0] == commands[1]).all()
 
 
+def test_commands_change_direction_before_the_body_at_a_cusp():
+    controller, robot, path = Controller(load_config("ssm")), make_plant("model:ssm", seed=1), load_trajectory("k_turn")
+    robot.reset(path.sample([0.0]).pose[0])
+    controller.start(path, robot.time)
+    directions = np.ones((2, 30))
+    while directions[0, -1] == 1.0 and robot.time < path.duration:
+        robot.advance(controller.step(robot.time, robot.measure()).command)
+        directions = controller.problem_inputs()["direction"]
+    (body,), (command,) = (np.flatnonzero(np.diff(row)) for row in directions)
+    assert (np.abs(directions) == 1.0).all() and 0 <= command < body
+
+
 def test_commands_of_a_drive_equal_ipopts_commands_after_the_start():
     """The product iterates once per tick."""
     controller, reference = Controller(load_config("ssm", {"horizon": 12})), load_trajectory("s")

@@ -137,6 +137,7 @@ SETTINGS = {
     "fence": {"path": "circle", "start": (0.4, 0.3, 0.2), **FENCE},
     "fence in the frame of poses": {"path": "cane", "start": (-0.8, 0.0, 0.5), "fence.frame": "poses", **FENCE},
     "fence, late commands": {"path": "cane", "start": (-0.9, 0.3, 0.5), **FENCE, **LATE},
+    "fence, slow robot": {"path": "circle", "start": (0.2, 0.0, 0.2), "slower": 8.0, **FENCE},
     "soft limits": {"path": "k_turn", **events.SOFT},
     "soft and hard limits": {"path": "square", **events.SOFT, **events.HARD, "horizon": 12},
     "two-sided limits": {
@@ -180,6 +181,7 @@ def record(
     ticks=TICKS,
     event=None,
     from_end=0.0,
+    slower=1.0,
     **settings,
 ):
     """Drive and return the events, at which a report changes, and means of commands and estimated quantities."""
@@ -187,8 +189,10 @@ def record(
     reference = starting_at(reference, np.array(start)) if start else reference
     passed = reference.duration - from_end if from_end else 0.0
     pose = reference.sample([passed]).pose[0] + displaced
-    base = robot(load_model(model).discretise(DT), pose, slip=slip, noise=1.0, seed=1)
-    controller = Controller(load_config(model, settings), model)
+    velocity = load_model(model)
+    velocity = replace(velocity, A=velocity.A / slower, B=velocity.B / slower)
+    base = robot(velocity.discretise(DT), pose, slip=slip, noise=1.0, seed=1)
+    controller = Controller(load_config(model, settings), velocity)
     controller.start(reference, -passed)
     methods = {name: getattr(controller, name) for name in ("resume", "update", "start")}
     both = SimpleNamespace(results=[], override=controller.set_applied_commands, **methods)
