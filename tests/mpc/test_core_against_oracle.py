@@ -199,6 +199,11 @@ def pause(k, t, m, both):
     return t + (5.0 if k >= 30 else 0.0), shift_stamps(m, 5.0 if k >= 30 else 0.0), None
 
 
+def leap_twice(k, t, m, both):
+    leap = 5.0 * ((k >= 30) + (k >= 31))
+    return t + leap, shift_stamps(m, leap), None
+
+
 class Blocked:
     """Event: the robot is blocked, and its sensor readings do not change."""
 

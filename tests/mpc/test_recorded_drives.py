@@ -127,7 +127,7 @@ SCENARIOS = {
 }
 EVENTS = ("displace", "displace_far", "false_pose", "no_pose_for_long", "hold", "short_failure", "long_failure")
 EVENTS += ("no_odometry", "new_limits", "no_sensors", "wrong_times", "clock_set_back", "pause", "foreign_commands")
-EVENTS += ("halved_commands", "first_pose_wrong", "no_measurement")
+EVENTS += ("leap_twice", "halved_commands", "first_pose_wrong", "no_measurement")
 SCENARIOS |= {name: (None, {"path": "circle", "ticks": 250, "event": getattr(events, name)}) for name in EVENTS}
 RADIUS = {"limits.min_turn_radius": 0.6, "limits.min_commanded_radius": 0.5}
 CUSP = {"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5}
