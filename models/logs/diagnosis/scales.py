@@ -193,14 +193,14 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _weak_finding(
     log: str, name: str, channel: int, relation: _CommandRelation, max_correlation: float, settings: CheckSettings
 ) -> Finding:
-    restarts = ", that poses do not restart within a stretch (`segment`)" if name == POSE else ""
+    restarts = ": where poses restart, `segment` in the mapping names a column that changes" if name == POSE else ""
     message = (
         f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.correlation:.2f}); check "
-        f"the column{restarts}, and that the robot executed these commands"
+        f"the column{restarts}; and check that the robot executed these commands, or leave the {name} out of the mapping"
     )
-    # The sensor is faulty if another sensor responds. For poses a warning suffices, as the model does not use them.
-    is_faulty = name != POSE and max_correlation > settings.clear_correlation
-    return Finding("weak response", "error" if is_faulty else "warning", log, message)
+    # The sensor is faulty if another sensor responds.
+    severity = "error" if max_correlation > settings.clear_correlation else "warning"
+    return Finding("weak response", severity, log, message)
 
 
 def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
