@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.plant import Plant
     from diffdrive_mpc.sim.run import Run
 
+_PLANT_SCALE = 0.05
+"""Maximum difference of the encoder scale of a simulated robot from one [-]."""
 _ORDER = "the order is simulate(controller, plant, reference)"
 
 
@@ -109,15 +111,15 @@ def plant_settings(config: ControllerConfig) -> dict[str, Any]:
 def sensor_readings(config: ControllerConfig) -> dict[str, dict[str, Any]]:
     """Return values of the default sensor set with which the sensors have the errors that `sensors` corrects.
 
-    Late speeds are not simulated. Late poses are stamped on arrival.
+    Late poses are stamped on arrival. Late speeds are not simulated, nor small encoder scales, which plants have.
     """
     wheels, gyro, pose = config.sensors.wheels, config.sensors.yaw_rate, config.sensors.pose
-    side = {"left": wheels.sign * wheels.scale, "right": wheels.sign * wheels.scale}
+    side = wheels.sign * (wheels.scale if abs(wheels.scale - 1.0) > _PLANT_SCALE else 1.0)
     late = {"latency": pose.delay, "stamped_on_arrival": True} if pose.delay else {}
     return {
         "pose": {"turned": pose.heading, **late},
         "gyro": {"scale": gyro.sign * gyro.scale},
-        "encoders": {**side, "swapped": wheels.sign != wheels.turn_sign},
+        "encoders": {"left": side, "right": side, "swapped": wheels.sign != wheels.turn_sign},
     }
 
 
