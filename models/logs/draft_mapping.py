@@ -150,14 +150,15 @@ def _draft_from_table(log: Path) -> list[str]:
 
 
 def _restart_column(table: CsvTable, pose: dict[str, _Column]) -> str:
-    """Return the column at whose few changes the position jumps furthest; "" if no column changes at jumps."""
+    """Return the column with the most changes, if the position jumps at most of them; "" if there is no such column."""
     steps = np.hypot(*(np.diff(_interpolate_missing(pose[axis].values)) for axis in "xy"))
-    jumps = {"": _MIN_JUMP}
+    counts = {"": 0}
     for name in table.header:
         is_change = np.diff(table.cells(name)) != 0
         if 0 < is_change.mean() < _MAX_RESTARTS:
-            jumps[name] = float(np.median(steps[is_change]) / np.percentile(steps[~is_change], 99).clip(1e-9))
-    return max(jumps, key=jumps.__getitem__)
+            is_restart = np.median(steps[is_change]) > _MIN_JUMP * np.percentile(steps[~is_change], 99)
+            counts[name] = int(is_restart * is_change.sum())
+    return max(counts, key=counts.__getitem__)
 
 
 def _format_wheels(used: _Assignment) -> list[str]:
