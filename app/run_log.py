@@ -41,7 +41,8 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has another suffix or cannot be written; the message contains the name of the option. Raised on entry or on exit.
+        If the file has another suffix or cannot be written; the message contains the name of the option. Raised on
+        entry or on exit.
     """
     if log is None:
         yield lambda *_: None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import isfunction, signature
 from typing import Any, ParamSpec, TypeVar
@@ -84,7 +84,8 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             except (TypeError, ValueError, AttributeError) as error:
                 # An error of the call itself is raised before the function has a frame.
                 if error.__traceback__ is None or error.__traceback__.tb_next is not None:
-                    described = _describe_types(error, function, args, kwargs)
+                    arguments = signature(function).bind(*args, **kwargs).arguments
+                    described = _describe_types(error, function.__qualname__, arguments)
                     if described is None:
                         raise
                     raise described from error
@@ -103,17 +104,14 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-def _describe_types(
-    error: Exception, function: Callable[..., object], args: tuple[object, ...], kwargs: dict[str, object]
-) -> ArgumentError | None:
+def _describe_types(error: Exception, function: str, arguments: Mapping[str, object]) -> ArgumentError | None:
     """Return the ArgumentError for an error about the type or shape of an argument, which it names; otherwise None."""
     match = None if isinstance(error, DiffdriveMpcError) else _TYPE_MISTAKE.search(str(error))
-    arguments = signature(function).bind(*args, **kwargs).arguments
     wrong = {name: value for name, value in arguments.items() if match and type(value).__name__ == match[1]}
     if match is None or (match[1] and not wrong):
         return None
-    given = ", ".join(f"{k} = {describe_type(v)}" for k, v in (wrong or arguments).items() if k not in ("self", "cls"))
-    return ArgumentError(f"{function.__qualname__}: {error} ({given}); give the types and shapes of its help")
+    listed = ", ".join(f"{k} = {describe_type(v)}" for k, v in (wrong or arguments).items() if k not in ("self", "cls"))
+    return ArgumentError(f"{function}: {error} ({listed}); give the types and shapes of its help")
 
 
 def checked_methods(kind: type[C]) -> type[C]:

@@ -164,7 +164,8 @@ def trial_drives(
     radius = circle_radius(config)
     default_robot = load_robot()
     for stand_in in plants:
-        slip, sensors = stand_in.slip or log_slip(identification), stand_in.sensors or _default_sensors(config)
+        slip = stand_in.slip or log_slip(identification)
+        sensors = stand_in.sensors or load_sensor_set("default", sensor_readings(config))
         max_limits = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
         limits = default_robot.limits.model_copy(update=max_limits)
         robot = default_robot.model_copy(update={"sample_time": config.sample_time, "limits": limits})
@@ -196,13 +197,9 @@ def log_slip(identification: Identification, *, pose_point: bool = False) -> Bod
     return slip.model_copy(update={"polynomial": Polynomial(**point)})
 
 
-def _default_sensors(config: ControllerConfig) -> SensorSet:
-    return load_sensor_set("default", sensor_readings(config))
-
-
 def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
     """Return the sensors of the configuration with the rate and noise of the poses in the log."""
-    sensors, data = _default_sensors(config), identification.report.data
+    sensors, data = load_sensor_set("default", sensor_readings(config)), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
     if not count:

@@ -162,10 +162,7 @@ class TrialVerdict:
         elif self.promise:
             next_step = "Read the warnings in report.md, then drive slowly, first in simulation:"
         else:
-            next_step = (
-                "Read the warnings in report.md. A log of slower drives gives lower limits; with --force you can lower "
-                "limits.v and limits.omega in config.yaml."
-            )
+            next_step = "Read the warnings in report.md, or record slower drives, which give lower limits."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def headed_conclusions(self) -> list[str]:

@@ -21,7 +21,7 @@ class Group(StrictModel, strict=True):
 
     def __setattr__(self, name: str, value: object) -> None:
         """Raise ConfigError, because configurations are immutable."""
-        raise ConfigError(f"{type(self).__name__}.{name}: not assignable; write load_config(config, {{'{name}': value}})")
+        raise ConfigError(f"{type(self).__name__}.{name}: write load_config(config, {{'{name}': value}}) for a new one")
 
     @field_validator("*", mode="after")
     @classmethod

@@ -128,16 +128,8 @@ def make_plant(
     disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
         disturbances = combine(disturbances, drawn.scenario)
-    setting = _Setting(
-        name,
-        surface,
-        load_surface(surface),
-        sensors,
-        load_sensor_set(sensors, readings),
-        scenario,
-        disturbances,
-        int(seed),
-    )
+    sensor_set = load_sensor_set(sensors, readings)
+    setting = _Setting(name, surface, load_surface(surface), sensors, sensor_set, scenario, disturbances, int(seed))
     if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if extra_dead_time:
             raise ConfigError(
