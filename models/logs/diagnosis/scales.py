@@ -199,8 +199,8 @@ def _weak_finding(
         f"the column{restarts}; and that the robot executed these commands, or leave the {name} out of the mapping"
     )
     # The sensor is faulty if another sensor responds.
-    severity = "error" if max_correlation > settings.clear_correlation else "warning"
-    return Finding("weak response", severity, log, message)
+    is_faulty = max_correlation > settings.clear_correlation
+    return Finding("weak response", "error" if is_faulty else "warning", log, message)
 
 
 def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
