@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -42,7 +41,7 @@ def print_model(name: str) -> None:
 def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
     """Format matrices or architecture, poles, gains and provenance as text; matrices are at most `width` wide."""
     lines = _function_lines(model) if isinstance(model, NonlinearModel) else _linear_lines(model, width)
-    return "\n".join([*lines, *_provenance_lines(model.provenance)])
+    return "\n".join([*lines, *(f"{key:<18} {_text(value)}" for key, value in model.provenance.items() if value)])
 
 
 def _wrap(line: str, width: int) -> list[str]:
@@ -77,10 +76,6 @@ def _function_lines(model: NonlinearModel) -> list[str]:
 def _matrix_lines(label: str, matrix: FloatArray, width: int) -> list[str]:
     rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=width - _LABEL).splitlines()
     return [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
-
-
-def _provenance_lines(provenance: Mapping[str, object]) -> list[str]:
-    return [f"{key:<18} {_text(value)}" for key, value in provenance.items() if value]
 
 
 def _pole(pole: complex) -> str:

@@ -36,16 +36,19 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     Parameters
     ----------
     log
-        Path of the file; the suffix .mcap selects MCAP, any other suffix CSV. None for no log.
+        Path of the file; the suffix .mcap selects MCAP, and .csv CSV. None for no log.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be written; the message contains the name of the option. Raised on entry or on exit.
+        If the file has another suffix or cannot be written; the message contains the name of the option. Raised on
+        entry or on exit.
     """
     if log is None:
         yield lambda *_: None
         return
+    if log.suffix not in (".csv", ".mcap"):
+        raise ConfigError(f"--log {log}: give a file name that ends in .csv or .mcap")
 
     def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
         try:

@@ -199,7 +199,7 @@ class Case:
 
     def __post_init__(self) -> None:
         """Set the default trajectory to that of the plant if the plant defines a path."""
-        if self.trajectory == _trajectory_default() and split_plant(self.plant) is not None:
+        if self.trajectory == str(Case.trajectory) and split_plant(self.plant) is not None:
             object.__setattr__(self, "trajectory", self.plant)
 
     @property
@@ -240,10 +240,6 @@ DIMENSIONS: tuple[Dimension, ...] = tuple(
     if (entry := member.metadata.get("dimension"))
 )
 """Dimensions in the order of the fields of `Case`."""
-
-
-def _trajectory_default() -> str:
-    return str(Case.trajectory)
 
 
 def combinations(**values: Iterable[object]) -> list[Case]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.plant import Plant
     from diffdrive_mpc.sim.run import Run
 
+_PLANT_SCALE = 0.05
+"""Maximum difference of the encoder scale of a simulated robot from one [-]."""
 _ORDER = "the order is simulate(controller, plant, reference)"
 
 
@@ -48,8 +50,8 @@ def simulate(
         Object with the methods `start` and `step`, a configuration, or an argument of `load_config`, such as "ssm".
     plant
         Simulated robot, which is reset first, or an argument of `make_plant`, such as "mujoco" or a velocity model. A
-        plant created from such an argument has the sample time and the limits of the controller's configuration. To
-        set its seed or sensors, pass `make_plant(name, seed=..., sensors=...)`.
+        plant created from such an argument has the sample time, limits and sensors of the controller's configuration.
+        To set its seed or sensors, pass `make_plant(name, seed=..., sensors=...)`.
     reference
         Timed trajectory, or an argument of `load_trajectory`, such as "circle", which is loaded with the limits of
         the controller's configuration.
@@ -98,11 +100,27 @@ def simulate(
 
 
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
-    """Return the sample time and the limits of a controller's plant as arguments of `make_plant`."""
+    """Return sample time, limits and sensor readings of a controller's plant as arguments of `make_plant`."""
     standard = load_robot().limits
     # A robot with higher limits than the papers' robot must not be limited to the range of the latter's serial link.
     bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(standard, name)) for name in ("v", "omega")}
-    return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
+    readings = sensor_readings(config)
+    return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds), "readings": readings}
+
+
+def sensor_readings(config: ControllerConfig) -> dict[str, dict[str, Any]]:
+    """Return values of the default sensor set with which the sensors have the errors that `sensors` corrects.
+
+    Late poses are stamped on arrival. Late speeds are not simulated, nor small encoder scales, which plants have.
+    """
+    wheels, gyro, pose = config.sensors.wheels, config.sensors.yaw_rate, config.sensors.pose
+    side = wheels.sign * (wheels.scale if abs(wheels.scale - 1.0) > _PLANT_SCALE else 1.0)
+    late = {"latency": pose.delay, "stamped_on_arrival": True} if pose.delay else {}
+    return {
+        "pose": {"turned": pose.heading, **late},
+        "gyro": {"scale": gyro.sign * gyro.scale},
+        "encoders": {"left": side, "right": side, "swapped": wheels.sign != wheels.turn_sign},
+    }
 
 
 def _check_names(arguments: Mapping[str, object]) -> None:

@@ -186,12 +186,9 @@ class WheelCommand(StrictModel):
         into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
         return np.asarray(out @ by_side @ into)
 
-    def _clip(self, sides: FloatArray) -> FloatArray:
-        return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
-
     def _quantise(self, sides: FloatArray) -> FloatArray:
         """Clip rim speeds to the top speed and truncate them to whole steps."""
-        clipped = self._clip(sides)
+        clipped = sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
         if self.resolution == 0.0:
             return clipped
         return np.sign(clipped) * np.floor(np.abs(clipped) / self.resolution + _ROUNDING) * self.resolution

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, expm, logm
 
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, checked_array
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError, VelocityModel
 
 _ZERO = 1e-12
@@ -44,10 +44,7 @@ def from_control(system: Any, dead_time: ArrayLike, name: str | None) -> Velocit
     delay = np.zeros(2)
     if spaces[0].dt:
         A, B, C, delay = _continuous_system(where, _StateSpace(A, B, C, spaces[0].dt))
-    try:
-        extra_delay = np.asarray(dead_time, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise wrong_type("dead_time", "seconds", dead_time, "give 0.1, or (0.06, 0.04) for v and omega") from error
+    extra_delay = checked_array("dead_time", dead_time, "seconds", "give 0.1, or (0.06, 0.04) for v and omega")
     if extra_delay.shape not in ((), (2,)):
         raise ModelError(f"{where}: dead_time has shape {extra_delay.shape}; give seconds for v and for omega")
     source = {"origin": "python-control", "source": where}

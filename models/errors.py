@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import isfunction, signature
 from typing import Any, ParamSpec, TypeVar
@@ -13,6 +13,8 @@ from diffdrive_mpc.models.table import escape
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C")
+_TYPE_MISTAKE = re.compile(r"could not convert|broadcast|inhomogeneous|'(\w+)' object (has no|is not|cannot|does not)")
+"""Messages of Python and NumPy for arguments of a wrong type or shape; the group is the name of the type."""
 _MAX_VALUE_LENGTH = 40
 """Maximum number of characters of a value in a message."""
 _MAX_LENGTH = 4000
@@ -69,6 +71,8 @@ def wrong_type(argument: str, expected: str, value: object, remedy: str) -> Argu
 def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that raises ArgumentError for a missing or unknown argument; the message lists all arguments.
 
+    It also raises ArgumentError instead of errors of Python and NumPy about the type or shape of an argument.
+
     `remedies` are hints by name, for names that are arguments of another function.
     """
 
@@ -77,10 +81,14 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 return function(*args, **kwargs)
-            except TypeError as error:
+            except (TypeError, ValueError, AttributeError) as error:
                 # An error of the call itself is raised before the function has a frame.
                 if error.__traceback__ is None or error.__traceback__.tb_next is not None:
-                    raise
+                    arguments = signature(function).bind(*args, **kwargs).arguments
+                    described = _describe_types(error, function.__qualname__, arguments)
+                    if described is None:
+                        raise
+                    raise described from error
                 from diffdrive_mpc.models.suggestions import similar_name  # noqa: PLC0415 - needed in case of an error
 
                 names = [str(p).partition(":")[0] for p in signature(function).parameters.values()]
@@ -94,6 +102,16 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return wrapper
 
     return decorate
+
+
+def _describe_types(error: Exception, function: str, arguments: Mapping[str, object]) -> ArgumentError | None:
+    """Return the ArgumentError for an error about the type or shape of an argument, which it names; otherwise None."""
+    match = None if isinstance(error, DiffdriveMpcError) else _TYPE_MISTAKE.search(str(error))
+    wrong = {name: value for name, value in arguments.items() if match and type(value).__name__ == match[1]}
+    if match is None or (match[1] and not wrong):
+        return None
+    listed = ", ".join(f"{k} = {describe_type(v)}" for k, v in (wrong or arguments).items() if k not in ("self", "cls"))
+    return ArgumentError(f"{function}: {error} ({listed}); give the types and shapes of its help")
 
 
 def checked_methods(kind: type[C]) -> type[C]:

@@ -144,7 +144,8 @@ class Controller:
         self._reference: Reference | None = None
         self._t0 = 0.0
         self._blocked_for = 0.0
-        self._set_defaults()
+        defaults = [value for term in self._terms for value in term.defaults]
+        self._tick.parameters[:] = np.array(defaults, dtype=float)
         self._host = Host(
             config,
             active_model,
@@ -174,10 +175,6 @@ class Controller:
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)
-
-    def _set_defaults(self) -> None:
-        defaults = [value for term in self._terms for value in term.defaults]
-        self._tick.parameters[:] = np.array(defaults, dtype=float)
 
     def __repr__(self) -> str:
         """Describe the prediction model and the reference in one line."""

@@ -90,11 +90,6 @@ class Estimate:
         return float(self.mean[-6])
 
     @property
-    def gyro_bias_deviation(self) -> float:
-        """Standard deviation of the gyro's bias [rad/s]."""
-        return float(self.deviation[-6])
-
-    @property
     def delays(self) -> FloatArray:
         """(2,) estimated delays of v and omega in addition to those of the model [s]."""
         return self.mean[-5:-3]

@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from diffdrive_mpc.bench.drive import sensor_readings
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 from diffdrive_mpc.models.doubt import Doubt
@@ -163,7 +164,8 @@ def trial_drives(
     radius = circle_radius(config)
     default_robot = load_robot()
     for stand_in in plants:
-        slip, sensors = stand_in.slip or log_slip(identification), stand_in.sensors or load_sensor_set("default")
+        slip = stand_in.slip or log_slip(identification)
+        sensors = stand_in.sensors or load_sensor_set("default", sensor_readings(config))
         max_limits = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
         limits = default_robot.limits.model_copy(update=max_limits)
         robot = default_robot.model_copy(update={"sample_time": config.sample_time, "limits": limits})
@@ -196,8 +198,8 @@ def log_slip(identification: Identification, *, pose_point: bool = False) -> Bod
 
 
 def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
-    """Return the default sensors with the rate and noise of the poses in the log."""
-    sensors, data = load_sensor_set("default"), identification.report.data
+    """Return the sensors of the configuration with the rate and noise of the poses in the log."""
+    sensors, data = load_sensor_set("default", sensor_readings(config)), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
     if not count:
@@ -277,7 +279,7 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
         + (
             f"a lateral error of {drive.metrics.lateral_max_m:.2g} m"
             if drive.metrics.completed
-            else "the robot does not arrive"
+            else "; ".join(dict.fromkeys(["the robot does not arrive", *drive.run.messages[-1:]])).rstrip("; ")
         )
         for drive in drives
         if not drive.passed

@@ -227,7 +227,8 @@ class _PoseErrors:
         integrated_turn = dt * np.cumsum(_middle(yaw_rates))
         half = round(identification_settings().pose_window / dt)
         offset = np.where(fresh, record.pose[:, 2] - integrated_turn, 0.0)
-        total, count = (np.convolve(values, np.ones(2 * half + 1), "same") for values in (offset, fresh))
+        window = np.ones(2 * min(half, (len(fresh) - 1) // 2) + 1)  # not longer than a short stretch
+        total, count = (np.convolve(values, window, "same") for values in (offset, fresh))
         heading = integrated_turn + total / np.maximum(count, 1.0)
         # The motion between two samples has the mean velocity and heading of the body.
         traction = np.gradient(predicted[:, 0], dt) * np.abs(predicted[:, 2])

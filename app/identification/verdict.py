@@ -162,7 +162,7 @@ class TrialVerdict:
         elif self.promise:
             next_step = "Read the warnings in report.md, then drive slowly, first in simulation:"
         else:
-            next_step = "report.md lists the remedies."
+            next_step = "Read the warnings in report.md, or record slower drives, which give lower limits."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def headed_conclusions(self) -> list[str]:
@@ -261,7 +261,8 @@ def _with_unexplained(
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
     is_unusable = result._lost > settings.lost_share * len(drives)
-    return replace(result, failure=result._unexplained_reasons[0]) if is_unusable else result
+    slower = "record slower drives, or lower limits.v and limits.omega in the config.yaml of --force"
+    return replace(result, failure=f"{result._unexplained_reasons[0]}: {slower}") if is_unusable else result
 
 
 def _with_fastest_limits(

@@ -66,7 +66,7 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
             *filter(None, [getattr(run.reference, "remark", "")]),
         ],
         key_figures=key_figures(run),
-        views=[RunViews([series], _hint(run, POINTS))],
+        views=[RunViews([series], f"{HOW_TO_READ}." + f" {PEAKS}." * (len(run.time) > POINTS))],
         warnings=run_warnings(run, config),
         configurations=configuration(case),
     )
@@ -78,8 +78,3 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
 
 def _mm(length: float) -> str:
     return f"{number(1e3 * length, 1)} mm"
-
-
-def _hint(run: Run, points: int) -> str:
-    """Explain how to read the views."""
-    return f"{HOW_TO_READ}." + (f" {PEAKS}." if len(run.time) > points else "")

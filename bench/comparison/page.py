@@ -206,19 +206,11 @@ def _sweep(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
             seed_values = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
             has_range = part["seed"].nunique() > 1 and seed_values.notna().all()
             low, high = (list(seed_values.groupby(level=0).agg(end)) if has_range else () for end in ("min", "max"))
-            style, labels = _style(name, names), _labels(name, names)
+            style = names.index(name) if name in names else len(names)
+            labels = {"controller": name} if name in names else {}  # of the toggle that hides the series
             series.append(Series(name, [*values], [*values.values()], style, low=low, high=high, labels=labels))
         swept_charts.append(Chart(title, Axis(axis), Axis(unit, _scale(series)), series))
     return swept_charts
-
-
-def _labels(name: str, names: Sequence[str]) -> dict[str, str]:
-    """Return the label of the toggle that hides a series; empty if the controller has no toggle."""
-    return {"controller": name} if name in names else {}
-
-
-def _style(name: str, names: Sequence[str]) -> int:
-    return names.index(name) if name in names else len(names)
 
 
 def _scale(series: Sequence[Series]) -> Division:

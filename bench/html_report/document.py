@@ -28,7 +28,7 @@ def write_page(page: Page, path: Path) -> None:
 def page_text(page: Page) -> str:
     """Render the page as HTML; the result depends on the page only."""
     parts = {
-        "title": _escaped_title(page.title),
+        "title": page.title.replace("&", "&amp;").replace("<", "&lt;"),
         "style": _file("page.css"),
         "content": json_text(content(page)),
         "plotly": _plotly(),
@@ -66,10 +66,6 @@ def json_text(values: Mapping[str, object]) -> str:
 def picture(path: Path) -> str:
     """Encode a PNG file as a data URL."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
-
-
-def _escaped_title(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
 def _view(view: View) -> Any:  # noqa: ANN401 - a picture, or the plain values of another view

@@ -77,6 +77,7 @@ class IdentificationSettings(StrictModel):
     min_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
     max_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")
     lengths: dict[str, Positive] = Field(description="default lengths by dotted key of the configuration [m]")
+    pose_times: dict[str, Positive] = Field(description="default times for late poses by dotted key [s]")
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that belong under `expert:`")
     min_noise: dict[str, Positive] = Field(description="minimum noise by key of the group estimator [SI units]")
     sensors: SensorSettings

@@ -91,7 +91,8 @@ class Bag:
         self, selected: Collection[tuple[str, str]]
     ) -> Iterator[tuple[str, str, int | None, bytes | memoryview]]:
         for file in self._files:
-            head = _head(file)
+            with open_input(file) as opened:
+                head = opened.read(len(SQLITE_MAGIC))
             if head.startswith(SQLITE_MAGIC):
                 yield from sqlite_messages(file, selected)
             elif head.startswith(MCAP_MAGIC):
@@ -153,8 +154,3 @@ def _message_counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a fil
         for entry in entries
         if isinstance(entry.get("topic_metadata"), Mapping) and isinstance(entry.get("message_count"), int)
     }
-
-
-def _head(path: Path) -> bytes:
-    with open_input(path) as file:
-        return file.read(len(SQLITE_MAGIC))

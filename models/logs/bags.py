@@ -114,7 +114,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     power = _power(signals, mapping.wheels if mapping else None)
     response = next(measured[field] for field in _FIELDS.values() if field in measured)
     if topics.command.on_change:
-        command = _repeat_commands(command, response.time)
+        # Repeat the last command at each reading.
+        stamps = np.union1d(command.time, response.time[response.time >= command.time[0]])
+        command = Signal(stamps, command.value[np.searchsorted(command.time, stamps, side="right") - 1])
     stretch = _stretch(path, command, measured)
     # Commands that are sent on change are irregular, so the clock of the sensor is checked for gaps instead.
     clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock
@@ -206,12 +208,6 @@ def _most_driven_parts(path: Path, stretch: RawStretch, findings: list[Finding])
     return tuple(stretch.between(command.time[span[0]], command.time[span[-1]]) for span in spans)
 
 
-def _repeat_commands(command: Signal, clock: FloatArray) -> Signal:
-    """Repeat the last command at each of the times `clock` (n,) [s] for commands that are sent on change."""
-    time = np.union1d(command.time, clock[clock >= command.time[0]])
-    return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
-
-
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
     """Return the times of each topic's messages [ns]: header stamps if available, else times of receipt."""
     if topics.clock == "receive":
@@ -264,9 +260,6 @@ def _stretch(path: Path, command: Signal, measured: dict[str, Signal]) -> RawStr
     last = max(signal.time[-1] for signal in measured.values())
     clock = command.time[(command.time >= first) & (command.time <= last)]
     if not len(clock):
-        raise ConfigError(f"{path}: the commands ({_span(command)}) and the sensors have no time in common")
+        span = f"{command.time[0]:.1f} to {command.time[-1]:.1f} s"
+        raise ConfigError(f"{path}: the commands ({span}) and the sensors have no time in common")
     return RawStretch(clock, command, measured)
-
-
-def _span(signal: Signal) -> str:
-    return f"{signal.time[0]:.1f} to {signal.time[-1]:.1f} s"

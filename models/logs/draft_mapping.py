@@ -64,6 +64,8 @@ _TWIST = ("v", "omega")
 _NANOSECONDS = re.compile("nano|nsec")
 _MAX_STEP_SPREAD = 0.5
 """Maximum range of the steps of a column of times, as a share of their median."""
+_MIN_JUMP, _MAX_RESTARTS = 1.5, 0.1
+"""Minimum ratio of a jump to the other steps of a pose [-], and maximum share of rows at which a column changes [-]."""
 _WHEELS = (*SIDES, *FOUR_WHEELS)
 _UNITS: dict[str, tuple[str, ...]] = {
     "time": get_args(TimeUnit),
@@ -133,6 +135,8 @@ def _draft_from_table(log: Path) -> list[str]:
         lines.append("  sample_time:    # fill in the time between rows [s]: no increasing column is named as a time")
     else:
         lines.append(f"  time: {time.entry()}")
+    if used["pose"] and (name := _restart_column(table, used["pose"])):
+        lines.append(f"  segment: {_format_flow([name])[1:-1]}    # the pose jumps at each change of its value")
     for role, fields in used.items():
         if not fields:
             lines.append(f"  # {role}: no complete group of columns{', but it is needed' if role == 'command' else ''}")
@@ -141,8 +145,20 @@ def _draft_from_table(log: Path) -> list[str]:
         if role in times:
             lines.append(f"    time: {times[role].entry()}")
     text = "\n".join(lines)
-    used_names = {name for name in table.header if re.search(rf": {re.escape(_format_flow([name])[1:-1])}[,}}]", text)}
+    used_names = {name for name in table.header if re.search(rf": {re.escape(_format_flow([name])[1:-1])}[,}} ]", text)}
     return [*lines, *_format_unused(name for name in table.header if name not in used_names)]
+
+
+def _restart_column(table: CsvTable, pose: dict[str, _Column]) -> str:
+    """Return the column with the most changes, if the position jumps at most of them; "" if there is no such column."""
+    steps = np.hypot(*(np.diff(_interpolate_missing(pose[axis].values)) for axis in "xy"))
+    counts = {"": 0}
+    for name in table.header:
+        is_change = np.diff(table.cells(name)) != 0
+        if 0 < is_change.mean() < _MAX_RESTARTS:
+            is_restart = np.median(steps[is_change]) > _MIN_JUMP * np.percentile(steps[~is_change], 99)
+            counts[name] = int(is_restart * is_change.sum())
+    return max(counts, key=counts.__getitem__)
 
 
 def _format_wheels(used: _Assignment) -> list[str]:

@@ -112,7 +112,8 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
             found_doubts.append(Doubt("no dead time", message).about(label))
         elif min(value - lower, upper - value) < AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
-            label_text, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
+            label_text = name.removeprefix("log_").replace("_", " ").replace("short", "the shorter time constant")
+            bound = np.exp(value) if name.startswith("log_") else value
             message = f"{label_text} is at the {side} bound of the search, {bound:.3g}: the data do not determine it"
             default = "dead time" if name.startswith("dead_time") else "effect"
             found_doubts.append(Doubt((kinds or {}).get(name, default), message).about(label))
@@ -144,7 +145,3 @@ def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:
             )
             found_doubts.append(Doubt("equal lags", message).about(label))
     return found_doubts
-
-
-def _readable(name: str) -> str:
-    return name.removeprefix("log_").replace("_", " ").replace("short", "the shorter time constant")

@@ -65,7 +65,7 @@ def _neighbour_differences(rows: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _scale_of_differences(spikes: Sequence[FloatArray]) -> FloatArray:
     size = np.abs(np.concatenate(spikes))
-    return np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN_RATIO
+    return np.array([np.median(column[column > 0]) if column.any() else 0.0 for column in size.T]) / _MEDIAN_RATIO
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
@@ -89,10 +89,6 @@ def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:
     if min(spread) == 0.0:
         raise ValueError("an output never changes: check that the sensor is connected and that the robot moves")
     return np.array(spread)
-
-
-def _median(values: FloatArray) -> float:
-    return float(np.median(values)) if len(values) else 0.0
 
 
 @dataclass(frozen=True, eq=False)

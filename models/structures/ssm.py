@@ -205,7 +205,9 @@ def _fit(
         lower = (system.A, system.B, system.C)
         candidates.append(candidate(parallel(lower, added or spare_state(*lower)), system.dead_time))
     if not candidates:
-        candidates.append(candidate(_common_pole(channels), dead_time))
+        # One common pole of both channels, for impulse responses that cannot be realised.
+        A, B, C = _side_by_side(channels, 1)
+        candidates.append(candidate((A[:1, :1], B[:1], C[:, :1]), dead_time))
     return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_MAX_EVALUATIONS)
 
 
@@ -229,12 +231,6 @@ def _side_by_side(channels: _Channels, poles: int) -> Realisation:
         B_part[:, row], C_part[row] = B[:, 0], C[0]
         parts.append((A, B_part, C_part))
     return balance(*parallel(*parts))
-
-
-def _common_pole(channels: _Channels) -> Realisation:
-    """Return a realisation with one common pole of both channels, for impulse responses that cannot be realised."""
-    A, B, C = _side_by_side(channels, 1)
-    return A[:1, :1], B[:1], C[:, :1]
 
 
 def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:

@@ -28,7 +28,9 @@ _MAX_PLAUSIBLE_OMEGA = 15.0
 
 @checked_call()
 def load_config(
-    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm", overrides: Mapping[str, object] | None = None
+    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm",
+    overrides: Mapping[str, object] | None = None,
+    **keywords: object,
 ) -> ControllerConfig:
     """Read and check a configuration.
 
@@ -41,6 +43,8 @@ def load_config(
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; the prefix ``expert.`` is
         optional.
+    keywords
+        Further overrides, for instance ``horizon=20`` or ``weights={"across": 200.0}``.
 
     Raises
     ------
@@ -51,6 +55,7 @@ def load_config(
     """
     if overrides is not None and not isinstance(overrides, Mapping):
         raise wrong_type("overrides", "values by dotted key", overrides, "write {'weights.across': 200.0}")
+    overrides = {**(overrides or {}), **keywords}
     if isinstance(source, ControllerConfig):
         return replace_values(source, overrides) if overrides else source
     if isinstance(source, Mapping):
@@ -110,10 +115,10 @@ def _check_config(values: Mapping[str, object], where: str) -> ControllerConfig:
     return config
 
 
-def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
+def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object]) -> dict[str, Any]:
     result = dict(data)
-    for key, value in (overrides or {}).items():
-        result = _with_value(result, plain_key(key).split("."), value, key)
+    for key, value in overrides.items():
+        result = _with_value(result, plain_key(str(key)).split("."), value, str(key))
     return rename_former_keys(result)
 
 

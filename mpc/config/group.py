@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -18,6 +18,10 @@ MIN_SIZE, MAX_SIZE = 1e-12, 1e12
 
 class Group(StrictModel, strict=True):
     """Base of all groups; implicit conversions, such as `true` to 1, are rejected."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raise ConfigError, because configurations are immutable."""
+        raise ConfigError(f"{type(self).__name__}.{name}: write load_config(config, {{'{name}': value}}) for a new one")
 
     @field_validator("*", mode="after")
     @classmethod

@@ -141,7 +141,7 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     for name in names:
         signature = _SIGNATURE.format(name=name)
         parts.append(f"{signature}\n{{\n  (void)iw, (void)w, (void)mem;\n{bodies[name]}}}\n")
-    declarations = "\n".join(_declaration(function) for function in functions)
+    declarations = "\n".join(f"{_shapes_of(f)}\n{_SIGNATURE.format(name=f.name())};\n" for f in functions)
     header = _HEADER.format(origin=origin, guard=f"{stem.upper()}_H", declarations=declarations)
     return GeneratedC(stem, "\n".join(parts), header, names)
 
@@ -220,10 +220,6 @@ def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
         raise ConfigError(f"{name}: CasADi's operation '{word}' has no form in C99; write the function without it")
 
     return _TOKEN.sub(replacement, body)
-
-
-def _declaration(function: ca.Function) -> str:
-    return f"{_shapes_of(function)}\n{_SIGNATURE.format(name=function.name())};\n"
 
 
 def _shapes_of(function: ca.Function) -> str:

@@ -297,10 +297,6 @@ class Pursuit:
         twist = sample.twist[0]
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
-    def _is_displaced(self, ahead: float) -> bool:
-        """Return True if the robot was displaced along the path: its lead `ahead` [m] is outside the normal range."""
-        return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
-
     def _plan_return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
@@ -327,7 +323,7 @@ class Pursuit:
         # The width of the band is computed as in mpc/core/tick.c.
         band = max(settings.band, _BAND_DEVIATIONS * math.hypot(*estimate.pose_deviation[:2]))
         is_outside, is_turned = distance > band, heading_error > settings.heading_band
-        is_displaced = self._is_displaced(lead)
+        is_displaced = not -BEHIND * settings.wait <= lead <= AHEAD * settings.wait
         if self._return_path is None and not (is_outside or is_turned or is_displaced):
             return None
         path = rejoin(

@@ -163,22 +163,18 @@ def mismatched_subscribers(node: Node, topic: str, *, stamped: bool) -> str:
 
 def publishers_of(node: Node, subscription: Subscription) -> str:
     """Describe topic, type and reliability of `subscription`, and the publishers on its topic."""
-    topic, kind = subscription.topic_name, _type_name(subscription.msg_type)
+    topic, kind = subscription.topic_name, subscription.msg_type
     infos = node.get_publishers_info_by_topic(topic)
-    subscriber = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
+    kind_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+    subscriber = f"{topic}, {kind_name}, {_reliability(subscription.qos_profile)}"
     if not infos:
         return f"{subscriber}: no publisher; is the base running, and is the topic remapped (-r name:=/base/name)?"
     publishers = "; ".join(
         f"{_names([info])} publishes {info.topic_type}, {_reliability(info.qos_profile)}"
-        + ("" if info.topic_type == kind else ", which is a different type")
+        + ("" if info.topic_type == kind_name else ", which is a different type")
         for info in infos
     )
     return f"{subscriber}: {publishers}"
-
-
-def _type_name(kind: type[Any]) -> str:
-    package, *_ = kind.__module__.split(".")
-    return f"{package}/msg/{kind.__name__}"
 
 
 def _reliability(qos: Any) -> str:  # noqa: ANN401 - the QoS profile of rclpy has no types

@@ -101,9 +101,10 @@ class NativeReference:
     """
 
     def __init__(self, reference: Reference) -> None:
-        native = _native(reference)
-        self.complete = native is not None
-        self._trajectory = native or _end_pose(reference)
+        # The C table of the reference, if the core can sample it.
+        native = getattr(reference, "native", None)
+        self._trajectory = native if isinstance(native, NativeTrajectory) else _end_pose(reference)
+        self.complete = self._trajectory is native
         ffi, lib = load_core()
         self.struct = ffi.new(
             "ddmpc_reference *",
@@ -113,12 +114,6 @@ class NativeReference:
                 "duration": float(reference.duration),
             },
         )
-
-
-def _native(reference: Reference) -> NativeTrajectory | None:
-    """Return the C table of the reference; None if the core cannot sample the reference."""
-    native = getattr(reference, "native", None)
-    return native if isinstance(native, NativeTrajectory) else None
 
 
 def _end_pose(reference: Reference) -> NativeTrajectory:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.errors import checked_methods
+from diffdrive_mpc.models.errors import ArgumentError, checked_methods
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 
 if TYPE_CHECKING:
@@ -40,6 +40,12 @@ class Trajectory(ABC):
     name: str
     duration: float
     remark: str = field(default="", kw_only=True)
+
+    def __new__(cls, *_: object, **__: object) -> Trajectory:
+        """Create an object of a subclass; raise ArgumentError for this class itself."""
+        if cls is Trajectory:
+            raise ArgumentError("Trajectory: write Trajectory.from_arrays(t, x, y) or load_trajectory('circle')")
+        return super().__new__(cls)
 
     def __init_subclass__(cls) -> None:
         """Check the calls of all kinds of trajectories."""

@@ -181,19 +181,9 @@ class Chassis:
         return f"t = {self._data.time:.2f} s"
 
     @property
-    def wheel_angles(self) -> FloatArray:
-        """(4,) wheel angles [rad], zero after a reset."""
-        return np.array(self._position[7:11])
-
-    @property
     def wheel_speeds(self) -> FloatArray:
         """(4,) wheel speeds [rad/s]."""
         return np.array(self._velocity[6:10])
-
-    @property
-    def wheels_on_floor(self) -> int:
-        """Number of wheels in contact with the surface."""
-        return len({self._data.contact[i].geom2 for i in self._floor_contacts})
 
     @property
     def wheel_loads(self) -> FloatArray:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,7 @@ def make_plant(
     sample_time: float | None = None,
     limits: TwistBounds | None = None,
     scene: Scene | None = None,
+    readings: Mapping[str, Any] | None = None,
 ) -> Plant:
     """Build a plant.
 
@@ -87,6 +89,8 @@ def make_plant(
         Limits to which "model:" plants clip commands; by default those of the robot of the papers.
     scene
         Geometry around the robot; only for "mujoco" plants.
+    readings
+        Values that replace those of the default sensor set, see `bench.drive.sensor_readings`.
 
     Raises
     ------
@@ -118,14 +122,14 @@ def make_plant(
             scenario=scenario,
             sample_time=sample_time,
             limits=limits,
+            readings=readings,
         )
     drawn = drawn_robot(name)
     disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
         disturbances = combine(disturbances, drawn.scenario)
-    setting = _Setting(
-        name, surface, load_surface(surface), sensors, load_sensor_set(sensors), scenario, disturbances, int(seed)
-    )
+    sensor_set = load_sensor_set(sensors, readings)
+    setting = _Setting(name, surface, load_surface(surface), sensors, sensor_set, scenario, disturbances, int(seed))
     if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if extra_dead_time:
             raise ConfigError(

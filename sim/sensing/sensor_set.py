@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, merge_mappings
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, merge_mappings
 from diffdrive_mpc.models.named_file import EntryFile
 
 SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
@@ -82,13 +82,17 @@ class SensorSet(StrictModel):
         return values if data["power"] is None else merge_mappings(values, {"parts": {"power": data["power"]}})
 
 
-def load_sensor_set(name: str | Path) -> SensorSet:
+def load_sensor_set(name: str | Path, readings: Mapping[str, Any] | None = None) -> SensorSet:
     """Read a sensor set by built-in name or path; missing values are those of the default set.
+
+    `readings` contains values by group and key that replace those of the default set, if this is the set to be read.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If the set does not exist or its file is invalid.
     """
-    default = SENSOR_SETS.load(SensorSet, "default")
-    return SENSOR_SETS.load(SensorSet, name, default.model_dump())
+    default = SENSOR_SETS.load(SensorSet, "default").model_dump()
+    if name == "default":
+        return check(SensorSet, merge_mappings(default, readings or {}), "sensor set")
+    return SENSOR_SETS.load(SensorSet, name, default)

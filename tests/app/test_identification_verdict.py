@@ -91,6 +91,29 @@ def test_sliding_robot_has_larger_error_bounds_and_needs_care(identification):
     assert 0.03 < verdict.performance.lateral < 0.3
 
 
+@pytest.mark.usefixtures("one_path")
+def test_robot_with_late_poses_arrives(tmp_path):
+    columns = drive(seconds=40.0)
+    late = {name: np.concatenate([np.full(15, columns[name][0]), columns[name][:-15]]) for name in ("x", "y", "theta")}
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING + TRACK)
+    identification = identify(write_csv(tmp_path / "drive.csv", columns | late), mapping=mapping)
+    config, delay = identification.config, identification.config["sensors"]["pose"]["delay"]
+    assert delay == pytest.approx(0.3, abs=0.01)
+    assert (config["estimator"]["history"], config["failure"]["max_pose_age"]) == pytest.approx(
+        (delay + 0.4, delay + 0.5)
+    )
+    assert not judge_by_drives(identification).failure
+
+
+def test_unexplained_motion_of_short_stretches_is_known(tmp_path):
+    columns = drive(seconds=40.0)
+    columns["part"] = np.arange(len(columns["t"])) // 80
+    mapping = write_mapping(tmp_path / "map.yaml", f"{MAPPING}  segment: part\n{TRACK}")
+    identification = identify(write_csv(tmp_path / "drive.csv", columns), mapping=mapping)
+    motion, *_ = unexplained_motion(identification)
+    assert list(map(len, motion)) == [len(record.time) for record in identification.report.data.validation]
+
+
 def clipped_stand_ins(identification, share):
     """Return the robot itself, with omega clipped to a fraction of the configured limit."""
     limit = share * identification.config["limits"]["omega"]

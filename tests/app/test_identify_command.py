@@ -29,7 +29,7 @@ def logs(tmp_path_factory):
     """Three closed-loop drives of a plant whose velocity model is the shipped SM, with the default sensors."""
     folder = tmp_path_factory.mktemp("logs")
     for trajectory in ("square", "s", "cane"):
-        command = f"simulate --model sm --plant model:sm --trajectory {trajectory} --log {folder / trajectory}"
+        command = f"simulate --model sm --plant model:sm --trajectory {trajectory} --log {folder / trajectory}.csv"
         run(*command.split())
     return folder
 
@@ -37,7 +37,7 @@ def logs(tmp_path_factory):
 @pytest.fixture(scope="module")
 def identified_robot(logs):
     """Folder and output of an identification from two of the drives, validated on the third."""
-    arguments = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
+    arguments = ["identify", logs / "square.csv", logs / "s.csv", "--validate", logs / "cane.csv", "--name", "mine"]
     return logs / "mine", run(*arguments, "--out", logs / "mine")
 
 

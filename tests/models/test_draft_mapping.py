@@ -55,6 +55,16 @@ def test_seconds_and_nanoseconds_become_one_time(tmp_path):
     assert record.dt == pytest.approx(0.02, abs=1e-6)
 
 
+def test_column_that_changes_where_poses_restart_starts_new_stretches(tmp_path):
+    rows = np.arange(len(COLUMNS["t"]))
+    columns = COLUMNS | {"counter": rows, "half": rows // 160, "run": rows // 80}
+    for name in ("x", "y", "theta"):
+        columns[name] = columns[name] - columns[name][80 * (rows // 80)]
+    log = write_csv(tmp_path / "log.csv", columns)
+    assert load_mapping(draft_of(log, tmp_path)).columns.segment == "run"
+    assert load_mapping(draft_of(write_csv(tmp_path / "one.csv", COLUMNS), tmp_path)).columns.segment is None
+
+
 def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
     counts = np.round(1e4 * COLUMNS["t"])
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}

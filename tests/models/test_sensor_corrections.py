@@ -109,6 +109,21 @@ def test_log_of_a_miswired_robot_gives_a_configuration_that_corrects_it(tmp_path
     assert sensors.pose.delay == pytest.approx(0.11, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    "sensors",
+    [
+        {"pose": {"delay": 0.3}},
+        {"pose": {"heading": 1.0}, "yaw_rate": {"scale": 0.5, "sign": -1}},
+        {"wheels": {"scale": 2.0, "sign": -1}},
+        {"wheels": {"scale": 2.0, "turn_sign": -1}},
+    ],
+)
+def test_simulated_sensors_have_the_errors_that_the_configuration_corrects(sensors):
+    controller = Controller("sm", sensors=sensors, **{"estimator.history": 0.7, "failure.max_pose_age": 0.8})
+    run = simulate(controller, "model:sm", "s")
+    assert run.metrics.completed and run.metrics.position_max_m < 0.02
+
+
 def test_record_of_a_drive_with_an_inverted_gyro_gives_a_configuration_that_corrects_it(tmp_path):
     """The record contains uncorrected readings, even if the controller of the drive applied the sign."""
     (tmp_path / "sensors.yaml").write_text("gyro: {scale: -1.0}", encoding="utf-8")

@@ -40,7 +40,7 @@ def test_resting_robot_does_not_move() -> None:
     log = drive_open_loop(plant, np.zeros((250, 2)), pose=[1.0, -2.0, 0.7])
     np.testing.assert_allclose(log.true_pose, np.tile([1.0, -2.0, 0.7], (250, 1)), atol=1e-4)
     np.testing.assert_allclose(log.wheel_speeds, 0.0, atol=1e-6)
-    assert plant.chassis.wheels_on_floor == 4
+    assert (plant.chassis.wheel_loads > 0.0).all()
 
 
 @pytest.mark.parametrize("v", [0.3, 1.0, -0.4])

@@ -246,7 +246,8 @@ def _fit_with(fit: EffectFit, effect: str, data: Weighted, initial_limits: Point
     if "wheels.top_speed" in guess and _TRACK not in fit.point:
         return _fit_with_track(fit, data)
     if "wheels.top_speed" in guess:
-        guess["wheels.top_speed"] = _initial_top_speed(data.experiments)
+        # Start slightly below the maximum command, because the cost has no slope for an inactive limit.
+        guess["wheels.top_speed"] = 0.9 * max(float(np.abs(e.inputs[:, 0]).max()) for e in data.experiments)
     free = (*fit.free, *guess)
     start = {**fit.point, **guess}
     if "wheels.resolution" not in EFFECTS[effect]:
@@ -288,11 +289,6 @@ def _fit_without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
         removed = (*removed, _TRACK)
     point: Point = {name: value for name, value in fit.point.items() if name not in removed}
     return fit_effects(point, [name for name in fit.free if name not in removed], data)
-
-
-def _initial_top_speed(experiments: Sequence[SampledExperiment]) -> float:
-    """Choose an initial top speed slightly below the maximum command; the cost has no slope for an inactive limit."""
-    return 0.9 * max(float(np.abs(experiment.inputs[:, 0]).max()) for experiment in experiments)
 
 
 def _fit_to_convergence(fit: EffectFit, data: Weighted) -> EffectFit:

@@ -317,7 +317,7 @@ def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names:
         parameters, residuals = result.x, errors(result.x)
     rows = result.jac.reshape(*residuals.shape, len(start))
     estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * residuals]).covariance)
-    warnings = uncertain_parameters(estimate.part(_nonzero_names(names)), "pose calibration")
+    warnings = uncertain_parameters(estimate.part([name for name in names if name in _NONZERO]), "pose calibration")
     return PoseCalibration(estimate, np.sqrt(np.mean(residuals**2, axis=0)), len(residuals), tuple(warnings))
 
 
@@ -325,6 +325,5 @@ def _apply_weight(errors: Callable[[FloatArray], FloatArray], weight: FloatArray
     return lambda parameters: (weight * errors(parameters)).ravel()
 
 
-def _nonzero_names(names: tuple[str, ...]) -> list[str]:
-    """List the parameters whose true value cannot be zero."""
-    return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]
+_NONZERO = ("wheel_radius", "track", "p0", "gyro_scale")
+"""Parameters whose true value cannot be zero."""

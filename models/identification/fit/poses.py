@@ -224,7 +224,9 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     warnings += [doubt.about("poses") for _, calibration in calibrations for doubt in calibration.warnings]
     parts = [calibration.parameters for _, calibration in calibrations]
     if wheels and fitted.geometry is None:
-        parts[0] = _convert_to_gains(parts[0])
+        # Radius and track of unit wheels are ratios of the body's twist and the odometry's twist.
+        names = ("longitudinal_gain", "yaw_gain", *parts[0].names[2:])
+        parts[0] = parts[0].derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))
     parameters = join_estimates(parts) if parts else NO_POSES.parameters
     drift = _compute_drift(*_predict_with_model(data, fitted, wheels.parameters if wheels else None, gyro), warnings)
     return PoseResults(parameters, drift, tuple(warnings))
@@ -313,9 +315,3 @@ def _add_unit_wheels(record: Record) -> Record:
     v, omega = record.twist.T
     wheels: FloatArray = np.column_stack([v - omega / 2, v + omega / 2])
     return replace(record, wheels=wheels)
-
-
-def _convert_to_gains(wheels: ParameterEstimate) -> ParameterEstimate:
-    """Convert radius and track of unit wheels to ratios of the body's twist and the odometry's twist."""
-    names = ("longitudinal_gain", "yaw_gain", *wheels.names[2:])
-    return wheels.derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))

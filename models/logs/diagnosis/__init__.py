@@ -42,7 +42,8 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     """
     streams = replace(streams)  # a copy, because the rules replace its arrays
     findings = check_presence(log, streams)
-    if not _is_long_enough(streams, settings):
+    # A short log does not distinguish responses from chance.
+    if np.isfinite(streams.command[:, 0]).sum() * streams.dt < settings.min_duration:
         return findings
     findings += check_counts(log, streams, settings)
     if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):
@@ -66,12 +67,6 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings += check_rounding(log, streams, settings)
     findings += check_ramps(log, streams, settings)
     return findings
-
-
-def _is_long_enough(streams: Streams, settings: CheckSettings) -> bool:
-    """Return True if the commands cover enough time to distinguish responses from chance."""
-    samples = int(np.isfinite(streams.command[:, 0]).sum())
-    return samples * streams.dt >= settings.min_duration
 
 
 def compare_logs(logs: Sequence[Log]) -> list[Finding]:

@@ -130,7 +130,7 @@ def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], str
     if any(relations[name].correlation > 0 for name in body_sensors):
         return None
     for name in (COMMAND, ENCODERS):
-        _invert(streams, name, 1)
+        _scale(streams, name, 1, -1.0)
     message = (
         "omega of gyro and pose has the opposite sign to command and encoders: exchange left and right of the "
         "encoders and of the commands"
@@ -178,13 +178,13 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             )
             message = f"{signal} has the opposite sign to {reference} (correlation {minimum:.2f})"
             changes = _sign_changes(name, channel, streams)
-            _invert(streams, name, channel)
+            _scale(streams, name, channel, -1.0)
             if (
                 has_wheels
                 and ENCODERS in (others := _command_relations(streams, 1, settings))
                 and others[ENCODERS].correlation < 0
             ):
-                _invert(streams, ENCODERS, 1)  # reversed wheels invert both v and omega
+                _scale(streams, ENCODERS, 1, -1.0)  # reversed wheels invert both v and omega
                 changes += _sign_changes(ENCODERS, 1, streams)
             findings.append(Finding("wrong sign", "error", log, message, changes=changes))
     return findings
@@ -193,13 +193,13 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _weak_finding(
     log: str, name: str, channel: int, relation: _CommandRelation, max_correlation: float, settings: CheckSettings
 ) -> Finding:
-    restarts = ", that poses do not restart within a stretch (`segment`)" if name == POSE else ""
+    restarts = ": where poses restart, `segment` in the mapping names a column that changes" if name == POSE else ""
     message = (
         f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.correlation:.2f}); check "
-        f"the column{restarts}, and that the robot executed these commands"
+        f"the column{restarts}; and that the robot executed these commands, or leave the {name} out of the mapping"
     )
-    # The sensor is faulty if another sensor responds. For poses a warning suffices, as the model does not use them.
-    is_faulty = name != POSE and max_correlation > settings.clear_correlation
+    # The sensor is faulty if another sensor responds.
+    is_faulty = max_correlation > settings.clear_correlation
     return Finding("weak response", "error" if is_faulty else "warning", log, message)
 
 
@@ -358,10 +358,6 @@ def _remove(streams: Streams, name: str) -> None:
         streams.yaw_rate = None
     elif name == POSE:
         streams.pose = None
-
-
-def _invert(streams: Streams, name: str, channel: int) -> None:
-    _scale(streams, name, channel, -1.0)
 
 
 def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:

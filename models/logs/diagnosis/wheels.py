@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.agreement import change_location
-from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import Streams, fit_response
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 SIDES = ("left", "right")
@@ -133,9 +133,8 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
     else:
         is_uneven &= ((low < gains) & (gains < high)).any()
     if is_direct.all() and is_uneven:
-        outlier = (
-            int(np.argmax(np.abs(np.log(gains / np.median(gains))))) if len(gains) > 2 else _outlier_side(response)
-        )
+        ratios = gains / np.median(gains) if len(gains) > 2 else np.abs(np.diag(response.gain))
+        outlier = int(np.argmax(np.abs(np.log(ratios))))
         reference = float(np.median(np.delete(gains, outlier)))
         message = (
             f"the wheel '{names[outlier]}' reads {gains[outlier] / reference:.3g} times as fast as the "
@@ -172,11 +171,6 @@ def _single_gain(streams: Streams, side: FloatArray, wheel: int, settings: Check
 def _are_collinear(sides: FloatArray, settings: CheckSettings) -> bool:
     present = sides[np.isfinite(sides).all(axis=1)]
     return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinearity)
-
-
-def _outlier_side(response: StreamResponse) -> int:
-    """Return the index of the side whose gain differs more from 1."""
-    return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
 def commanded_sides(streams: Streams) -> FloatArray | None:

@@ -126,7 +126,8 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
         # The rows before the damaged part are valid.
         content.cut = True
         if not content.rows:
-            raise ConfigError(f"{path}: is not an MCAP file of a drive ({_reason(error)})") from error
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ConfigError(f"{path}: is not an MCAP file of a drive ({reason})") from error
     if not content.rows:
         raise ConfigError(f"{path}: contains no tick: there is no message on {topic.STATE}")
     rows = tuple(row for _, row in content.rows)
@@ -173,10 +174,6 @@ def _add_record(path: Path, record: McapContent, content: _Content, *, plans: bo
     elif isinstance(record, McapMessage) and plans and record.channel.topic == topic.PLAN:
         plan = ros.decode(topic.KINDS[topic.PLAN], bytes(record.data))
         content.plans[record.log_time] = np.array([ros.planar(place.pose) for place in plan.poses])
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 # Drive files as logs for identification; their rows are the same as in the CSV log of the drive.
