@@ -79,10 +79,8 @@ def as_system_tests(document):
     lines = [line for language, body in blocks(document) if language == "sh" for line in body.splitlines()]
     needs = [need for option, need in NEEDS.items() if any(option in line for line in lines)]
     slow, marks = SLOW_COMMANDS.intersection(lines), pytest.mark.system(*needs)
-    tests = [pytest.param(document, slow, marks=marks, id=name_of(document))]
-    if slow:
-        tests += [pytest.param(document, set(), marks=[marks, pytest.mark.long], id=f"all of {name_of(document)}")]
-    return tests
+    all_commands = pytest.param(document, set(), marks=[marks, pytest.mark.long], id=f"all of {name_of(document)}")
+    return [pytest.param(document, slow, marks=marks, id=name_of(document)), *[all_commands] * bool(slow)]
 
 
 @pytest.mark.usefixtures("one_process", "quick_search")

@@ -189,8 +189,7 @@ def record(
     reference = starting_at(reference, np.array(start)) if start else reference
     passed = reference.duration - from_end if from_end else 0.0
     pose = reference.sample([passed]).pose[0] + displaced
-    velocity = load_model(model)
-    velocity = replace(velocity, A=velocity.A / slower, B=velocity.B / slower)
+    velocity = replace(shipped := load_model(model), A=shipped.A / slower, B=shipped.B / slower)
     base = robot(velocity.discretise(DT), pose, slip=slip, noise=1.0, seed=1)
     controller = Controller(load_config(model, settings), velocity)
     controller.start(reference, -passed)
