@@ -46,7 +46,7 @@ RUN_IN_TESTS = {
     "diffdrive-mpc predict-error --config my_robot/config.yaml --trajectory path.yaml "
     "--learn-from 1.mcap --learn-from 2.mcap --out predicted": "packages/extras/tests/test_own_robot.py",
 }
-# Commands of more than six seconds of processor time that other tests run in a similar form: only `.ci/long tests` runs these.
+# Slow commands, which other tests run in a similar form: only `.ci/long tests` runs them.
 SLOW_COMMANDS = {
     "python -m studies tracking --only floor --out out/floor",
     "python -m studies robustness --robots 3 --rates 10 --trajectories circle --out out/market",
