@@ -65,7 +65,7 @@ def _neighbour_differences(rows: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _scale_of_differences(spikes: Sequence[FloatArray]) -> FloatArray:
     size = np.abs(np.concatenate(spikes))
-    return np.array([np.median(column[column > 0]) if column.any() else 0.0 for column in size.T]) / _MEDIAN_RATIO
+    return np.array([np.median(column[column > 0]) if (column > 0).any() else 0.0 for column in size.T]) / _MEDIAN_RATIO
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
