@@ -26,7 +26,7 @@ os.environ.pop("COLUMNS", None)
 SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
 """Programs and shared libraries with their Debian packages, by need of a test marked `system`."""
 LONG_TESTS = {"core_library", "documents", "export", "hybrids", "identify_command", "identify_truth", "tutorials"}
-LONG_TESTS |= {"model_comparison", "monitor_with_node", "networks", "over_dds", "replay", "reproduce_experiments"}
+LONG_TESTS |= {"model_comparison", "monitor_with_node", "over_dds", "replay", "reproduce_experiments", "wirings"}
 """Files with a test or fixture of five seconds or more: they run first, so that no core waits at the end."""
 LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
 SKIP_REASONS = {

@@ -56,7 +56,7 @@ def test_dependencies_are_pinned_for_every_supported_python():
 LISTS = (
     ROOT / "requirements.txt",
     REQUIREMENTS,
-    *(ROOT / ".ci" / f"{name}.txt" for name in ("colcon", "tools", "lab")),
+    *(ROOT / ".ci" / f"{name}.txt" for name in ("colcon", "tools", "lab", "coverage")),
 )
 
 

@@ -75,7 +75,7 @@ def test_invalid_input_gives_one_line_and_exit_code_2(arguments, message, folder
     assert sorted(folder.rglob("*")) == files  # no file was executed
 
 
-@pytest.mark.parametrize("name", [pytest.param("degrees", marks=pytest.mark.system), "reversed"])
+@pytest.mark.parametrize("name", [pytest.param("degrees", marks=pytest.mark.long), "reversed"])
 def test_refused_log_leaves_only_a_corrected_mapping(name, folder, tmp_path):
     arguments = ["identify", folder / f"{name}.csv", "--out", tmp_path / "out", "--mapping"]
     result = invoke(app, *arguments, folder / "map.yaml", code=2)

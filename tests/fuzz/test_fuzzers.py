@@ -41,7 +41,7 @@ def test_fixed_findings_stay_fixed_and_short_runs_find_no_fault(name, cases):
     assert len(checked) == len(fixed) + cases and len(fixed) > 0
 
 
-@pytest.mark.system
+@pytest.mark.long
 def test_steps_of_all_models_satisfy_the_safety_guarantees():
     """`.ci/long properties` runs more cases."""
     fuzzer, cases = ControllerFuzzer(), []

@@ -292,7 +292,7 @@ def test_uneven_command_times_do_not_shorten_the_dead_time():
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("seed", [2104, 8106])
+@pytest.mark.parametrize("seed", [pytest.param(2104, marks=pytest.mark.long), 8106])
 def test_ssm_explains_its_training_rows_at_least_as_well_as_sm_and_predicts_others(seed):
     records, held_out = divide([drawn_record(seed)], 0.6)
     models = choose_order(records).identified, identify_sm(records)

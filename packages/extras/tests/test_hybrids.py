@@ -195,6 +195,7 @@ def quick_training(monkeypatch):
     monkeypatch.setattr("diffdrive_mpc_extras.hybrids.finding.hybrid_settings", lambda: QUICK)
 
 
+@pytest.mark.long
 def test_network_fits_better_than_any_linear_model(quick_training):
     data = data_of(simulate_weak_supply(1, 60.0), simulate_weak_supply(2, 60.0))
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
