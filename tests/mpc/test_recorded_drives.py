@@ -156,7 +156,7 @@ SETTINGS = {
     "MBM, late": {"model": "mbm", "path": "slalom", **LATE, **WEIGHTS},
     "MBM": {"model": "mbm", "path": "square"},
     "SM": {"model": "sm", "path": "figure8", "horizon": 60},
-    "short horizon": {"horizon": 4, "path": "square"},
+    "short horizon": {"horizon": 4, "path": "square", "reentry.wait": 0.05},
     "no compensation": {f"compensation.{name}": False for name in ("dead_time", "delay", "v_offset", "yaw_gain")},
     "curved slip": {**estimator_settings(CURVES), "slip": Slip(yaw_gain=0.7, side_slip=0.1)},
     "much slip": {"slip": Slip(yaw_gain=0.4, side_slip=0.05, turn_ahead=0.1), "path": "k_turn"},
