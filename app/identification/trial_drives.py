@@ -279,7 +279,7 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
         + (
             f"a lateral error of {drive.metrics.lateral_max_m:.2g} m"
             if drive.metrics.completed
-            else "; ".join(dict.fromkeys(["the robot does not arrive", *drive.run.messages[-1:]])).rstrip("; ")
+            else "; ".join(filter(None, ["the robot does not arrive", *drive.run.messages[-1:]]))
         )
         for drive in drives
         if not drive.passed

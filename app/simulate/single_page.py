@@ -66,7 +66,7 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
             *filter(None, [getattr(run.reference, "remark", "")]),
         ],
         key_figures=key_figures(run),
-        views=[RunViews([series], f"{HOW_TO_READ}." + f" {PEAKS}." * (len(run.time) > POINTS))],
+        views=[RunViews([series], f"{HOW_TO_READ}. {PEAKS}." if len(run.time) > POINTS else f"{HOW_TO_READ}.")],
         warnings=run_warnings(run, config),
         configurations=configuration(case),
     )

@@ -8,7 +8,7 @@ import pytest
 from log_parts import MAPPING, drive, write_csv, write_mapping
 from typer.testing import CliRunner
 
-from diffdrive_mpc import identify
+from diffdrive_mpc import identify, load_config
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.app.identification import verdict as verdicts
@@ -97,11 +97,10 @@ def test_robot_with_late_poses_arrives(tmp_path):
     late = {name: np.concatenate([np.full(15, columns[name][0]), columns[name][:-15]]) for name in ("x", "y", "theta")}
     mapping = write_mapping(tmp_path / "map.yaml", MAPPING + TRACK)
     identification = identify(write_csv(tmp_path / "drive.csv", columns | late), mapping=mapping)
-    config, delay = identification.config, identification.config["sensors"]["pose"]["delay"]
+    delay, default = identification.config["sensors"]["pose"]["delay"], load_config("sm")
     assert delay == pytest.approx(0.3, abs=0.01)
-    assert (config["estimator"]["history"], config["failure"]["max_pose_age"]) == pytest.approx(
-        (delay + 0.4, delay + 0.5)
-    )
+    assert identification.config["estimator"]["history"] == pytest.approx(delay + default.estimator.history)
+    assert identification.config["failure"]["max_pose_age"] == pytest.approx(delay + default.failure.max_pose_age)
     assert not judge_by_drives(identification).failure
 
 

@@ -367,21 +367,21 @@ def configure(
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, mapping_track)}"),
         ]
-    lengths = _scaled_lengths(limit[0] * gain[0], geometry)
+    adapted = _scaled_lengths(limit[0] * gain[0], geometry)
     delay = (sensors or {}).get("pose", {}).get("delay", 0.0)
     for key, time in identification_settings().pose_times.items():
         if delay > 0.5 * time:
             group, _, key_name = key.partition(".")
             reason = f"s, the default {time:g} s and the delay of the poses"
-            lengths.setdefault(group, []).append(_setting(key_name, time + delay, reason))
+            adapted.setdefault(group, []).append(_setting(key_name, time + delay, reason))
     return IdentifiedConfiguration(
         name,
         _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time),
-        (*limits, *lengths.get("limits", ())),
+        (*limits, *adapted.get("limits", ())),
         tuple(wheels),
-        (*_noise_settings(train), *_slip_settings(slip), *lengths.get("estimator", ())),
-        tuple(lengths.get("reentry", ())),
-        tuple(lengths.get("failure", ())),
+        (*_noise_settings(train), *_slip_settings(slip), *adapted.get("estimator", ())),
+        tuple(adapted.get("reentry", ())),
+        tuple(adapted.get("failure", ())),
         sensors=sensors or {},
         notes=notes,
     )
