@@ -40,7 +40,7 @@ def check(
 
     content = read_log(log, mapping)
     corrections = find_corrections(content.name, content.records, mapping)
-    echo("\n".join([*summary(content), *format_labelled_findings([*content.findings, *corrections.findings])]))
+    echo("\n".join([*summary(content), *format_labelled_findings(corrections.merged(content.findings))]))
     sensor_settings = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
     otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
     echo(sensor_settings.rstrip() if corrections.settings else otherwise)

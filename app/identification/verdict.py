@@ -261,8 +261,9 @@ def _with_unexplained(
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
     is_unusable = result._lost > settings.lost_share * len(drives)
-    slower = "record slower drives, or lower limits.v and limits.omega in the config.yaml of --force"
-    return replace(result, failure=f"{result._unexplained_reasons[0]}: {slower}") if is_unusable else result
+    # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
+    failure = f"{result._unexplained_reasons[0]}: record slower drives, and correct the warnings in report.md"
+    return replace(result, failure=failure) if is_unusable else result
 
 
 def _with_fastest_limits(

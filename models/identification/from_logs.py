@@ -240,6 +240,8 @@ def identify(
         )
         validation_paths = _paths(validate, Path(folder), "validation")
         selection = LogSelection(tuple(paths), tuple(validation_paths), effective_mapping, share)
+        log_findings: list[Finding] = []
+        report = on_findings or (lambda _: None)
         try:
             data = read_data(
                 selection.logs,
@@ -247,24 +249,25 @@ def identify(
                 mapping=effective_mapping,
                 fit_share=share,
                 wheels=selected_structure.needs_wheels,
-                on_findings=(lambda findings: on_findings(drop_rejected(findings, None)))
-                if on_findings
-                else (lambda _: None),
+                on_findings=log_findings.extend,
                 on_log=on_log,
                 force=force,
                 max_rows=identification_settings().max_rows["effects" if effects else "plain"],
             )
-        except UnsoundLogError as error:
-            raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
+        except (ValueError, OSError) as error:
+            report(drop_rejected(log_findings, None))
+            if isinstance(error, UnsoundLogError):
+                raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
+            raise
         corrections = find_corrections(data.logs[0], data.train, effective_mapping)
-        if on_findings:
-            on_findings(corrections.findings)
-        advice = advise(selection, data.findings, on_progress)
+        report(drop_rejected(corrections.merged(log_findings), None))
+        findings = corrections.merged(data.findings)
+        advice = advise(selection, findings, on_progress)
     data = replace(
         data,
         train=corrections.correct(data.train),
         validation=corrections.correct(data.validation),
-        findings=(*drop_rejected(data.findings, advice), *corrections.findings),
+        findings=drop_rejected(findings, advice),
         sensors=corrections.settings,
         advice=advice,
     )

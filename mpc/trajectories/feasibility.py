@@ -135,6 +135,8 @@ class _Ticks:
         # The reference moves before the first command takes effect, so the robot starts with a deficit.
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
+        # This lead hides a shorter deficit at the start, which the robot removes together with it.
+        self.start = 0.0 if is_moving else 2.0 * float(self.lag[0])
         command = np.linalg.solve(self.gain, self.body.T).T
         self.previous_command = previous = np.vstack([is_moving * command[:1], command[:-1]])
         # The sign selects the side of the slew limit: negative while the magnitude of the command decreases.
@@ -188,7 +190,7 @@ class _Ticks:
             turn += h * (w - w_out)
             free_x *= 1.0 - gain * h
             size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
-            if size > 1.0:
+            if size > 1.0 and tick * h >= self.start:
                 return np.array(records)
             # The deficit has not started yet, or the feedback has removed it.
             if size < _RECORD_SHARE:

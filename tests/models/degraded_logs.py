@@ -10,29 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from log_parts import MAPPING
 
 from diffdrive_mpc.models.pose import integrate_pose
 
 RADIUS, TRACK = 0.15, 0.5
 WHEELS = f"wheels: {{radius: {RADIUS}, track: {TRACK}}}\n"
-SIMULATED = (
-    WHEELS
-    + """
-columns:
-  time: t
-  command: {v: v_ref, omega: omega_ref}
-  encoders: {left: left, right: right}
-  gyro: {yaw_rate: gyro}
-  pose: {x: x, y: y, theta: theta}
-"""
-)
-SIDES_ONLY = """
-columns:
-  time: t
-  command: {v: v_ref, omega: omega_ref}
-  encoders: {v: v, omega: omega_wheels}
-  gyro: {yaw_rate: gyro}
-"""
+SIMULATED = WHEELS + MAPPING.replace("{v: v, omega: omega_wheels}", "{left: left, right: right}")
+SIDES_ONLY = "".join(line for line in MAPPING.splitlines(keepends=True) if "pose" not in line)
 HUSKY = """
 wheels: {radius: 0.161827, track: 0.480865}
 columns:

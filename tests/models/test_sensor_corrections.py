@@ -103,6 +103,8 @@ def test_log_of_a_miswired_robot_gives_a_configuration_that_corrects_it(tmp_path
     assert "omega of the gyro has the opposite sign to the command" in output and "`yaw_rate.sign: -1`" in output
     output = call("log", "check", tmp_path / "drive.csv", "--mapping", tmp_path / "turned.yaml")
     assert "yaw_rate: {sign: -1}" in output and "pose: {delay: 0.1" in output
+    # The comparison of speeds also detects the delay, less accurately.
+    assert "older than their stamps" in output and "later than" not in output
     identify(tmp_path / "drive.csv", tmp_path / "turned.yaml").write(tmp_path / "robot")
     sensors = load_config(tmp_path / "robot" / "config.yaml").sensors
     assert sensors.yaw_rate.sign == -1

@@ -58,15 +58,52 @@ def follows(robot):
     return metrics.completed and metrics.position_rmse_m < 0.1
 
 
-@pytest.mark.system
-@pytest.mark.parametrize("robot_count", [2, pytest.param(20, marks=pytest.mark.long)])
-def test_messages_name_wrong_wirings_on_random_robots(robot_count, tmp_path):
-    robots = list(islice(filter(follows, range(RESERVED + 300, RESERVED + 350)), robot_count))
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder with the sensor set of each wiring."""
     for wiring, spec in WIRINGS.items():
         (tmp_path / f"{wiring}.yaml").write_text(yaml.safe_dump(spec["sensors"]), encoding="utf-8")
-    cases = [(wiring, robot) for wiring in WIRINGS for robot in robots]
-    drives = run_tasks([partial(drive, *case, tmp_path) for case in cases], 2, lambda *_: None)
+    return tmp_path
+
+
+def robots_that_follow(count):
+    return list(islice(filter(follows, range(RESERVED + 300, RESERVED + 350)), count))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("robot_count", [2, pytest.param(20, marks=pytest.mark.long)])
+def test_messages_name_wrong_wirings_on_random_robots(robot_count, folder):
+    cases = [(wiring, robot) for wiring in WIRINGS for robot in robots_that_follow(robot_count)]
+    drives = run_tasks([partial(drive, *case, folder) for case in cases], 2, lambda *_: None)
     wrong_cases = [case for case, (messages, _) in zip(cases, drives, strict=True) if not is_right(case[0], messages)]
     assert len(wrong_cases) <= 0.03 * len(cases), wrong_cases
     # Lateral errors before the messages.
     assert np.median([lateral for _, lateral in drives]) < 0.1
+
+
+def lateral_square(robot, **options):
+    """Return the mean square lateral error after 3 s, over three seeds [m^2]."""
+    path, seeds = PATHS[robot % len(PATHS)], (robot, robot + 1000, robot + 2000)
+    cases = [Case(model="sm", trajectory=path, plant=f"drawn:{robot}", seed=seed, **options) for seed in seeds]
+    runs = [run_case(case) for case in cases]
+    return np.mean([np.mean(np.asarray(run.errors.lateral)[run.time > 3.0] ** 2) for run in runs])
+
+
+def error_ratio_with_remedy(wiring, robot, folder):
+    """Return the lateral error with the settings of the last message that has settings, relative to correct wiring."""
+    pattern = r"(sensors\.\w+\.(?:\w+_)?(?:sign|scale|heading)): (-?[\d.]+)"
+    pairs = [pairs for text in drive(wiring, robot, folder)[0] if (pairs := re.findall(pattern, text))]
+    if not pairs:
+        return np.nan
+    overrides = tuple((key, int(value) if key.endswith("sign") else float(value)) for key, value in pairs[-1])
+    sensors = str(folder / f"{wiring}.yaml")
+    return np.sqrt(lateral_square(robot, sensors=sensors, overrides=overrides) / lateral_square(robot))
+
+
+@pytest.mark.long
+def test_setting_from_a_message_restores_tracking(folder):
+    correctable = {"reversed", "scaled", "turned"}
+    wirings = [name for name, wiring in WIRINGS.items() if correctable & set(wiring["answer"].values())]
+    cases = [(name, robot, folder) for name in wirings for robot in robots_that_follow(20)]
+    ratios = run_tasks([partial(error_ratio_with_remedy, *case) for case in cases], 2, lambda *_: None)
+    assert np.mean(np.array(ratios)[np.isfinite(ratios)] <= 1.5) >= 0.95, np.round(np.sort(ratios), 2)[-20:]

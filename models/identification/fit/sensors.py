@@ -14,6 +14,9 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
+_STREAMS = {"pose": "pose", "yaw_rate": "gyro"}
+"""Streams of a mapping by input of a controller."""
+
 
 @dataclass(frozen=True)
 class SensorCorrections:
@@ -44,6 +47,19 @@ class SensorCorrections:
             values = {**stated, **inferred, "delay": delay}
             settings[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
         return {name: values for name, values in settings.items() if values}
+
+    def merged(self, findings: Sequence[Finding]) -> list[Finding]:
+        """Return the findings of the log without time shifts that the inferred delays replace, and the inferred errors.
+
+        A comparison of speeds also takes the lag of a filter for a shift, so its delays are less accurate.
+        """
+        delayed = {_STREAMS[name] for name, values in self.inferred.items() if "delay" in values}
+        remaining = [
+            finding
+            for finding in findings
+            if finding.kind != "time shift" or delayed.isdisjoint(change.stream for change in finding.changes)
+        ]
+        return [*remaining, *self.findings]
 
     def correct(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """Correct the records for the inferred errors."""

@@ -48,10 +48,7 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
             if response is None or response.correlation[0] < settings.clear_correlation:
                 continue
             if (first, second) not in shifts or channel == 1:  # omega determines the shift more accurately than v
-                shifts[first, second] = (
-                    response.dead_time,
-                    response.deviation if np.isfinite(response.deviation) else 0.0,
-                )
+                shifts[first, second] = response.dead_time, float(np.nan_to_num(response.deviation))
     significant = {
         pair: value for pair, value in shifts.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])
     }
@@ -105,11 +102,7 @@ def _lag_finding(
     if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape_ratio) * shift_residual):
         return None
     lag = float(np.mean(lags))
-    if (
-        (is_late and name == ENCODERS)
-        or (is_late and name == POSE)
-        or (name == GYRO and is_late and POSE in streams.sensors(1))
-    ):
+    if is_late and (name in (ENCODERS, POSE) or POSE in streams.sensors(1)):
         message = (
             f"the readings of the {name} lag behind the other sensors by {lag:.2f} s with the shape of a filter: "
             "record them before the filter; a `delay` does not correct this"
@@ -160,20 +153,16 @@ def _check_command_times(
         return []
     times = [response.dead_time for response in responses.values()]
     median, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
-    deviations = np.array([response.deviation for response in responses.values()])
-    deviation = float(
-        np.hypot(scatter, np.nan_to_num(np.nanmedian(deviations)) if np.isfinite(deviations).any() else 0.0)
-    )
+    known = [response.deviation for response in responses.values() if np.isfinite(response.deviation)]
+    deviation = float(np.hypot(scatter, np.median(known) if known else 0.0))
     # The lead must be significant, because the dead times of sensors scatter in a short drive.
     is_early = median + 2 * deviation < 0
     if is_early and median < -settings.response_lead and _precedes_commands(streams, responses, settings):
-        message = (
-            f"every sensor responds {-median:.2f} +- {2 * deviation:.2f} s before its command, which is impossible: "
-            "the stamps of the commands are late"
-        )
+        lead = f"{-median:.2f} +- {2 * deviation:.2f} s before its command"
+        message = f"every sensor responds {lead}, which is impossible: the stamps of the commands are late"
         delay = MappingChange(COMMAND, "delay", round(settings.default_dead_time - median, 2))
         return [Finding("time shift", "error", log, message, changes=(delay,))]
-    if median > settings.long_dead_time:
+    if median > max(settings.long_dead_time, 2 * deviation):
         message = (
             f"all sensors respond to the command only after {median:.2f} +- {2 * deviation:.2f} s; if the robot is "
             "faster, the stamps of the commands are early and need a negative `delay`"
