@@ -188,6 +188,7 @@ def test_plan_from_a_feasible_state_satisfies_the_radius():
     step = controller.step(0.0, Measurement(pose=Stamped(pose, 0.0)))
     assert step.mode == "TRACKING"
     assert step.solver.status.startswith("solved")
+    assert (controller.problem_inputs()["direction"] == 1.0).all()
     model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(dt)
     # The turn and the distance between two poses of the plan follow from the mean of two samples of the twist.
     move = np.diff(step.plan, axis=0)

@@ -14,9 +14,6 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
-_STREAMS = {"pose": "pose", "yaw_rate": "gyro"}
-"""Streams of a mapping by input of a controller."""
-
 
 @dataclass(frozen=True)
 class SensorCorrections:
@@ -53,7 +50,7 @@ class SensorCorrections:
 
         A comparison of speeds also takes the lag of a filter for a shift, so its delays are less accurate.
         """
-        delayed = {_STREAMS[name] for name, values in self.inferred.items() if "delay" in values}
+        delayed = {"gyro" if name == "yaw_rate" else name for name, v in self.inferred.items() if "delay" in v}
         remaining = [
             finding
             for finding in findings
