@@ -212,6 +212,9 @@ def test_estimate_follows_commands_of_another_controller():
     limits = observer.config.limits
     steps = np.array([limits.v_slew, limits.omega_slew]) * DT
     assert (np.abs(result.command - [0.3, 0.1]) <= steps + 1e-12).all()
+    # The core ignores commands that are not finite.
+    observer._tick.set_applied_commands([[0.5, np.nan]])
+    assert observer._tick.last_command.tolist() == [0.3, 0.1]
 
 
 def test_updates_take_effect_between_two_ticks():
