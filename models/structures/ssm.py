@@ -67,7 +67,7 @@ def choose_order(
     *,
     max_order: int = MAX_ORDER,
     yaw: YawSource = "gyro",
-    limits: bool = True,
+    limits: bool | FloatArray = True,
     requested: int | None = None,
 ) -> OrderChoice:
     """Identify every order up to `max_order` and select one by `compare_orders`.
@@ -84,7 +84,7 @@ def choose_order(
     max_order
         Maximum order, 2 to 5.
     yaw, limits
-        As for `identify_ssm`.
+        As for `identify_channels`.
     requested
         Order to use; None to select it.
 
@@ -283,5 +283,12 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
     max_order = max(order or MAX_ORDER, 2)
-    choice = choose_order(records, conditions.validation, max_order=max_order, yaw=conditions.yaw, requested=order)
+    choice = choose_order(
+        records,
+        conditions.validation,
+        max_order=max_order,
+        yaw=conditions.yaw,
+        limits=conditions.limits,
+        requested=order,
+    )
     return StructureFit(choice.identified, choice)
