@@ -1,7 +1,7 @@
 """Search for the limits of a base in one channel: maximum commands and rates, separately for each side.
 
-For each candidate, the commands are limited and the layout without limits is fitted for a few evaluations. The best
-candidate is refined together with all parameters. A limit is accepted if it improves the information criterion
+For each candidate, the commands are limited. The layout without limits is fitted for a few evaluations to the candidates
+with the lowest costs of linear models. The best candidate is refined together with all parameters. A limit is accepted if it improves the information criterion
 (Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of held-out blocks.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join
 from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
 from diffdrive_mpc.models.output_error.input_limits import limited_inputs
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error, linear_cost
 
 _RATES = 2
 """Index of the first kind of limit that is a rate."""
@@ -98,19 +99,22 @@ def _with_best_candidate(
     best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool
 ) -> OutputErrorFit | None:
     """Return the fit with the best candidate; None if no candidate improves the criterion."""
-    limit, min_share = limits_of(best), estimator_settings().limits.share
+    settings, limit = estimator_settings().limits, limits_of(best)
     unlimited, current = replace(best.layout, limited=()), drives.limited(best, limit)
     # Limits are the last parameters. The search omits them, because the inputs of candidates are already limited.
     starts = [best.parameters[: len(quick)], quick]
-    scored = []
     with threadpool_limits(1):
         before, _ = brief_cost(unlimited, starts[:1], current, best)
+        estimate, estimates, scored = linear_cost(unlimited, starts, current, best), [], []
         for candidate in _candidates(limit, drives.max_inputs):
             experiments = drives.limited(best, candidate)
-            if _share(experiments, current) > min_share:
-                cost, parameters = brief_cost(unlimited, starts, experiments, best)
-                scored.append((_criterion(best, before, cost, int(np.sum(candidate != limit))), candidate, parameters))
-    if not scored or (best_entry := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
+            if _share(experiments, current) > settings.share:
+                added = int(np.sum(candidate != limit))
+                estimates.append((_criterion(best, before, estimate(experiments), added), candidate, added))
+        for _, candidate, added in sorted(estimates, key=itemgetter(0), reverse=True)[: settings.fitted]:
+            cost, parameters = brief_cost(unlimited, starts, drives.limited(best, candidate), best)
+            scored.append((_criterion(best, before, cost, added), candidate, parameters))
+    if not scored or (best_entry := max(scored, key=itemgetter(0)))[0] < 0.0:
         return None
     _, candidate, parameters = best_entry
     free = np.isfinite(candidate)
