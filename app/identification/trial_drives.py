@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +18,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -225,26 +226,23 @@ def _held_out_stand_in(identification: Identification) -> StandIn | None:
         refitted = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
         if refitted is not None:
             return StandIn(HELD_OUT, refitted, BaseEffects())
-        if fitted.base is not None:
-            alternative = fitted.base.refitted(data.validation)
-        else:
-            alternative = _fit_other_structure(data, fitted.structure, fitted.identified.base_effects)
+        alternative = fitted.base.refitted(data.validation) if fitted.base else _fit_other_structure(data, fitted)
         return StandIn(HELD_OUT, alternative.model, alternative.base_effects)
     except ValueError:
         return None
 
 
-def _fit_other_structure(data: LogData, structure: str, effects: BaseEffects) -> IdentifiedModel:
+def _fit_other_structure(data: LogData, fitted: Fitted) -> IdentifiedModel:
     """Fit an SSM instead of a structure with decoupled channels, or an SM instead of an SSM.
 
-    The limits in `effects` are estimated again, without a search for others. If the result cannot describe a robot, fit
-    gains with dead times.
+    The limits of `fitted` are estimated again, without a search for other limits. If the result cannot describe a
+    robot, fit gains with dead times.
     """
     settings = trial_settings()
     rows = tuple(most_informative(data.validation, settings.stand_in_rows))
-    structure_name, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
-    conditions = IdentificationConditions(yaw=data.yaw, order=order, limits=limits_in(effects))
-    identified = STRUCTURES[structure_name].identify(rows, conditions).identified
+    limits = limits_in(fitted.identified.base_effects)
+    conditions = IdentificationConditions(yaw=data.yaw, order=settings.stand_in_order, limits=limits)
+    identified = STRUCTURES["sm" if fitted.structure == "ssm" else "ssm"].identify(rows, conditions).identified
     try:
         _ = identified.model
     except ModelError:

@@ -1,8 +1,9 @@
 """Search for the limits of a base in one channel: maximum commands and rates, separately for each side.
 
-For each candidate, the commands are limited. The layout without limits is fitted for a few evaluations to the candidates
-with the lowest costs of linear models. The best candidate is refined together with all parameters. A limit is accepted if it improves the information criterion
-(Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of held-out blocks.
+For each candidate, the commands are limited, and linear models estimate the cost. To the best candidates the layout
+without limits is fitted for a few evaluations. The best of these is refined together with all parameters. A limit is
+accepted if it improves the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of
+held-out blocks.
 """
 
 from __future__ import annotations
