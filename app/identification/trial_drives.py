@@ -41,7 +41,6 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 PATHS = ("circle", "square", "s", "cane")
 ITSELF, HELD_OUT = "model itself", "held-out model"
 UNEXPLAINED = "the model with its unexplained motion"
-_TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
     "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
@@ -255,7 +254,7 @@ def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Tabulate the errors by stand-in and path."""
     columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "of radius [%]")
     return TextTable(
-        _TITLE,
+        "Trial drives",
         (*columns, "fall-backs", "completed"),
         tuple(
             (

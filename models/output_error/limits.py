@@ -21,8 +21,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments
 from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
 from diffdrive_mpc.models.output_error.input_limits import limited_inputs
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error, linear_cost
+from diffdrive_mpc.models.output_error.solve import FitData, OutputErrorFit, brief_cost, fit_output_error, weighted_data
 
 _RATES = 2
 """Index of the first kind of limit that is a rate."""
@@ -101,19 +102,21 @@ def _with_best_candidate(
 ) -> OutputErrorFit | None:
     """Return the fit with the best candidate; None if no candidate improves the criterion."""
     settings, limit = estimator_settings().limits, limits_of(best)
-    unlimited, current = replace(best.layout, limited=()), drives.limited(best, limit)
+    unlimited, data = replace(best.layout, limited=()), weighted_data(drives.limited(best, limit), best)
     # Limits are the last parameters. The search omits them, because the inputs of candidates are already limited.
-    starts = [best.parameters[: len(quick)], quick]
+    starts, estimates, scored = [best.parameters[: len(quick)], quick], [], []
     with threadpool_limits(1):
-        before, _ = brief_cost(unlimited, starts[:1], current, best)
-        estimate, estimates, scored = linear_cost(unlimited, starts, current, best), [], []
+        before, _ = brief_cost(unlimited, starts[:1], data)
+        bases = [np.linalg.qr(data.problem(unlimited, start).jacobian(start))[0] for start in starts]
         for candidate in _candidates(limit, drives.max_inputs):
-            experiments = drives.limited(best, candidate)
-            if _share(experiments, current) > settings.share:
+            limited = data._replace(experiments=drives.limited(best, candidate))
+            if _share(limited.experiments, data.experiments) > settings.share:
                 added = int(np.sum(candidate != limit))
-                estimates.append((_criterion(best, before, estimate(experiments), added), candidate, added))
+                cost = min(_linear_cost(limited, unlimited, *pair) for pair in zip(starts, bases, strict=True))
+                estimates.append((_criterion(best, before, cost, added), candidate, added))
         for _, candidate, added in sorted(estimates, key=itemgetter(0), reverse=True)[: settings.fitted]:
-            cost, parameters = brief_cost(unlimited, starts, drives.limited(best, candidate), best)
+            limited = data._replace(experiments=drives.limited(best, candidate))
+            cost, parameters = brief_cost(unlimited, starts, limited)
             scored.append((_criterion(best, before, cost, added), candidate, parameters))
     if not scored or (best_entry := max(scored, key=itemgetter(0)))[0] < 0.0:
         return None
@@ -121,6 +124,16 @@ def _with_best_candidate(
     free = np.isfinite(candidate)
     layout = replace(best.layout, limited=(tuple(free.tolist()),))
     return fit_output_error([(layout, np.concatenate([parameters, candidate[free]]))], drives.experiments, robust)
+
+
+def _linear_cost(data: FitData, layout: Layout, start: FloatArray, basis: FloatArray) -> float:
+    """Return the minimum cost of a linear model at the parameters `start` (q,).
+
+    Its derivatives span the columns of `basis` (rows, q), so the cost needs one simulation. Derivatives for similar
+    inputs are sufficient to rank candidates.
+    """
+    residuals = data.problem(layout, start).residuals(start)
+    return 0.5 * float(residuals @ residuals - np.sum((residuals @ basis) ** 2))
 
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, added: int) -> float:

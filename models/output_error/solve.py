@@ -158,33 +158,18 @@ def fit_output_error(
     )
 
 
-def brief_cost(
-    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], fit: OutputErrorFit
-) -> tuple[float, FloatArray]:
-    """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
-    data = _weighted_data(experiments, fit)
+def brief_cost(layout: Layout, starts: Sequence[FloatArray], data: FitData) -> tuple[float, FloatArray]:
+    """Return cost and parameters (q,) after few evaluations from the best initial guess."""
     start = min(starts, key=lambda start: data.cost(layout, start))
     _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
     return cost, parameters
 
 
-def linear_cost(
-    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], fit: OutputErrorFit
-) -> Callable[[Sequence[SampledExperiment]], float]:
-    """Return a function that estimates `brief_cost` for other inputs of the same experiments.
-
-    The estimate is the minimum over linear models of the residuals at the initial guesses. Their derivatives are those
-    for the inputs in `experiments`, so each estimate needs one simulation per initial guess.
-    """
-    data = _weighted_data(experiments, fit)
-    bases = [np.linalg.qr(data.problem(layout, start).jacobian(start))[0] for start in starts]
-
-    def cost(changed: Sequence[SampledExperiment]) -> float:
-        problems = [data._replace(experiments=changed).problem(layout, start) for start in starts]
-        residuals = [problem.residuals(start) for problem, start in zip(problems, starts, strict=True)]
-        return min(0.5 * float(r @ r - np.sum((r @ basis) ** 2)) for r, basis in zip(residuals, bases, strict=True))
-
-    return cost
+def weighted_data(experiments: Sequence[SampledExperiment], fit: OutputErrorFit) -> FitData:
+    """Return the experiments with the weights of `fit`."""
+    noise = reading_noise([experiment.readings for experiment in experiments])
+    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
+    return FitData(experiments, weights, np.ones(len(experiments)))
 
 
 class FitData(NamedTuple):
@@ -213,13 +198,6 @@ class FitData(NamedTuple):
             np.where(weight > 0, experiment.outputs - outputs, np.nan)
             for experiment, outputs, weight in zip(self.experiments, simulated, self.weights, strict=True)
         ]
-
-
-def _weighted_data(experiments: Sequence[SampledExperiment], fit: OutputErrorFit) -> FitData:
-    """Return the experiments with the weights of `fit`."""
-    noise = reading_noise([experiment.readings for experiment in experiments])
-    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
-    return FitData(experiments, weights, np.ones(len(experiments)))
 
 
 def _solve(layout: Layout, start: FloatArray, data: FitData, evaluations: int) -> tuple[Layout, FloatArray, float]:

@@ -282,13 +282,8 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
-    max_order = max(order or MAX_ORDER, 2)
+    maximum = max(order or MAX_ORDER, 2)
     choice = choose_order(
-        records,
-        conditions.validation,
-        max_order=max_order,
-        yaw=conditions.yaw,
-        limits=conditions.limits,
-        requested=order,
+        records, conditions.validation, max_order=maximum, yaw=conditions.yaw, limits=conditions.limits, requested=order
     )
     return StructureFit(choice.identified, choice)
