@@ -148,8 +148,7 @@ def test_ssm_recovers_the_published_model():
 def models_by_order():
     """Drive of the published SSM, and models of orders 1 to 4 identified from this drive."""
     drive = noisy_drive(published_ssm(), 15, count=1000)
-    choice = choose_order([drive], max_order=4, limits=False, requested=4)
-    return drive, [row.identified for row in choice.rows]
+    return drive, [row.identified for row in choose_order([drive], max_order=4, limits=False, requested=4).rows]
 
 
 def test_order_two_is_selected_for_a_second_order_robot(models_by_order):

@@ -93,8 +93,7 @@ def test_gradient_equals_finite_differences(name, has_prior):
     experiment = single(inputs, outputs)
     weights = [stream.uniform(size=(300, layout.outputs))] * 2
     problem = OutputErrorProblem(layout, [experiment, experiment], weights)
-    if has_prior:
-        problem.set_prior(parameters, 0.01, np.ones(2))
+    problem.set_prior(parameters, 0.01, np.full(2, float(has_prior)))
     gradient = problem.jacobian(parameters).T @ problem.residuals(parameters)
     for i, slope in enumerate(gradient):
         step = 1e-6 * np.eye(len(parameters))[i]
