@@ -170,11 +170,6 @@ class ManufacturerRobot(StrictModel):
         return [*lines, f"not stated, to be identified from a log: {TO_IDENTIFY}"]
 
 
-def stated_robots() -> tuple[str, ...]:
-    """List the names of known robots, sorted."""
-    return STATED_ROBOTS.names
-
-
 def load_stated_robot(name: str | Path) -> ManufacturerRobot:
     """Read the manufacturer's data of a robot.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -18,14 +18,16 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
-from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.structures.structure import IdentificationConditions
 from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError, VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
@@ -39,7 +41,6 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 PATHS = ("circle", "square", "s", "cane")
 ITSELF, HELD_OUT = "model itself", "held-out model"
 UNEXPLAINED = "the model with its unexplained motion"
-_TITLE = "Trial drives"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
     "Paths are scaled to size and limits of the robot; lateral errors are relative to the radius of the scaled circle: "
@@ -224,36 +225,36 @@ def _held_out_stand_in(identification: Identification) -> StandIn | None:
         refitted = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
         if refitted is not None:
             return StandIn(HELD_OUT, refitted, BaseEffects())
-        if fitted.base is not None:
-            alternative = fitted.base.refitted(data.validation)
-        else:
-            alternative = _fit_other_structure(data, fitted.structure)
+        alternative = fitted.base.refitted(data.validation) if fitted.base else _fit_other_structure(data, fitted)
         return StandIn(HELD_OUT, alternative.model, alternative.base_effects)
     except ValueError:
         return None
 
 
-def _fit_other_structure(data: LogData, structure: str) -> IdentifiedModel:
+def _fit_other_structure(data: LogData, fitted: Fitted) -> IdentifiedModel:
     """Fit an SSM instead of a structure with decoupled channels, or an SM instead of an SSM.
 
-    If the result cannot describe a robot, fit gains with dead times.
+    The limits of `fitted` are estimated again, without a search for other limits. If the result cannot describe a
+    robot, fit gains with dead times.
     """
     settings = trial_settings()
     rows = tuple(most_informative(data.validation, settings.stand_in_rows))
-    structure_name, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
-    held_out = replace(data, train=rows, validation=rows)
+    limits = limits_in(fitted.identified.base_effects)
+    conditions = IdentificationConditions(yaw=data.yaw, order=settings.stand_in_order, limits=limits)
+    identified = STRUCTURES["sm" if fitted.structure == "ssm" else "ssm"].identify(rows, conditions).identified
     try:
-        return fit(held_out, STRUCTURES[structure_name], order).identified
+        _ = identified.model
     except ModelError:
         # Short data may not determine the lag; a pole may then be faster than the poles of a robot.
-        return fit(held_out, STRUCTURES["two_delays"], None).identified
+        identified = STRUCTURES["two_delays"].identify(rows, conditions).identified
+    return identified
 
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Tabulate the errors by stand-in and path."""
     columns = ("stand-in", "path", "position RMSE [m]", "max lateral [m]", "of radius [%]")
     return TextTable(
-        _TITLE,
+        "Trial drives",
         (*columns, "fall-backs", "completed"),
         tuple(
             (

@@ -1,14 +1,16 @@
 """Search for the limits of a base in one channel: maximum commands and rates, separately for each side.
 
-For each candidate, the commands are limited and the layout without limits is fitted for a few evaluations. The best
-candidate is refined together with all parameters. A limit is accepted if it improves the information criterion
-(Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of held-out blocks.
+For each candidate, the commands are limited, and linear models estimate the cost. To the best candidates the layout
+without limits is fitted for a few evaluations. The best of these is refined together with all parameters. A limit is
+accepted if it improves the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) and the prediction of
+held-out blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +21,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments
 from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
 from diffdrive_mpc.models.output_error.input_limits import limited_inputs
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
+from diffdrive_mpc.models.output_error.solve import FitData, OutputErrorFit, brief_cost, fit_output_error, weighted_data
 
 _RATES = 2
 """Index of the first kind of limit that is a rate."""
@@ -98,24 +101,39 @@ def _with_best_candidate(
     best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool
 ) -> OutputErrorFit | None:
     """Return the fit with the best candidate; None if no candidate improves the criterion."""
-    limit, min_share = limits_of(best), estimator_settings().limits.share
-    unlimited, current = replace(best.layout, limited=()), drives.limited(best, limit)
+    settings, limit = estimator_settings().limits, limits_of(best)
+    unlimited, data = replace(best.layout, limited=()), weighted_data(drives.limited(best, limit), best)
     # Limits are the last parameters. The search omits them, because the inputs of candidates are already limited.
-    starts = [best.parameters[: len(quick)], quick]
-    scored = []
+    starts, estimates, scored = [best.parameters[: len(quick)], quick], [], []
     with threadpool_limits(1):
-        before, _ = brief_cost(unlimited, starts[:1], current, best)
+        before, _ = brief_cost(unlimited, starts[:1], data)
+        bases = [np.linalg.qr(data.problem(unlimited, start).jacobian(start))[0] for start in starts]
         for candidate in _candidates(limit, drives.max_inputs):
-            experiments = drives.limited(best, candidate)
-            if _share(experiments, current) > min_share:
-                cost, parameters = brief_cost(unlimited, starts, experiments, best)
-                scored.append((_criterion(best, before, cost, int(np.sum(candidate != limit))), candidate, parameters))
-    if not scored or (best_entry := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
+            limited = data._replace(experiments=drives.limited(best, candidate))
+            if _share(limited.experiments, data.experiments) > settings.share:
+                added = int(np.sum(candidate != limit))
+                cost = min(_linear_cost(limited, unlimited, *pair) for pair in zip(starts, bases, strict=True))
+                estimates.append((_criterion(best, before, cost, added), candidate, added))
+        for _, candidate, added in sorted(estimates, key=itemgetter(0), reverse=True)[: settings.fitted]:
+            limited = data._replace(experiments=drives.limited(best, candidate))
+            cost, parameters = brief_cost(unlimited, starts, limited)
+            scored.append((_criterion(best, before, cost, added), candidate, parameters))
+    if not scored or (best_entry := max(scored, key=itemgetter(0)))[0] < 0.0:
         return None
     _, candidate, parameters = best_entry
     free = np.isfinite(candidate)
     layout = replace(best.layout, limited=(tuple(free.tolist()),))
     return fit_output_error([(layout, np.concatenate([parameters, candidate[free]]))], drives.experiments, robust)
+
+
+def _linear_cost(data: FitData, layout: Layout, start: FloatArray, basis: FloatArray) -> float:
+    """Return the minimum cost of a linear model at the parameters `start` (q,).
+
+    Its derivatives span the columns of `basis` (rows, q), so the cost needs one simulation. Derivatives for similar
+    inputs are sufficient to rank candidates.
+    """
+    residuals = data.problem(layout, start).residuals(start)
+    return 0.5 * float(residuals @ residuals - np.sum((residuals @ basis) ** 2))
 
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, added: int) -> float:

@@ -98,6 +98,15 @@ class _Model(NamedTuple):
     """(n, m + n, E) states after unit previous commands and unit deviations, over the E samples until they decay."""
 
 
+class _Response(NamedTuple):
+    """Response of a batch from rest."""
+
+    inputs: FloatArray
+    """(S, K, m) limited inputs."""
+    states: FloatArray
+    """(n, S, K)"""
+
+
 class _Past(NamedTuple):
     """Effect of the unknown pasts of S experiments on the first E samples; unobservable directions are zero."""
 
@@ -120,25 +129,38 @@ class OutputErrorProblem:
         The data.
     weights
         (K, p) non-negative factors of the residuals of each experiment; zero for samples that are not readings.
-    prior
-        (m + n, m + n) inverse standard deviations of the past of each experiment, previous command first; the product
-        with the past is part of the residuals. See `past_prior`. None for no prior.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        experiments: Sequence[SampledExperiment],
-        weights: Sequence[FloatArray],
-        prior: Sequence[FloatArray] | None = None,
-    ) -> None:
-        self._layout, self._samples = layout, [len(weight) for weight in weights]
+    def __init__(self, layout: Layout, experiments: Sequence[SampledExperiment], weights: Sequence[FloatArray]) -> None:
+        self._layout, self._experiments, self._samples = layout, experiments, [len(weight) for weight in weights]
         self._batches, self._max_samples = [], dict.fromkeys((part.dt for part in experiments), 0)
+        self._last: tuple[FloatArray, dict[float, _Model], list[_Response]] | None = None
         for batch in _batches(experiments):
-            weight = _stacked([weights[i] for i in batch.indices])
-            priors = 0.0 if prior is None else np.stack([prior[i] for i in batch.indices])
-            self._batches.append(batch._replace(weight=weight, prior=priors))
-            self._max_samples[batch.dt] = max(self._max_samples[batch.dt], weight.shape[1])
+            self._batches.append(batch._replace(weight=_stacked([weights[i] for i in batch.indices])))
+            self._max_samples[batch.dt] = max(self._max_samples[batch.dt], batch.inputs.shape[1])
+
+    def set_prior(self, near: FloatArray, deviation: float, factors: FloatArray) -> None:
+        """Set the prior of the pasts for the system at the parameters `near` (q,).
+
+        The standard deviation of the previous command is the rms value of the commands in the experiments. That of the
+        deviation from its steady state is `deviation` times the rms difference between the states, simulated from rest,
+        and the steady states of the current commands. The inverse standard deviations are multiplied by `factors`
+        (experiments,); their product with the past is part of the residuals.
+        """
+        models, responses = self._simulate_from_rest(near)
+        total, count = np.zeros(()), 0
+        for batch, response in zip(self._batches, responses, strict=True):
+            inputs, steady_states = response.inputs, models[batch.dt].steady_states
+            is_sample = np.arange(inputs.shape[1]) < np.array([[part.samples] for part in batch.experiments])
+            difference = (response.states - np.tensordot(steady_states, inputs, (1, 2)))[:, is_sample]
+            total, count = total + difference @ difference.T, count + difference.shape[1]
+        # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
+        sizes, axes = np.linalg.eigh(total / count)
+        sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
+        rms = np.sqrt(np.mean(np.concatenate([e.inputs for e in self._experiments]) ** 2, axis=0))
+        commands = np.diag(1.0 / np.maximum(rms, np.finfo(float).tiny ** 0.25))
+        prior = linalg.block_diag(commands, axes.T / sizes[:, None])
+        self._batches = [batch._replace(prior=factors[batch.indices, None, None] * prior) for batch in self._batches]
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return the weighted residuals (rows,) of all experiments, then those of the pasts; inf if unstable."""
@@ -147,29 +169,37 @@ class OutputErrorProblem:
         if np.linalg.eigvals(system.A).real.max() >= 0:
             rows = sum(self._samples) * len(system.C)
             return np.full(rows + len(self._samples) * (system.B.shape[1] + len(system.A)), np.inf)
-        models, parts = self._models(system), []
-        for batch in self._batches:
-            model = models[batch.dt]
-            error = _errors(model, batch, _simulate_from_rest(model.sampled, model.respond, batch.limited(system)))
-            parts.append((error, _project(error, _past(model, batch))))
+        (models, responses), parts = self._simulate_from_rest(parameters), []
+        for batch, response in zip(self._batches, responses, strict=True):
+            error = _errors(models[batch.dt], batch, response.states)
+            parts.append((error, _project(error, _past(models[batch.dt], batch))))
         return self._ordered(parts)[:, 0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Return the (rows, q) derivatives of `residuals`."""
-        system = self._layout.system(parameters)
-        models = self._models(system)
+        models, responses = self._simulate_from_rest(parameters)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
-        return self._ordered([_jacobian(models[batch.dt], *slopes[batch.dt], batch) for batch in self._batches])
+        pairs = zip(self._batches, responses, strict=True)
+        return self._ordered([_jacobian(models[batch.dt], *slopes[batch.dt], batch, part) for batch, part in pairs])
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
-        system = self._layout.system(parameters)
-        models = self._models(system)
+        models, responses = self._simulate_from_rest(parameters)
         simulated: dict[int, FloatArray] = {}
-        for batch in self._batches:
-            states = _simulate(models[batch.dt], batch)[0]
+        for batch, response in zip(self._batches, responses, strict=True):
+            states, system = _simulate(models[batch.dt], batch, response)[0], models[batch.dt].system
             simulated |= zip(batch.indices, np.moveaxis(states, 0, -1) @ system.C.T + system.offset, strict=True)
         return [simulated[i][:samples] for i, samples in enumerate(self._samples)]
+
+    def _simulate_from_rest(self, parameters: FloatArray) -> tuple[dict[float, _Model], list[_Response]]:
+        """Return the model of each sample time, and the response of each batch from rest.
+
+        The last result is stored, because the trust-region method evaluates residuals and derivatives at one point.
+        """
+        if self._last is None or not np.array_equal(self._last[0], parameters):
+            models = self._models(self._layout.system(parameters))
+            self._last = parameters.copy(), models, [_respond(models[batch.dt], batch) for batch in self._batches]
+        return self._last[1:]
 
     def _ordered(self, parts: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
         """Concatenate rows (S, K p, q) of experiments without their extension, then those (S, m + n, q) of pasts."""
@@ -234,10 +264,18 @@ def _errors(model: _Model, batch: _Batch, states: FloatArray) -> FloatArray:
     return np.asarray((batch.weight * error).reshape(len(error), -1, 1))
 
 
-def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, tuple[FloatArray, FloatArray], FloatArray, _Past]:
+def _respond(model: _Model, batch: _Batch) -> _Response:
+    inputs, sampled = batch.limited(model.system), model.sampled
+    recent, older = delay_inputs(inputs, sampled.delay, np.zeros(inputs.shape[::2]))
+    drive = np.tensordot(sampled.B0, recent, 1) + np.tensordot(sampled.B1, older, 1)
+    return _Response(inputs, model.respond(drive))
+
+
+def _simulate(
+    model: _Model, batch: _Batch, response: _Response
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray], FloatArray, _Past]:
     """Return states (n, S, K) from the best past, delayed inputs, previous commands (m, S), and the past's effect."""
-    past, inputs = _past(model, batch), batch.limited(model.system)
-    states = _simulate_from_rest(model.sampled, model.respond, inputs)
+    past, inputs, states = _past(model, batch), response.inputs, response.states.copy()
     error = _errors(model, batch, states)[:, : past.outputs.shape[2]]
     recovered = (past.recover @ (past.outputs @ error))[..., 0].T
     effect = np.moveaxis(np.tensordot(model.past[..., : states.shape[2]], recovered, (1, 0)), 1, 2)
@@ -247,10 +285,10 @@ def _simulate(model: _Model, batch: _Batch) -> tuple[FloatArray, tuple[FloatArra
 
 
 def _jacobian(
-    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, batch: _Batch
+    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, batch: _Batch, response: _Response
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the weighted residuals of S experiments (S, K p, q) and of pasts (S, m + n, q)."""
-    states, (recent, older), before, past = _simulate(model, batch)
+    states, (recent, older), before, past = _simulate(model, batch, response)
     n, size, samples = states.shape
     states, recent, older = (values.reshape(len(values), -1) for values in (states, recent, older))
     # The derivative of the states obeys the same recursion, driven by the derivatives of A, B0 and B1.
@@ -270,36 +308,6 @@ def _jacobian(
     rows = np.moveaxis(change, 2, 0).reshape(size, samples, *change.shape[:2])
     rows = -(batch.weight[..., None] * rows).reshape(size, -1, change.shape[1])
     return rows, _project(rows, past)
-
-
-def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], deviation: float) -> FloatArray:
-    """Return the inverse standard deviations of a past, (m + n, m + n), for `OutputErrorProblem`.
-
-    The standard deviation of the previous command is the rms value of the commands in the experiments. That of the
-    deviation from its steady state is `deviation` times the rms difference between the states, simulated from rest, and
-    the steady states of the current commands.
-    """
-    steady_states, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
-    sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
-    respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
-    for batch in _batches(experiments):
-        inputs = batch.limited(system)
-        states = _simulate_from_rest(sampled[batch.dt], respond[batch.dt], inputs)
-        is_sample = np.arange(inputs.shape[1]) < np.array([[part.samples] for part in batch.experiments])
-        difference = (states - np.tensordot(steady_states, inputs, (1, 2)))[:, is_sample]
-        total, count = total + difference @ difference.T, count + difference.shape[1]
-    # Use principal axes of the deviations, so that the prior does not depend on the coordinates of the states.
-    sizes, axes = np.linalg.eigh(total / count)
-    sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
-    rms = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))
-    commands = np.diag(1.0 / np.maximum(rms, np.finfo(float).tiny ** 0.25))
-    return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
-
-
-def _simulate_from_rest(sampled: SampledSystem, respond: StateResponse, inputs: FloatArray) -> FloatArray:
-    """Simulate the states (n, S, K) from rest with limited inputs (S, K, m)."""
-    recent, older = delay_inputs(inputs, sampled.delay, np.zeros(inputs.shape[::2]))
-    return respond(np.tensordot(sampled.B0, recent, 1) + np.tensordot(sampled.B1, older, 1))
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:

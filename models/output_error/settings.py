@@ -21,7 +21,8 @@ class LimitSettings(StrictModel):
     durations: tuple[Positive, ...] = Field(
         description="candidate durations of ramps from 0 to the maximum command [s]"
     )
-    evaluations: int = Field(ge=2, description="model evaluations per candidate")
+    fitted: int = Field(ge=1, description="number of candidates that are fitted after a linear estimate of all")
+    evaluations: int = Field(ge=2, description="model evaluations per fitted candidate")
     share: Positive = Field(lt=1, description="minimum share of samples that a limit changes [-]")
     evidence: Positive = Field(description="minimum decrease of the information criterion [-]")
     strong_evidence: Positive = Field(description="decrease above which held-out blocks must only not get worse [-]")

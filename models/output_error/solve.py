@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments, split_rows
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.output_error.statistics import (
@@ -100,7 +100,7 @@ def fit_output_error(
 
     The method is weighted least squares with a trust region (SciPy) and iterative reweighting. Outputs are weighted by
     the scale of their residuals, and single readings by their deviation from neighbours. Consecutive experiments form
-    one run; a run starts near the steady state of an unknown command (see `past_prior`).
+    one run; a run starts near the steady state of an unknown command (see `OutputErrorProblem.set_prior`).
 
     Parameters
     ----------
@@ -158,16 +158,18 @@ def fit_output_error(
     )
 
 
-def brief_cost(
-    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], fit: OutputErrorFit
-) -> tuple[float, FloatArray]:
-    """Return cost and parameters (q,) after few evaluations from the best initial guess, with the weights of `fit`."""
-    noise = reading_noise([experiment.readings for experiment in experiments])
-    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
-    data = FitData(experiments, weights, np.ones(len(experiments)))
+def brief_cost(layout: Layout, starts: Sequence[FloatArray], data: FitData) -> tuple[float, FloatArray]:
+    """Return cost and parameters (q,) after few evaluations from the best initial guess."""
     start = min(starts, key=lambda start: data.cost(layout, start))
     _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
     return cost, parameters
+
+
+def weighted_data(experiments: Sequence[SampledExperiment], fit: OutputErrorFit) -> FitData:
+    """Return the experiments with the weights of `fit`."""
+    noise = reading_noise([experiment.readings for experiment in experiments])
+    weights = _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments))
+    return FitData(experiments, weights, np.ones(len(experiments)))
 
 
 class FitData(NamedTuple):
@@ -181,10 +183,9 @@ class FitData(NamedTuple):
 
     def problem(self, layout: Layout, near: FloatArray) -> OutputErrorProblem:
         """Build the problem with the prior of the pasts for the system at the parameters `near` (q,)."""
-        prior = past_prior(layout.system(near), self.experiments, estimator_settings().start_deviation)
-        return OutputErrorProblem(
-            layout, self.experiments, self.weights, [factor * prior for factor in self.prior_factors]
-        )
+        problem = OutputErrorProblem(layout, self.experiments, self.weights)
+        problem.set_prior(near, estimator_settings().start_deviation, self.prior_factors)
+        return problem
 
     def cost(self, layout: Layout, parameters: FloatArray) -> float:
         """Return half the sum of squared residuals."""

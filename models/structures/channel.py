@@ -96,7 +96,7 @@ def identify_channel(
     *,
     form: ChannelForm = TWO_POLES,
     offset: bool = False,
-    limit: bool = True,
+    limit: bool | FloatArray = True,
     robust: bool = True,
     dead_time: float | None = None,
 ) -> IdentifiedChannel:
@@ -113,7 +113,7 @@ def identify_channel(
     offset
         True to estimate a constant bias of the sensor.
     limit
-        True to search for limits of the command inside the robot.
+        True to search for limits of the command inside the robot, or approximate limits (4,) to estimate them only.
     robust
         True to reduce the weight of single outliers.
     dead_time
@@ -126,11 +126,13 @@ def identify_channel(
     """
     if not experiments:
         raise ValueError(f"{label}: no data; give at least one record in which the robot moves")
-    layout = Layout(form, 1, 1, known_dead_time=dead_time, offset=(offset,))
-    starts = _initial_guesses(layout, form, experiments, label)
+    known = np.full(len(KINDS), np.inf) if isinstance(limit, bool) else limit
+    limited = (tuple(np.isfinite(known).tolist()),)
+    layout = Layout(form, 1, 1, known_dead_time=dead_time, offset=(offset,), limited=limited)
+    starts = _initial_guesses(layout, form, experiments, label, known[np.isfinite(known)])
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
     # The search for limits starts from the fit without limits and from a fast response, as a ramp can appear as a lag.
-    if limit:
+    if limit is True:
         fit = find_limits(fit, experiments, _fast_parameters(layout, form, fit.parameters), robust)
     form_count = fit.layout.counts[0]
     names = (*form.file.model_fields, *(_result_name(name, label) for name in fit.layout.names[form_count:]))
@@ -169,11 +171,11 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
 
 
 def _initial_guesses(
-    layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str
+    layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str, limits: FloatArray
 ) -> list[FloatArray]:
     """Select the best points (q,) of a grid over dead time and frequency.
 
-    The gain of all points is the ratio of the standard deviations of output and input.
+    The gain of all points is the ratio of the standard deviations of output and input. All points have the same limits.
     """
     settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
@@ -184,8 +186,8 @@ def _initial_guesses(
     experiments = join_experiments(experiments)
     weights = [experiment.counts / spread for experiment in experiments]
     data = FitData(experiments, weights, np.ones(len(experiments)))
-    _, dead_times, *others = layout.counts
-    rest = np.zeros(sum(others))
+    _, dead_times, offsets, _ = layout.counts
+    rest = np.concatenate([np.zeros(offsets), limits])
     grid = [
         np.concatenate([form_values, [dead_time] * dead_times, rest])
         for frequency in settings.start_frequencies

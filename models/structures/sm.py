@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.input_limits import effects_of
@@ -28,7 +29,7 @@ def identify_sm(
     records: Sequence[Record],
     *,
     yaw: YawSource = "gyro",
-    limits: bool = True,
+    limits: bool | FloatArray = True,
     robust: bool = True,
     form: ChannelForm = TWO_POLES,
     schema: type[ModelFile] = SmFile,
@@ -42,7 +43,7 @@ def identify_sm(
     yaw
         Sensor whose omega the model predicts.
     limits
-        True to search for limits of the base.
+        As for `identify_channels`.
     robust
         True to reduce the weight of single outliers.
     form, schema
@@ -75,11 +76,15 @@ def identify_channels(
     records: Sequence[Record],
     *,
     yaw: YawSource = "gyro",
-    limits: bool = True,
+    limits: bool | FloatArray = True,
     robust: bool = True,
     form: ChannelForm = TWO_POLES,
 ) -> tuple[IdentifiedChannel, IdentifiedChannel]:
-    """Identify the channels v and omega of SM; parameters and errors as for `identify_sm`."""
+    """Identify the channels v and omega of SM; other parameters and errors as for `identify_sm`.
+
+    `limits` is True to search for limits of the base, or contains approximate limits (2, 4), as from
+    `input_limits.limits_in`, to estimate only those that are finite.
+    """
     experiments = twist_experiments(records, yaw)
     v, omega = (
         identify_channel(
@@ -87,7 +92,7 @@ def identify_channels(
             channel,
             form=form,
             offset=channel == "omega" and yaw == "gyro",
-            limit=limits,
+            limit=limits if isinstance(limits, bool) else limits[row],
             robust=robust,
         )
         for row, channel in enumerate(CHANNELS)
@@ -97,4 +102,4 @@ def identify_channels(
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify SM; implements `Structure.identify`."""
-    return StructureFit(identify_sm(records, yaw=conditions.yaw))
+    return StructureFit(identify_sm(records, yaw=conditions.yaw, limits=conditions.limits))

@@ -57,8 +57,25 @@ _MAX_EVALUATIONS = 8
 
 
 def identify_ssm(records: Sequence[Record], order: int = 2, *, limits: bool = True) -> IdentifiedModel:
-    """Identify SSM of one order by output error; details as for `identify_ssm_orders`."""
-    return identify_ssm_orders(records, order, limits=limits)[-1]
+    """Identify SSM of one order by output error.
+
+    Parameters
+    ----------
+    records
+        Records with encoders and a gyro, whose bias is also identified.
+    order
+        Order, 1 to 5.
+    limits
+        True to search for limits of the base.
+
+    Raises
+    ------
+    ValueError
+        If the order is out of range, a record lacks a signal, or the readings or commands never change.
+    """
+    if not 1 <= order <= MAX_ORDER:
+        raise ValueError(f"order {order}: give 1 to {MAX_ORDER}")
+    return _identify_orders(records, identify_channels(records, limits=limits), order, "gyro")[-1]
 
 
 def choose_order(
@@ -67,7 +84,7 @@ def choose_order(
     *,
     max_order: int = MAX_ORDER,
     yaw: YawSource = "gyro",
-    limits: bool = True,
+    limits: bool | FloatArray = True,
     requested: int | None = None,
 ) -> OrderChoice:
     """Identify every order up to `max_order` and select one by `compare_orders`.
@@ -84,14 +101,14 @@ def choose_order(
     max_order
         Maximum order, 2 to 5.
     yaw, limits
-        As for `identify_ssm`.
+        As for `identify_channels`.
     requested
         Order to use; None to select it.
 
     Raises
     ------
     ValueError
-        As for `identify_ssm_orders`, or if no order gives a usable model.
+        As for `identify_ssm`, or if no order gives a usable model.
     """
     channels = identify_channels(train, yaw=yaw, limits=limits)
     models = _identify_orders(train, channels, max_order, yaw)
@@ -117,38 +134,14 @@ def choose_order(
     return replace(compare_orders(models, train, validation, yaw, requested=_SM_ORDER), reason=reason)
 
 
-def identify_ssm_orders(
-    records: Sequence[Record], max_order: int = MAX_ORDER, *, yaw: YawSource = "gyro", limits: bool = True
+def _identify_orders(
+    records: Sequence[Record], channels: _Channels, max_order: int, yaw: YawSource
 ) -> list[IdentifiedModel]:
     """Identify SSM of every order from 1 to `max_order`; the next lower order provides an initial guess.
 
     SM also provides an initial guess for order 4. SM is the result if the search ends with a lower FIT (see
     `is_behind`).
-
-    Parameters
-    ----------
-    records
-        Records with encoders and, if `yaw` is "gyro", a gyro, whose bias is also identified.
-    max_order
-        Maximum order, 1 to 5.
-    yaw
-        Sensor whose omega the model predicts.
-    limits
-        True to search for limits of the base.
-
-    Raises
-    ------
-    ValueError
-        If the order is out of range, a record lacks a signal, or the readings or commands never change.
     """
-    if not 1 <= max_order <= MAX_ORDER:
-        raise ValueError(f"order {max_order}: give 1 to {MAX_ORDER}")
-    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), max_order, yaw)
-
-
-def _identify_orders(
-    records: Sequence[Record], channels: _Channels, max_order: int, yaw: YawSource
-) -> list[IdentifiedModel]:
     experiments = twist_experiments(records, yaw)
     fits: list[OutputErrorFit] = []
     for order in range(1, max_order + 1):
@@ -282,6 +275,8 @@ def identify(records: Sequence[Record], conditions: IdentificationConditions) ->
     """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a baseline, so the maximum is at least order 2.
-    max_order = max(order or MAX_ORDER, 2)
-    choice = choose_order(records, conditions.validation, max_order=max_order, yaw=conditions.yaw, requested=order)
+    maximum = max(order or MAX_ORDER, 2)
+    choice = choose_order(
+        records, conditions.validation, max_order=maximum, yaw=conditions.yaw, limits=conditions.limits, requested=order
+    )
     return StructureFit(choice.identified, choice)

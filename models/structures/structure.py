@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures.model_file import ModelFile
 
 if TYPE_CHECKING:
@@ -29,12 +30,15 @@ class IdentificationConditions:
         Order of the model, for structures without a fixed order; None to select it.
     wheel_radius
         Wheel radius [m]; None if the log has no wheel speeds.
+    limits
+        Limits of the base, as for `sm.identify_channels`.
     """
 
     validation: Sequence[Record] = ()
     yaw: YawSource = "gyro"
     order: int | None = None
     wheel_radius: float | None = None
+    limits: bool | FloatArray = True
 
 
 class StructureFit(NamedTuple):

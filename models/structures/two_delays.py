@@ -21,7 +21,7 @@ FROM_SM = "; its lag is taken as dead time, and its gain is kept"
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify the structure two_delays; implements `Structure.identify`."""
-    sm = identify_sm(records, yaw=conditions.yaw)
+    sm = identify_sm(records, yaw=conditions.yaw, limits=conditions.limits)
 
     def gains_and_delays(row: FloatArray) -> FloatArray:
         value = dict(zip(sm.parameters.names, row, strict=True))

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.structures.mbm import identify_mbm
 from diffdrive_mpc.models.structures.orders import compare_orders
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
-from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm, identify_ssm_orders
+from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
 from diffdrive_mpc.models.structures.structure import IdentificationConditions
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
@@ -148,7 +148,7 @@ def test_ssm_recovers_the_published_model():
 def models_by_order():
     """Drive of the published SSM, and models of orders 1 to 4 identified from this drive."""
     drive = noisy_drive(published_ssm(), 15, count=1000)
-    return drive, identify_ssm_orders([drive], 4, limits=False)
+    return drive, [row.identified for row in choose_order([drive], max_order=4, limits=False, requested=4).rows]
 
 
 def test_order_two_is_selected_for_a_second_order_robot(models_by_order):

@@ -9,7 +9,7 @@ from scipy import signal
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.output_error.parameters import Layout
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.state_space import (
     LocalStateSpace,
     StateResponse,
@@ -92,8 +92,8 @@ def test_gradient_equals_finite_differences(name, has_prior):
     outputs[0] = 0.0  # at rest the start of ramps does not depend on the gain
     experiment = single(inputs, outputs)
     weights = [stream.uniform(size=(300, layout.outputs))] * 2
-    prior = past_prior(layout.system(parameters), [experiment], 0.01)
-    problem = OutputErrorProblem(layout, [experiment, experiment], weights, [prior] * 2 if has_prior else None)
+    problem = OutputErrorProblem(layout, [experiment, experiment], weights)
+    problem.set_prior(parameters, 0.01, np.full(2, float(has_prior)))
     gradient = problem.jacobian(parameters).T @ problem.residuals(parameters)
     for i, slope in enumerate(gradient):
         step = 1e-6 * np.eye(len(parameters))[i]

@@ -7,7 +7,7 @@ from log_parts import bag_topics, drive, write_bag
 from diffdrive_mpc import ConfigError, identify, load_config
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.plug_ins import plug_in_names
-from diffdrive_mpc.models.stated_robot import STATED_ROBOTS, load_stated_robot, stated_robots
+from diffdrive_mpc.models.stated_robot import STATED_ROBOTS, load_stated_robot
 
 CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd_vel": "cmd_vel"}
 
@@ -26,7 +26,7 @@ def identification(husky_bag):
     return identify(husky_bag, robot="husky")
 
 
-@pytest.mark.parametrize("name", stated_robots())
+@pytest.mark.parametrize("name", STATED_ROBOTS.names)
 def test_every_value_is_stated_with_a_source_and_its_revision(name):
     robot = load_stated_robot(name)
     assert robot.provenance == "stated"
@@ -37,7 +37,7 @@ def test_every_value_is_stated_with_a_source_and_its_revision(name):
     assert all(source in text for source in robot.sources.values())
 
 
-@pytest.mark.parametrize("name", stated_robots())
+@pytest.mark.parametrize("name", STATED_ROBOTS.names)
 def test_stated_values_form_a_configuration(name):
     robot = load_stated_robot(name)
     values = robot.bounds(1.1) | {key: entry.value for key, entry in robot.configuration().items()}

@@ -120,7 +120,3 @@ def finding_table(findings: Sequence[Finding]) -> TextTable:
     return TextTable(
         "Findings in the logs", ("severity", "kind", "place", "description", "for driving"), rows, text_columns=5
     )
-
-
-def _format_values(estimate: ParameterEstimate) -> list[str]:
-    return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in estimate.rows]

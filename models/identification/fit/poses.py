@@ -46,8 +46,8 @@ class PoseDrift:
         Prediction horizon [s].
     position_rmse, heading_rmse
         Root mean square errors [m, rad].
-    position_mean, heading_mean
-        Mean absolute errors [m, rad].
+    position_mean
+        Mean position error [m].
     starts
         Number of predictions.
     """
@@ -56,7 +56,6 @@ class PoseDrift:
     position_rmse: float
     heading_rmse: float
     position_mean: float
-    heading_mean: float
     starts: int
 
 
@@ -142,8 +141,7 @@ def _drift_after(
     if not len(magnitudes):
         raise ValueError(f"no two poses of a record are {horizon:.3g} s apart; use longer records, or more poses")
     rmse = np.sqrt((magnitudes**2).mean(axis=0))
-    mean = magnitudes.mean(axis=0)
-    return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean[0]), float(mean[1]), len(magnitudes))
+    return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(magnitudes[:, 0].mean()), len(magnitudes))
 
 
 def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:

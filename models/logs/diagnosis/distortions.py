@@ -14,7 +14,7 @@ from diffdrive_mpc.models.logs.record import Finding
 def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return findings about sensors whose readings have no sign; remove these sensors from `streams`."""
     findings = []
-    sides = None if streams.twist is None or streams.wheels is None else commanded_sides(streams)
+    sides = commanded_sides(streams)
     pairs: list[tuple[str, FloatArray, FloatArray | None]] = [(GYRO, streams.command[:, 1], streams.yaw_rate)]
     if sides is not None and streams.wheels is not None and streams.wheels.shape[1] == len(SIDES):
         pairs.append((ENCODERS, sides, streams.wheels))
@@ -48,10 +48,8 @@ def _has_both_signs(values: FloatArray, settings: CheckSettings) -> bool:
 
 def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: the encoder of one side saturates below the commanded speed."""
-    if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
-        return []
     sides = commanded_sides(streams)
-    if sides is None:
+    if sides is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sizes = np.abs(streams.wheels)
     maximum = np.nanmax(sizes, axis=0)

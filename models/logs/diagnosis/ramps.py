@@ -18,16 +18,11 @@ _MAX_SAMPLES = 6_000
 
 def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one note: the base limits the rate of each wheel separately."""
-    if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
-        return []
     sides = commanded_sides(streams)
-    if sides is None:
+    if sides is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
-    sides, slices = (
-        sides[:_MAX_SAMPLES],
-        [part for part in streams.slices if part.stop <= max(_MAX_SAMPLES, streams.slices[0].stop)],
-    )
-    wheels = streams.wheels[:_MAX_SAMPLES]
+    sides, wheels = sides[:_MAX_SAMPLES], streams.wheels[:_MAX_SAMPLES]
+    slices = [part for part in streams.slices if part.stop <= max(_MAX_SAMPLES, streams.slices[0].stop)]
     streams = replace(streams, wheels=wheels, slices=tuple(slices))
     linear = fit_response(streams, sides, wheels, settings)
     if linear is None or linear.correlation.min() < settings.weak_correlation:

@@ -174,8 +174,12 @@ def _are_collinear(sides: FloatArray, settings: CheckSettings) -> bool:
 
 
 def commanded_sides(streams: Streams) -> FloatArray | None:
-    """Compute the commanded wheel speeds (N, 2) of both sides [rad/s], with the radius and track of the mapping."""
-    assert streams.wheels is not None and streams.twist is not None
+    """Compute the commanded wheel speeds (N, 2) of both sides [rad/s], with the radius and track of the mapping.
+
+    The result is None if the log has no wheel speeds, or if they do not determine radius and track.
+    """
+    if streams.wheels is None or streams.twist is None:
+        return None
     present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
     wheels, twist = streams.wheels[present], streams.twist[present]
     mean = wheels.mean(axis=1)
