@@ -28,6 +28,7 @@ class Robot:
         judge.reference(self.now, self.points)
         self.state, self.twist, self.out = np.zeros(3), np.zeros(2), (0.0, 0.0)
         self.ignores_commands = self.has_no_odometry = self.has_no_pose = False
+        self.gyro_scale = 1.0
 
     def drive(self, seconds, command=None, stamp=None, is_silent=False):
         """Drive for a time; return the commands (n, 2) of the base."""
@@ -35,7 +36,7 @@ class Robot:
         for _ in range(round(seconds / DT)):
             judge, now = self.judge, self.now
             if not self.has_no_odometry:
-                judge.gyro(now, now, self.twist[1])
+                judge.gyro(now, now, self.gyro_scale * self.twist[1])
                 judge.odometry(now, now, self.twist.tolist(), self.state.tolist())
             if not self.has_no_pose:
                 judge.pose(now, now, self.state.tolist())
@@ -82,6 +83,18 @@ def test_commands_of_a_valid_drive_are_unchanged(robot):
     assert not robot.judge.verdict
 
 
+def test_disabled_gyro_is_not_used_to_predict_the_path():
+    verdicts = []
+    for scale in (1.0, -2.0):
+        robot = Robot(Judge(RULES.with_sensors(pose=True, gyro=False), START))
+        robot.gyro_scale = scale
+        robot.judge.says(robot.now, drives=True)
+        robot.drive(2.0)
+        robot.drive(3.0, (0.4, 0.3))
+        verdicts.append(robot.judge.verdict)
+    assert verdicts[0] == verdicts[1] and verdicts[0].rule == "off_path"
+
+
 @pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
 def test_non_finite_commands_are_not_forwarded_to_the_base(robot, v):
     robot.drive(2.0)
@@ -110,6 +123,7 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
         robot.drive(DT)
         send(index)
     assert not robot.judge.verdict
+    end = robot.now + getattr(RULES.sensors, f"{sensor}_age")
     setattr(robot, "has_no_pose" if sensor == "pose" else "has_no_odometry", True)
     for _ in range(250):
         for part in range(5 if defect == "not finite" else 1):
@@ -120,7 +134,7 @@ def test_invalid_readings_are_ignored(robot, sensor, defect):
         if sensor == "odometry":
             robot.judge.gyro(robot.now, robot.now, robot.twist[1])
         robot.drive(DT)
-    assert robot.judge.verdict.rule == sensor
+    assert robot.judge.verdict.rule == sensor and robot.judge.verdict.at == pytest.approx(end, abs=2 * DT)
 
 
 def test_robot_brakes_at_the_braking_limits_and_remains_stopped(robot):
