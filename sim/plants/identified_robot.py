@@ -59,12 +59,15 @@ class UnexplainedMotion:
         (6,) maximum of each feature in the log, to which features are clipped.
     traction_slip
         Ratio of forward slip speed and |omega| dv/dt [s^2/rad].
+    yaw_slip
+        Ratio of yaw rate in addition to that of the model and omega at rest [-], and its growth per v^2 [s^2/m^2].
     """
 
     rows: FloatArray
     variance: FloatArray
     largest: FloatArray
     traction_slip: float = 0.0
+    yaw_slip: tuple[float, float] = (0.0, 0.0)
 
 
 class IdentifiedRobot(StrictModel):
@@ -83,6 +86,10 @@ class IdentifiedRobot(StrictModel):
     )
     traction_slip: NotNegative = Field(
         default=0.0, description="forward slip speed of wheels that slide in a turn, per |omega| dv/dt [s^2/rad]"
+    )
+    yaw_slip: tuple[float, float] = Field(
+        default=(0.0, 0.0),
+        description="yaw rate in addition to that of the model, per omega at rest [-], and its growth per v^2 [s^2/m^2]",
     )
     displacement: NotNegative = Field(
         default=0.0,
@@ -120,7 +127,8 @@ class IdentifiedRobot(StrictModel):
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
         rows = draw_motion(self.records, MOTION_DURATION, (self.sample_time, sample_time), self.block_time, rng)
-        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest), self.traction_slip)
+        variance, largest = np.array(self.variance), np.array(self.largest)
+        return UnexplainedMotion(rows, variance, largest, self.traction_slip, self.yaw_slip)
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
