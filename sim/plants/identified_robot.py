@@ -60,7 +60,7 @@ class UnexplainedMotion:
     traction_slip
         Ratio of forward slip speed and |omega| dv/dt [s^2/rad].
     yaw_slip
-        Ratio of yaw rate in addition to that of the model and omega at rest [-], and its growth per v^2 [s^2/m^2].
+        Yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2].
     """
 
     rows: FloatArray
@@ -88,13 +88,11 @@ class IdentifiedRobot(StrictModel):
         default=0.0, description="forward slip speed of wheels that slide in a turn, per |omega| dv/dt [s^2/rad]"
     )
     yaw_slip: tuple[float, float] = Field(
-        default=(0.0, 0.0),
-        description="yaw rate in addition to that of the model, per omega at rest [-], and its growth per v^2 [s^2/m^2]",
+        default=(0.0, 0.0), description="yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2]"
     )
     displacement: NotNegative = Field(
         default=0.0,
-        description="standard deviation of fast forward displacements, for example by backlash, which are too short "
-        "for `motion` [m]",
+        description="standard deviation of forward displacements, as by backlash, too fast for `motion` [m]",
     )
     largest: _Variances = Field(description="maxima of the six features in the log, which bound the variances")
     motion: list[list[_Interval]] = Field(

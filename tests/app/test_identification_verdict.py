@@ -14,7 +14,7 @@ from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.app.identification import verdict as verdicts
 from diffdrive_mpc.app.identification.page import remedies
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, ITSELF, PATHS, StandIn, trial_settings
-from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import identified_robot, unexplained_motion
 from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import VERDICTS, Doubt
@@ -75,6 +75,17 @@ def test_unexplained_motion_contains_slides_but_no_pose_noise_or_slip_by_tractio
     (motion,), new_slip, _ = unexplained_with(identification, lambda _, left: 1j * dt * np.cumsum(speed * left))
     assert new_slip - slip == pytest.approx(0.05, rel=0.1)
     assert motion[:, 0] == pytest.approx(original[:, 0], abs=0.002)
+
+
+def test_yaw_slip_that_grows_with_the_speed_is_repeated_and_not_random(identification, valid):
+    (outputs,), data = identification.report.fitted.simulated, identification.report.data
+    (v, omega), (record,) = outputs.T, data.validation
+    record = replace(record, yaw_rate=record.yaw_rate + omega * (0.2 - 0.5 * v**2), pose=None, fresh_pose=None)
+    data = replace(data, validation=(record,))
+    slipping = replace(identification, report=replace(identification.report, data=data))
+    robot = identified_robot(slipping, valid.config)
+    assert robot.yaw_slip == pytest.approx((0.2, -0.5), abs=0.02)
+    assert np.max(robot.variance[2]) < 1e-3
 
 
 @pytest.mark.system

@@ -1,5 +1,7 @@
 """Written configuration of the controller: values are positive and safe for any result of the identification."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -49,8 +51,8 @@ def model_with(slew=None, deviation=0.1, limits=None, effects=None):
     )
 
 
-def limits(result, geometry=GEOMETRY):
-    return configure("robot", result, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
+def limits(result, geometry=GEOMETRY, train=TRAIN):
+    return configure("robot", result, train, geometry, slip_prior(train)).mapping()["limits"]
 
 
 def test_slew_is_two_deviations_below_the_slew_of_the_base():
@@ -78,6 +80,12 @@ def test_limits_are_taken_from_the_log_or_from_the_base():
 
 def test_wheel_speed_limit_covers_the_observed_wheel_speeds():
     assert limits(model_with(limits={"v": 0.5}))["wheel_speed"] == pytest.approx(0.5 + 0.2 * 1.0)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.7, 0.7 * 0.7), (0.95, 1.1 * (0.5 + 0.95 * 0.2))])
+def test_commands_that_the_wheels_do_not_reach_limit_the_wheel_speed(share, expected):
+    train = [replace(TRAIN[0], twist=share * COMMANDS)]
+    assert limits(model_with(), train=train)["wheel_speed"] == pytest.approx(expected)
 
 
 def test_each_side_is_written_with_its_own_limit():

@@ -356,14 +356,13 @@ def configure(
     base = identified.base_effects.wheel_command
     gain = np.diag(identified.model.dc_gain)
     limit, speeds = _speed_limits(identified, commands, base, gain)
-    limits = [*_slew_limits(identified), *speeds]
     if mapping_track is not None and geometry is None:
         geometry = WheelGeometry(np.nan, mapping_track)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     assumed_track = track or load_robot().track
     max_side_speed = _max_side_speed(identified, train, assumed_track, geometry.track if geometry else assumed_track)
-    limits.append(_rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed))
+    rim_limit = _rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed)
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
@@ -379,7 +378,7 @@ def configure(
     return IdentifiedConfiguration(
         name,
         _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time),
-        (*limits, *adapted.get("limits", ())),
+        (*_slew_limits(identified), *speeds, rim_limit, *adapted.get("limits", ())),
         tuple(wheels),
         (*_noise_settings(train), *_slip_settings(slip), *adapted.get("estimator", ())),
         tuple(adapted.get("reentry", ())),
@@ -446,14 +445,11 @@ def _general_settings(identified: IdentifiedModel, dt: float, *, keep_sample_tim
         pace = replace(pace, sample_time=dt, log_samples=1)
     samples = pace.log_samples
     source = "of the log" if samples == 1 else f"{samples} samples of the log, because the robot responds slowly"
+    horizon = f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot settles {pace.settling:.2f} s after a command"
     return (
         Setting("model", MODEL_FILE),
         Setting("sample_time", round_period(pace.sample_time), f"s, {source}: period of the calls of `step`"),
-        Setting(
-            "horizon",
-            pace.horizon,
-            f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot settles {pace.settling:.2f} s after a command",
-        ),
+        Setting("horizon", pace.horizon, horizon),
     )
 
 
@@ -497,9 +493,7 @@ def _slew_limits(identified: IdentifiedModel) -> list[Setting]:
     return slews
 
 
-def _max_side_speed(
-    identified: IdentifiedModel, train: Sequence[Record], track: float, encoder_track: float
-) -> float:
+def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float, encoder_track: float) -> float:
     """Return the maximum measured speed of a side [m/s] if the robot does not reach its commands, otherwise infinity.
 
     The robot limits v, or its faster side does not follow the fastest commands, delayed by lag and dead time of the
@@ -522,7 +516,7 @@ def _rim_limit(commands: FloatArray, track: float, base: WheelCommand | None, ga
     if base is not None and base.top_speed is not None and gain * base.top_speed < limit:
         return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim; the motors saturate")
     if maximum < limit:
-        return _setting("wheel_speed", maximum, "m/s at the rim, maximum in the log of a robot that does not reach its commands")
+        return _setting("wheel_speed", maximum, "m/s at the rim, maximum in the log, which is below the commands")
     return _setting("wheel_speed", limit, "m/s at the rim, the maximum command of a side in the log, with a margin")
 
 
@@ -554,10 +548,9 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: Manufactu
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
-        channel: min(1.0, float(keys[f"limits.{channel}"].value) / _max_side(setting.value))
-        for channel in ("v", "omega")
+        setting.name: min(1.0, float(keys[f"limits.{setting.name}"].value) / _max_side(setting.value))
         for setting in configuration.limits
-        if setting.name == channel
+        if setting.name in CHANNELS
     }
     reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
     groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
