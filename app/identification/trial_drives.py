@@ -22,7 +22,7 @@ from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.robot import Positive, load_robot
+from diffdrive_mpc.models.robot import Positive, TwistBounds, load_robot
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -163,7 +163,8 @@ def trial_drives(
     The default paths are `PATHS`. `on_run` is called after each drive; `seed` is the seed of the sensor noise.
     """
     radius = circle_radius(config)
-    robot = model_robot(config.sample_time, config.limits)
+    limits = TwistBounds(v=max(config.limits.v.sides), omega=max(config.limits.omega.sides))
+    robot = model_robot(config.sample_time, limits)
     for stand_in in plants:
         slip = stand_in.slip or log_slip(identification)
         sensors = stand_in.sensors or load_sensor_set("default", sensor_readings(config))

@@ -157,9 +157,7 @@ def _subtract_yaw_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], 
     Wheels that skid turn the body less on the spot than at speed, and motors lose speed in fast turns. A model with
     constant gains does not predict this, but each drive repeats it. `window` is the number of samples of a mean.
     """
-    terms = [
-        _block_means(rows[:, 1:] * np.column_stack([np.ones(len(rows)), rows[:, 0] ** 2]), window) for rows in outputs
-    ]
+    terms = [_block_means(rows[:, 1:] * rows[:, :1] ** [0, 2], window) for rows in outputs]
     yaw_slip = np.linalg.lstsq(np.concatenate(terms), np.concatenate(motion)[:, 2])[0]
     for errors, columns in zip(motion, terms, strict=True):
         errors[:, 2] -= columns @ yaw_slip
