@@ -25,7 +25,7 @@ typedef struct {
     double variance[18], max_squares[6]; /* [3][6] factors of the squared features, and upper bounds of the squares */
     /* Ratio of forward slip speed and |omega| dv/dt; ratio of additional yaw rate and omega, and its growth per v^2. */
     double traction_slip, yaw_slip[2];
-    double limits[2], wheel_yaw_gain;    /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
+    double limits[2], wheel_yaw_gain; /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
     /* State and results. */
     long long tick;
     double sent[2]; /* last command */
