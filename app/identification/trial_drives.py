@@ -62,6 +62,7 @@ class TrialSettings(StrictModel):
     noise_speed: Positive = Field(description="maximum apparent speed due to noise of the poses [m/s]")
     unexplained: int = Field(ge=1, description="number of drives with unexplained motion on these paths")
     lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
+    mean_share: Share = Field(description="maximum geometric mean of their ratios of lateral error to radius [-]")
     promise_factor: Positive = Field(
         description="ratio of expected maximum error to geometric mean of these drives [-]"
     )

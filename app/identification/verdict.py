@@ -137,8 +137,7 @@ class TrialVerdict:
     @property
     def promise(self) -> str:
         """Expected performance as a sentence without a full stop; empty if the configuration is unusable."""
-        performance = self.performance
-        if performance is None:
+        if (performance := self.performance) is None:
             return ""
         v, omega, lateral, position, share = performance
         return (
@@ -260,7 +259,8 @@ def _with_unexplained(
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
-    is_unusable = result._lost > settings.lost_share * len(drives)
+    share = gmean([drive.lateral_share for drive in drives])
+    is_unusable = result._lost > settings.lost_share * len(drives) or share > settings.mean_share
     slower = "record slower drives, or lower limits.v and limits.omega in the config.yaml of --force"
     return replace(result, failure=f"{result._unexplained_reasons[0]}: {slower}") if is_unusable else result
 
