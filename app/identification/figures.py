@@ -71,9 +71,7 @@ def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequ
 
 def other_charts(report: IdentificationReport) -> list[Chart]:
     """Return the charts of step responses, orders and drift, if available."""
-    steps = step_charts(report) if report.fitted.predictor is None else []
-    orders = order_charts(report) if report.fitted.orders else []
-    return [*steps, *orders, *(drift_charts(report) if report.poses.drift else [])]
+    return [chart for _, figure in figures_of(report).values() if not callable(figure) for chart in figure]
 
 
 def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:

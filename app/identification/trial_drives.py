@@ -23,17 +23,18 @@ from diffdrive_mpc.models.identification.log_data import LogData, most_informati
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.input_limits import limits_in
-from diffdrive_mpc.models.robot import Positive, load_robot
+from diffdrive_mpc.models.robot import Positive, TwistBounds, load_robot
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import IdentificationConditions
 from diffdrive_mpc.models.table import TextTable, number
-from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError, VelocityModel
+from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
+from diffdrive_mpc.sim.plants.make import model_robot
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
@@ -62,6 +63,7 @@ class TrialSettings(StrictModel):
     noise_speed: Positive = Field(description="maximum apparent speed due to noise of the poses [m/s]")
     unexplained: int = Field(ge=1, description="number of drives with unexplained motion on these paths")
     lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
+    mean_share: Share = Field(description="maximum geometric mean of their ratios of lateral error to radius [-]")
     promise_factor: Positive = Field(
         description="ratio of expected maximum error to geometric mean of these drives [-]"
     )
@@ -163,27 +165,17 @@ def trial_drives(
     The default paths are `PATHS`. `on_run` is called after each drive; `seed` is the seed of the sensor noise.
     """
     radius = circle_radius(config)
-    default_robot = load_robot()
+    limits = TwistBounds(v=max(config.limits.v.sides), omega=max(config.limits.omega.sides))
+    robot = model_robot(config.sample_time, limits)
     for stand_in in plants:
         slip = stand_in.slip or log_slip(identification)
         sensors = stand_in.sensors or load_sensor_set("default", sensor_readings(config))
-        max_limits = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
-        limits = default_robot.limits.model_copy(update=max_limits)
-        robot = default_robot.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:
-            plant = ModelPlant(
-                stand_in.model,
-                slip,
-                sensors,
-                seed,
-                effects=stand_in.base,
-                robot=robot,
-                disturbance=stand_in.disturbance,
-            )
+            effects, motion = stand_in.base, stand_in.disturbance
+            plant = ModelPlant(stand_in.model, slip, sensors, seed, effects=effects, robot=robot, disturbance=motion)
             reference = scaled_to_robot(path, config, identification.model)
             # For drives with a disturbance only metrics are used, so their signals need not be stored.
-            is_lean = stand_in.disturbance is not None
-            run = simulate(Controller(config, identification.model), plant, reference, lean=is_lean)
+            run = simulate(Controller(config, identification.model), plant, reference, lean=motion is not None)
             on_run()
             yield TrialDrive(stand_in.name, path, run, radius)
 

@@ -93,10 +93,11 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         return None
     identified, dt = report.fitted.identified, report.data.validation[0].dt
     deviations = _deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}"))
-    outputs = [rows - report.fitted.offset for rows in report.fitted.simulated]
+    outputs = [np.nan_to_num(rows - report.fitted.offset) for rows in report.fitted.simulated]
     slip, deviation = _subtract_slip(motion, outputs, identification)
-    squares = [intensity_features(twist, np.gradient(twist, dt, axis=0)) for twist in map(np.nan_to_num, outputs)]
-    features = [_block_means(rows, trial_settings().window / dt) for rows in squares]
+    window = trial_settings().window / dt
+    yaw_slip = _subtract_yaw_slip(motion, outputs, _GYRO_WINDOW / dt if report.data.yaw == "gyro" else window)
+    features = [_block_means(intensity_features(rows, np.gradient(rows, dt, axis=0)), window) for rows in outputs]
     all_features, errors = np.concatenate(features), np.concatenate(motion)
     variance = np.array([_fit_variance(all_features, column**2) for column in errors.T])
     variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0) + np.finfo(float).eps)
@@ -111,6 +112,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
         variance=_round_values(variance),
         traction_slip=float(f"{traction_slip:.4g}"),
+        yaw_slip=_round_values(yaw_slip),
         displacement=float(f"{displacement:.4g}"),
         largest=_round_values(all_features.max(axis=0)),
         motion=[intervals(row) for row in normalised],
@@ -147,6 +149,19 @@ def _subtract_slip(
     values = {"longitudinal_gain": slip.longitudinal_gain + gain, "side_slip": slip.side_slip + side_slip}
     slip = slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
     return slip, float(f"{deviation:.3g}")
+
+
+def _subtract_yaw_slip(motion: list[FloatArray], outputs: Sequence[FloatArray], window: float) -> FloatArray:
+    """Fit yaw rates in proportion to omega and v^2 omega (2,), and subtract them from `motion`.
+
+    Wheels that skid turn the body less on the spot than at speed, and motors lose speed in fast turns. A model with
+    constant gains does not predict this, but each drive repeats it. `window` is the number of samples of a mean.
+    """
+    terms = [_block_means(rows[:, 1:] * rows[:, :1] ** [0, 2], window) for rows in outputs]
+    yaw_slip = np.linalg.lstsq(np.concatenate(terms), np.concatenate(motion)[:, 2])[0]
+    for errors, columns in zip(motion, terms, strict=True):
+        errors[:, 2] -= columns @ yaw_slip
+    return np.asarray(yaw_slip)
 
 
 def _round_values(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema

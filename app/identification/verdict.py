@@ -137,8 +137,7 @@ class TrialVerdict:
     @property
     def promise(self) -> str:
         """Expected performance as a sentence without a full stop; empty if the configuration is unusable."""
-        performance = self.performance
-        if performance is None:
+        if (performance := self.performance) is None:
             return ""
         v, omega, lateral, position, share = performance
         return (
@@ -260,7 +259,8 @@ def _with_unexplained(
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
-    is_unusable = result._lost > settings.lost_share * len(drives)
+    share = gmean([drive.lateral_share for drive in drives])
+    is_unusable = result._lost > settings.lost_share * len(drives) or share > settings.mean_share
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
     failure = f"{result._unexplained_reasons[0]}: record slower drives, and correct the warnings in report.md"
     return replace(result, failure=failure) if is_unusable else result

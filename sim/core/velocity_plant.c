@@ -110,6 +110,7 @@ static void compute_twist(const velocity_plant *p, const double *output, double 
             twist[i] += row[i] * sqrt(variance);
         }
         twist[0] -= p->traction_slip * fabs(output[1]) * p->rate[0];
+        twist[2] += output[1] * (p->yaw_slip[0] + p->yaw_slip[1] * fmin(output[0] * output[0], p->max_squares[1]));
     }
 }
 

@@ -23,8 +23,9 @@ typedef struct {
     const double *rows;
     int count;
     double variance[18], max_squares[6]; /* [3][6] factors of the squared features, and upper bounds of the squares */
-    double traction_slip;                /* ratio of forward slip speed and |omega| dv/dt */
-    double limits[2], wheel_yaw_gain;    /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
+    /* Ratio of forward slip speed and |omega| dv/dt; ratio of additional yaw rate and omega, and its growth per v^2. */
+    double traction_slip, yaw_slip[2];
+    double limits[2], wheel_yaw_gain; /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
     /* State and results. */
     long long tick;
     double sent[2]; /* last command */

@@ -59,12 +59,15 @@ class UnexplainedMotion:
         (6,) maximum of each feature in the log, to which features are clipped.
     traction_slip
         Ratio of forward slip speed and |omega| dv/dt [s^2/rad].
+    yaw_slip
+        Yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2].
     """
 
     rows: FloatArray
     variance: FloatArray
     largest: FloatArray
     traction_slip: float = 0.0
+    yaw_slip: tuple[float, float] = (0.0, 0.0)
 
 
 class IdentifiedRobot(StrictModel):
@@ -84,10 +87,12 @@ class IdentifiedRobot(StrictModel):
     traction_slip: NotNegative = Field(
         default=0.0, description="forward slip speed of wheels that slide in a turn, per |omega| dv/dt [s^2/rad]"
     )
+    yaw_slip: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2]"
+    )
     displacement: NotNegative = Field(
         default=0.0,
-        description="standard deviation of fast forward displacements, for example by backlash, which are too short "
-        "for `motion` [m]",
+        description="standard deviation of forward displacements, as by backlash, too fast for `motion` [m]",
     )
     largest: _Variances = Field(description="maxima of the six features in the log, which bound the variances")
     motion: list[list[_Interval]] = Field(
@@ -120,7 +125,8 @@ class IdentifiedRobot(StrictModel):
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
         rows = draw_motion(self.records, MOTION_DURATION, (self.sample_time, sample_time), self.block_time, rng)
-        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest), self.traction_slip)
+        variance, largest = np.array(self.variance), np.array(self.largest)
+        return UnexplainedMotion(rows, variance, largest, self.traction_slip, self.yaw_slip)
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:

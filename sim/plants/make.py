@@ -141,7 +141,7 @@ def make_plant(
             raise ConfigError(f"plant '{name}' has no body that can touch obstacles; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
-        return _model_plant(setting, model, extra_dead_time, _model_robot(sample_time, limits))
+        return _model_plant(setting, model, extra_dead_time, model_robot(sample_time, limits))
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
         "file), 'drawn:SEED' (a robot of the market), 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "
@@ -268,11 +268,8 @@ def physics_robot(name: str) -> Robot | None:
 
     Raises ConfigError if the robot file is invalid.
     """
-    name = plant_inside(name)
-    if name.partition(":")[0] not in (PHYSICS, DRAWN):
-        return None
-    build = simulated_robot(name)
-    return build.robot if build else load_robot()
+    is_physics = plant_inside(name).partition(":")[0] in (PHYSICS, DRAWN)
+    return plant_body(name)[0] if is_physics else None
 
 
 def plant_inside(name: str) -> str:
@@ -306,7 +303,8 @@ def simulated_robot(name: str) -> SimulatedRobot | None:
     return load_simulated_robot(file) if colon and kind == PHYSICS else None
 
 
-def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
+def model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
+    """Return the robot of the papers with a sample time [s] and limits; None keeps the value."""
     robot = load_robot()
     # The link has symmetric limits, so the larger limit of both directions is used.
     symmetric = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}

@@ -179,7 +179,7 @@ def _plant_in_c(
     for name, array in arrays.items():
         setattr(c, name, address(array))
     if disturbance is not None:
-        c.count, c.traction_slip = len(disturbance.rows), disturbance.traction_slip
+        c.count, c.traction_slip, c.yaw_slip = len(disturbance.rows), disturbance.traction_slip, disturbance.yaw_slip
         c.variance, c.max_squares = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
     c.upper, c.lower = _both_sides(effects.twist_range).tolist()
     c.max_rise, c.max_fall = (_both_sides(effects.twist_slew) * c.step_time).tolist()

@@ -14,7 +14,7 @@ from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.app.identification import verdict as verdicts
 from diffdrive_mpc.app.identification.page import remedies
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, ITSELF, PATHS, StandIn, trial_settings
-from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import identified_robot, unexplained_motion
 from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import VERDICTS, Doubt
@@ -23,12 +23,14 @@ from diffdrive_mpc.models.identification.deliver.trust import judge
 TRACK = "wheels: {track: 0.5}\n"
 
 
+def identify_columns(folder, columns, mapping=MAPPING + TRACK):
+    return identify(write_csv(folder / "drive.csv", columns), mapping=write_mapping(folder / "map.yaml", mapping))
+
+
 @pytest.fixture(scope="module")
 def identification(tmp_path_factory):
     """Identification of a log without objections."""
-    folder = tmp_path_factory.mktemp("sound")
-    log = write_csv(folder / "drive.csv", drive(seconds=40.0))
-    return identify(log, mapping=write_mapping(folder / "map.yaml", MAPPING + TRACK))
+    return identify_columns(tmp_path_factory.mktemp("sound"), drive(seconds=40.0))
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +48,19 @@ def test_valid_log_gives_yes_with_error_bounds_that_its_drives_satisfy(identific
     assert position >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * position
 
 
+def with_held_out(identification, **changes):
+    """Return the identification with changes of its held-out record."""
+    report, data = identification.report, identification.report.data
+    data = replace(data, validation=(replace(data.validation[0], **changes),))
+    return replace(identification, report=replace(report, data=data))
+
+
 def move_held_out_poses(identification, motion):
     """Return the identification with held-out poses moved by `motion(time, left)`, complex [m]."""
-    data = identification.report.data
-    (record,) = data.validation
+    (record,) = identification.report.data.validation
     offset = motion(record.time - record.start, 1j * np.exp(1j * record.pose[:, 2]))
-    pose = record.pose + np.column_stack([offset.real, offset.imag, np.zeros(len(offset))])
-    data = replace(data, validation=(replace(record, pose=pose),))
-    return replace(identification, report=replace(identification.report, data=data))
+    shift = np.column_stack([offset.real, offset.imag, 0.0 * offset.real])
+    return with_held_out(identification, pose=record.pose + shift)
 
 
 def unexplained_with(identification, motion):
@@ -77,6 +84,15 @@ def test_unexplained_motion_contains_slides_but_no_pose_noise_or_slip_by_tractio
     assert motion[:, 0] == pytest.approx(original[:, 0], abs=0.002)
 
 
+def test_yaw_slip_that_grows_with_the_speed_is_repeated_and_not_random(identification, valid):
+    (record,), (outputs,) = identification.report.data.validation, identification.report.fitted.simulated
+    v, omega = outputs.T
+    changes = {"yaw_rate": record.yaw_rate + omega * (0.2 - 0.5 * v**2), "pose": None, "fresh_pose": None}
+    robot = identified_robot(with_held_out(identification, **changes), valid.config)
+    assert robot.yaw_slip == pytest.approx((0.2, -0.5), abs=0.02)
+    assert np.max(robot.variance[2]) < 1e-3
+
+
 @pytest.mark.system
 def test_sliding_robot_has_larger_error_bounds_and_needs_care(identification):
     """The sideways speed changes its sign every two seconds."""
@@ -95,8 +111,7 @@ def test_sliding_robot_has_larger_error_bounds_and_needs_care(identification):
 def test_robot_with_late_poses_arrives(tmp_path):
     columns = drive(seconds=40.0)
     late = {name: np.concatenate([np.full(15, columns[name][0]), columns[name][:-15]]) for name in ("x", "y", "theta")}
-    mapping = write_mapping(tmp_path / "map.yaml", MAPPING + TRACK)
-    identification = identify(write_csv(tmp_path / "drive.csv", columns | late), mapping=mapping)
+    identification = identify_columns(tmp_path, columns | late)
     delay, default = identification.config["sensors"]["pose"]["delay"], load_config("sm")
     assert delay == pytest.approx(0.3, abs=0.01)
     assert identification.config["estimator"]["history"] == pytest.approx(delay + default.estimator.history)
@@ -107,16 +122,9 @@ def test_robot_with_late_poses_arrives(tmp_path):
 def test_unexplained_motion_of_short_stretches_is_known(tmp_path):
     columns = drive(seconds=40.0)
     columns["part"] = np.arange(len(columns["t"])) // 80
-    mapping = write_mapping(tmp_path / "map.yaml", f"{MAPPING}  segment: part\n{TRACK}")
-    identification = identify(write_csv(tmp_path / "drive.csv", columns), mapping=mapping)
+    identification = identify_columns(tmp_path, columns, f"{MAPPING}  segment: part\n{TRACK}")
     motion, *_ = unexplained_motion(identification)
     assert list(map(len, motion)) == [len(record.time) for record in identification.report.data.validation]
-
-
-def clipped_stand_ins(identification, share):
-    """Return the robot itself, with omega clipped to a fraction of the configured limit."""
-    limit = share * identification.config["limits"]["omega"]
-    return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 
 
 @pytest.fixture
@@ -129,7 +137,8 @@ def one_path(monkeypatch):
 @pytest.mark.usefixtures("one_path")
 @pytest.mark.parametrize("share", [0.3, 0.2])
 def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
-    monkeypatch.setattr(verdicts, "stand_ins", lambda _: clipped_stand_ins(identification, share))
+    clipped = BaseEffects(twist_range={"omega": share * identification.config["limits"]["omega"]})
+    monkeypatch.setattr(verdicts, "stand_ins", lambda _: [StandIn(HELD_OUT, identification.model, clipped)])
     verdict = judge_by_drives(identification)
     assert verdict.grade == "With care" and not verdict.failure
     original, reduced = identification.config["limits"], verdict.identification.config["limits"]
@@ -190,9 +199,8 @@ def test_unknown_delay_gives_no(identification):
     parameters = fitted.identified.parameters
     scale = np.where([name.startswith("omega") for name in parameters.names], 300.0, 1.0)
     uncertain = replace(parameters, covariance=parameters.covariance * np.outer(scale, scale))
-    trust = judge(
-        identification.report.data, replace(fitted, identified=replace(fitted.identified, parameters=uncertain)), []
-    )
+    fitted = replace(fitted, identified=replace(fitted.identified, parameters=uncertain))
+    trust = judge(identification.report.data, fitted, [])
     assert trust.grade == "No" and "the delay of omega is unknown" in trust.reasons[0]
 
 

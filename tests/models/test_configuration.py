@@ -1,5 +1,7 @@
 """Written configuration of the controller: values are positive and safe for any result of the identification."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -32,11 +34,8 @@ GEOMETRY = WheelGeometry(0.1, 0.4)
 def model_with(slew=None, deviation=0.1, limits=None, effects=None):
     names = ("slew.v", "slew.omega") if slew else ("v.gain",)
     values = np.array(slew or [0.9])
-    effects = {
-        **(effects or {}),
-        "twist_range": limits or {},
-        "twist_slew": dict(zip(CHANNELS, slew or (), strict=False)),
-    }
+    slews = dict(zip(CHANNELS, slew or (), strict=False))
+    effects = (effects or {}) | {"twist_range": limits or {}, "twist_slew": slews}
     return IdentifiedModel(
         schema=SmFile,
         content={"channels": {"v": CHANNEL, "omega": CHANNEL}, "base_effects": effects},
@@ -49,8 +48,12 @@ def model_with(slew=None, deviation=0.1, limits=None, effects=None):
     )
 
 
-def limits(result, geometry=GEOMETRY):
-    return configure("robot", result, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
+def written(result, geometry=GEOMETRY, train=TRAIN):
+    return configure("robot", result, train, geometry, slip_prior(train)).mapping()
+
+
+def limits(result, train=TRAIN):
+    return written(result, train=train)["limits"]
 
 
 def test_slew_is_two_deviations_below_the_slew_of_the_base():
@@ -80,6 +83,11 @@ def test_wheel_speed_limit_covers_the_observed_wheel_speeds():
     assert limits(model_with(limits={"v": 0.5}))["wheel_speed"] == pytest.approx(0.5 + 0.2 * 1.0)
 
 
+def test_commands_that_the_wheels_do_not_reach_limit_the_wheel_speed():
+    result = limits(model_with(), train=[replace(TRAIN[0], twist=0.7 * COMMANDS)])
+    assert result["wheel_speed"] == pytest.approx(0.7 * (0.5 + 0.2 * 1.0))
+
+
 def test_each_side_is_written_with_its_own_limit():
     result = limits(model_with(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
     assert result["v"] == {"forward": 0.5, "reverse": 0.2}
@@ -96,9 +104,8 @@ def test_saturation_of_the_motors_limits_the_wheel_speed():
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
 @pytest.mark.parametrize("slew", [(1.5, 3.0), None])
 def test_file_and_mapping_have_equal_values(slew, geometry):
-    configuration = configure(
-        "robot", model_with(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
-    )
+    result = model_with(slew=slew, effects={"wheel_command": WHEELS})
+    configuration = configure("robot", result, TRAIN, geometry, slip_prior(TRAIN))
     text = configuration.text()
     assert merge_sections(yaml.safe_load(text)) == configuration.mapping()
     assert configuration.mapping()["sample_time"] == 0.05
@@ -109,15 +116,12 @@ def test_file_and_mapping_have_equal_values(slew, geometry):
 
 
 def test_reentry_band_scales_with_the_robot_and_is_at_least_the_default():
-    large = configure("robot", model_with(), TRAIN, WheelGeometry(0.2, 0.99), slip_prior(TRAIN)).mapping()
+    large = written(model_with(), WheelGeometry(0.2, 0.99))
     assert large["reentry"]["band"] == pytest.approx(3 * 0.08)
     assert large["failure"]["max_position_error"] == pytest.approx(3.0)
-    small = configure("robot", model_with(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
-    assert "reentry" not in small
+    assert "reentry" not in written(model_with(), WheelGeometry(0.02, 0.1))
     train = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
-    assert configure("robot", model_with(), train, None, slip_prior(train)).mapping()["reentry"][
-        "wait"
-    ] == pytest.approx(0.9 * 3 / 1.5 * 0.1)
+    assert written(model_with(), None, train)["reentry"]["wait"] == pytest.approx(0.9 * 3 / 1.5 * 0.1)
 
 
 SETTINGS = identification_settings()
@@ -163,10 +167,8 @@ def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
     twist[is_outlier] += 5.0
     result = sensor_noise([Record("a", 0.0, 0.02, motion, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
     # One outlier in a hundred readings affects three differences in a hundred; the estimate uses nine tenths of them.
-    assert result["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
-    assert result["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
-    assert result["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
-    assert "position_noise" not in result
+    expected = {"wheel_speed_noise": 0.03, "wheel_yaw_rate_noise": 0.2, "yaw_rate_noise": 0.05}
+    assert result == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.long
@@ -178,9 +180,7 @@ def test_each_side_of_range_and_ramp_is_identified():
     twist = respond(lag_of(0.15), base, command, 0.02).body + rng.normal(0.0, 0.01, command.shape)
     identified_base = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])
     truth = {"v.reverse": 0.3, "v.accelerate": 0.8, "v.brake": 2.0}
-    assert {name for name in identified_base.parameters.names if name in (*truth, "v.forward", "omega.left")} == {
-        *truth
-    }
+    assert {*truth, "v.forward", "omega.left"} & {*identified_base.parameters.names} == {*truth}
     for name, value in truth.items():
         assert identified_base.parameters.value(name) == pytest.approx(value, rel=0.03)
     assert identified_base.base_effects.twist_slew.omega is None

@@ -164,7 +164,8 @@ def test_body_of_the_model_plant_follows_the_slip_laws_and_the_unexplained_motio
     terms = dict(zip(Polynomial.model_fields, rng.uniform(-0.1, 0.1, 9).tolist(), strict=True))
     laws = {"polynomial": Polynomial(**terms), "virtual_track": VirtualTrack(p0=0.4, p1=0.1)}
     slip = load_surface("default").slip.model_copy(update=laws)
-    motion = UnexplainedMotion(rng.normal(size=(7, 3)), rng.uniform(0.0, 1e-4, (3, 6)), np.full(6, 0.3), 0.05)
+    variance, yaw_slip = rng.uniform(0.0, 1e-4, (3, 6)), (0.2, -0.4)
+    motion = UnexplainedMotion(rng.normal(size=(7, 3)), variance, np.full(6, 0.3), 0.05, yaw_slip)
     ideal = ModelPlant(load_model("ssm"), load_surface("ideal").slip, PERFECT)
     plants = [ModelPlant(load_model("ssm"), slip, PERFECT, disturbance=unexplained) for unexplained in (None, motion)]
     last_output = np.zeros(2)
@@ -175,7 +176,7 @@ def test_body_of_the_model_plant_follows_the_slip_laws_and_the_unexplained_motio
         rate = (output - last_output) / DT
         features = np.minimum(intensity_features(output, rate), motion.largest)
         unexplained = motion.rows[tick % 7] * np.sqrt(motion.variance @ features)
-        unexplained -= [0.05 * abs(output[1]) * rate[0], 0.0, 0.0]
+        unexplained -= [0.05 * abs(output[1]) * rate[0], 0.0, output[1] * (0.4 * features[1] - 0.2)]
         np.testing.assert_allclose(plants[0].true_twist, slip.body(output), atol=1e-12)
         np.testing.assert_allclose(plants[1].true_twist, slip.body(output) + unexplained, atol=1e-9)
         last_output = output

@@ -169,6 +169,8 @@ _NOISE_UNITS = {
 _UNKNOWN_SLEW = "# a log does not determine v_slew and omega_slew: set them for gentler driving"
 _SENSORS = "from the log and its mapping; the robot's node reads the sensor without the mapping"
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
+_FAST_PERCENTILE, _REACHED_SHARE = 90.0, 0.85
+"""Percentile [%] of the fastest commands of a side, and share of them that a robot without a speed limit reaches."""
 _TRACK_TOLERANCE = 0.01
 """Relative difference below which two tracks are equal [-]."""
 _UNKNOWN_WHEELS = (
@@ -354,14 +356,13 @@ def configure(
     base = identified.base_effects.wheel_command
     gain = np.diag(identified.model.dc_gain)
     limit, speeds = _speed_limits(identified, commands, base, gain)
-    limits = [*_slew_limits(identified), *speeds]
     if mapping_track is not None and geometry is None:
         geometry = WheelGeometry(np.nan, mapping_track)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     assumed_track = track or load_robot().track
-    max_side_speed = _max_side_speed(identified, train, geometry.track if geometry else assumed_track)
-    limits.append(_rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed))
+    max_side_speed = _max_side_speed(identified, train, assumed_track, geometry.track if geometry else assumed_track)
+    rim_limit = _rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed)
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
@@ -377,7 +378,7 @@ def configure(
     return IdentifiedConfiguration(
         name,
         _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time),
-        (*limits, *adapted.get("limits", ())),
+        (*_slew_limits(identified), *speeds, rim_limit, *adapted.get("limits", ())),
         tuple(wheels),
         (*_noise_settings(train), *_slip_settings(slip), *adapted.get("estimator", ())),
         tuple(adapted.get("reentry", ())),
@@ -444,14 +445,11 @@ def _general_settings(identified: IdentifiedModel, dt: float, *, keep_sample_tim
         pace = replace(pace, sample_time=dt, log_samples=1)
     samples = pace.log_samples
     source = "of the log" if samples == 1 else f"{samples} samples of the log, because the robot responds slowly"
+    horizon = f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot settles {pace.settling:.2f} s after a command"
     return (
         Setting("model", MODEL_FILE),
         Setting("sample_time", round_period(pace.sample_time), f"s, {source}: period of the calls of `step`"),
-        Setting(
-            "horizon",
-            pace.horizon,
-            f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot settles {pace.settling:.2f} s after a command",
-        ),
+        Setting("horizon", pace.horizon, horizon),
     )
 
 
@@ -495,12 +493,21 @@ def _slew_limits(identified: IdentifiedModel) -> list[Setting]:
     return slews
 
 
-def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
-    """Return the maximum measured speed of a side [m/s] if the robot limits v, otherwise infinity."""
-    if "v" not in identified.limits:
+def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float, encoder_track: float) -> float:
+    """Return the maximum measured speed of a side [m/s] if the robot does not reach its commands, otherwise infinity.
+
+    The robot limits v, or its faster side does not follow the fastest commands, delayed by lag and dead time of the
+    model. Weak motors also limit the speed of a side without a limit of v or omega.
+    """
+    model, records = identified.model, [record for record in train if record.twist is not None]
+    responses = [model.discretise(record.dt).simulate(record.command) / np.diag(model.dc_gain) for record in records]
+    twist = np.concatenate([record.twist for record in records])
+    measured = np.abs(twist) @ [1.0, 0.5 * encoder_track]
+    expected = np.abs(np.concatenate(responses)) @ [1.0, 0.5 * track]
+    is_fast = (expected >= np.percentile(expected, _FAST_PERCENTILE)) & np.isfinite(measured)
+    if "v" not in identified.limits and measured[is_fast].sum() >= _REACHED_SHARE * expected[is_fast].sum():
         return np.inf
-    twist = np.concatenate([r.twist for r in train if r.twist is not None])
-    return float(np.nanpercentile(np.abs(twist) @ [1.0, 0.5 * track], 99.5))
+    return float(np.nanpercentile(measured, 99.5))
 
 
 def _rim_limit(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, maximum: float) -> Setting:
@@ -509,7 +516,7 @@ def _rim_limit(commands: FloatArray, track: float, base: WheelCommand | None, ga
     if base is not None and base.top_speed is not None and gain * base.top_speed < limit:
         return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim; the motors saturate")
     if maximum < limit:
-        return _setting("wheel_speed", maximum, "m/s at the rim, maximum in the log of a robot that limits its speed")
+        return _setting("wheel_speed", maximum, "m/s at the rim, maximum in the log, which is below the commands")
     return _setting("wheel_speed", limit, "m/s at the rim, the maximum command of a side in the log, with a margin")
 
 
@@ -541,10 +548,9 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: Manufactu
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
-        channel: min(1.0, float(keys[f"limits.{channel}"].value) / _max_side(setting.value))
-        for channel in ("v", "omega")
+        setting.name: min(1.0, float(keys[f"limits.{setting.name}"].value) / _max_side(setting.value))
         for setting in configuration.limits
-        if setting.name == channel
+        if setting.name in CHANNELS
     }
     reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
     groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
