@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import filterfalse
 from pathlib import Path
 
 import numpy as np
@@ -51,12 +52,11 @@ class SensorCorrections:
         A comparison of speeds also takes the lag of a filter for a shift, so its delays are less accurate.
         """
         delayed = {"gyro" if name == "yaw_rate" else name for name, v in self.inferred.items() if "delay" in v}
-        remaining = [
-            finding
-            for finding in findings
-            if finding.kind != "time shift" or delayed.isdisjoint(change.stream for change in finding.changes)
-        ]
-        return [*remaining, *self.findings]
+
+        def is_replaced(finding: Finding) -> bool:
+            return finding.kind == "time shift" and not delayed.isdisjoint(c.stream for c in finding.changes)
+
+        return [*filterfalse(is_replaced, findings), *self.findings]
 
     def correct(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """Correct the records for the inferred errors."""

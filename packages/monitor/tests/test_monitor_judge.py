@@ -88,7 +88,6 @@ def test_disabled_gyro_is_not_used_to_predict_the_path():
     for scale in (1.0, -2.0):
         robot = Robot(Judge(RULES.with_sensors(pose=True, gyro=False), START))
         robot.gyro_scale = scale
-        robot.judge.says(robot.now, drives=True)
         robot.drive(2.0)
         robot.drive(3.0, (0.4, 0.3))
         verdicts.append(robot.judge.verdict)
