@@ -262,8 +262,8 @@ def _with_unexplained(
     share = gmean([drive.lateral_share for drive in drives])
     is_unusable = result._lost > settings.lost_share * len(drives) or share > settings.mean_share
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
-    failure = f"{result._unexplained_reasons[0]}: record slower drives, and correct the warnings in report.md"
-    return replace(result, failure=failure) if is_unusable else result
+    remedy = "record slower drives, and correct the warnings in report.md"
+    return replace(result, failure=f"{result._unexplained_reasons[0]}: {remedy}") if is_unusable else result
 
 
 def _with_fastest_limits(
