@@ -262,8 +262,8 @@ def _with_unexplained(
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
     is_unusable = result._lost > settings.lost_share * len(drives)
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
-    failure = f"{result._unexplained_reasons[0]}: record slower drives, and correct the warnings in report.md"
-    return replace(result, failure=failure) if is_unusable else result
+    remedy = "record slower drives, and correct the warnings in report.md"
+    return replace(result, failure=f"{result._unexplained_reasons[0]}: {remedy}") if is_unusable else result
 
 
 def _with_fastest_limits(
