@@ -180,12 +180,10 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
         _print_line(f"warning: {doubt}")
     if verdict.failure and force:
         _print_line(f"warning: written because of --force, but {verdict.failure}")
-    elif verdict.failure:
+    echo("\n" + "\n".join(verdict.lines(out)))
+    if verdict.failure and not force:
         note = f" ({out / CONFIG_FILE} is from an earlier run)" if (out / CONFIG_FILE).exists() else ""
         raise ConfigError(f"{verdict.failure}; no model and no configuration are written{note}, --force writes them")
-    echo()
-    for line in verdict.lines(out):
-        echo(line)
 
 
 def _print_log(log: Log) -> None:
@@ -204,16 +202,15 @@ def _print_identification(identification: Identification, out: Path) -> None:
         output_console().print(rich_table(table))
     for doubt in report.doubts:
         _print_line(f"warning: {doubt}")
-    orders = report.fitted.orders
-    if orders:
-        _print_line(f"order {orders.order}: {orders.reason}")
+    if report.fitted.orders:
+        _print_line(f"order {report.fitted.orders.order}: {report.fitted.orders.reason}")
     _print_line(report.findings_summary[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.line()}")
     if identification.configuration.room:
         room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in identification.configuration.room)
         _print_line(f"lengths above the defaults, because the robot is larger or faster: {room}")
-    _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
+    _print_line(f"estimated in {report.fitted.seconds:.1f} s; report: {out / 'report.md'}")
 
 
 def _print_line(text: str) -> None:
