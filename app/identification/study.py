@@ -257,7 +257,6 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
     except ConfigError as error:
         findings = [str(error)]
     if findings:
-        echo("Findings with this draft:")
-        echo("\n".join(f"  {finding}" for finding in findings))
+        echo("\n  ".join(["Findings with this draft:", *findings]))
     command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
     echo(f"Next: correct {target}, then {command}")
