@@ -120,8 +120,7 @@ def _identify_into(
 
 def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
     """Identify a model from the logs; error messages name the options of the command line."""
-    robot = options.get("robot")
-    if robot is not None:
+    if (robot := options.get("robot")) is not None:
         stated = load_stated_robot(robot)
         for line in (f"{stated.name}, values stated by the manufacturer, not identified:", *stated.lines()):
             echo(line if line.endswith(":") else f"  {plain_line(line)}")

@@ -156,7 +156,8 @@ class TrialVerdict:
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         quality = f"FIT on held-out data: {values}."
         reasons = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the surface of the log"
-        fast = f"In trial drives in simulation it {self.promise}." if self.promise else "Not at all."
+        drives = f"drives of {UNEXPLAINED}" if self.unexplained else "trial drives"
+        fast = f"In simulated {drives} it {self.promise}." if self.promise else "Not at all."
         if self.promise and self.grade == "Yes":
             next_step = "Simulate with this command, then drive the robot as described at the end of report.md:"
         elif self.promise:
