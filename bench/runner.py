@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
+from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning, checked_number
 
 # Failures of a study that are not user errors. Every message is a single line.
 
@@ -73,7 +73,10 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
     ------
     WorkerDiedError
         If a process was killed, for instance because memory was exhausted.
+    ArgumentError
+        If `jobs` is not a number.
     """
+    checked_number("jobs", jobs, "give the number of processes")
     results = {}
     if jobs == 1 or len(tasks) < 2:
         with threadpool_limits(limits=1):

@@ -165,7 +165,8 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
     """Print the warnings, the tables and the path of a report; `seconds` is the duration of the runs."""
     console = output_console()
     for warning in report.shown.warnings:
-        console.print(f"warning: {warning.text} {warning.remedy}", highlight=False)
+        remedy = f" What to do: {warning.remedy}" if warning.remedy else ""
+        console.print(f"warning: {warning.text}{remedy}", highlight=False)
     for table in report.screen or report.tables:
         console.print(table.rich())
     console.print(f"{report.size} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)

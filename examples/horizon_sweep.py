@@ -10,7 +10,7 @@ if __name__ == "__main__":  # other processes import this file
 
     # The table has one row per run with the statistics of `Run.metrics`; here the position RMSE by path [mm].
     errors = 1000 * table.pivot_table("position_rmse_m", "horizon", "trajectory")
-    print(errors.round(2).to_string())
+    print(errors.rename_axis(columns="position RMSE [mm]").round(2).to_string())
 
     # Select the shortest horizon within 5 % of the best one, because the step time increases with the horizon.
     total = errors.mean(axis="columns")

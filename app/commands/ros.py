@@ -94,7 +94,8 @@ def robot(
         if config is None
         else build_plant(case)
     )
-    driver = f"diffdrive-mpc node --trajectory {shlex.quote(case.trajectory)} --drive"
+    config_option = [] if config is None else ["--config", str(config)]
+    driver = shlex.join(["diffdrive-mpc", "node", *config_option, "--trajectory", case.trajectory, "--drive"])
     run_robot(
         plant,
         load_reference(case).sample([0.0]).pose[0],

@@ -120,8 +120,7 @@ def _identify_into(
 
 def _identify(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
     """Identify a model from the logs; error messages name the options of the command line."""
-    robot = options.get("robot")
-    if robot is not None:
+    if (robot := options.get("robot")) is not None:
         stated = load_stated_robot(robot)
         for line in (f"{stated.name}, values stated by the manufacturer, not identified:", *stated.lines()):
             echo(line if line.endswith(":") else f"  {plain_line(line)}")
@@ -180,12 +179,10 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
         _print_line(f"warning: {doubt}")
     if verdict.failure and force:
         _print_line(f"warning: written because of --force, but {verdict.failure}")
-    elif verdict.failure:
+    echo("\n" + "\n".join(verdict.lines(out)))
+    if verdict.failure and not force:
         note = f" ({out / CONFIG_FILE} is from an earlier run)" if (out / CONFIG_FILE).exists() else ""
         raise ConfigError(f"{verdict.failure}; no model and no configuration are written{note}, --force writes them")
-    echo()
-    for line in verdict.lines(out):
-        echo(line)
 
 
 def _print_log(log: Log) -> None:
@@ -204,16 +201,15 @@ def _print_identification(identification: Identification, out: Path) -> None:
         output_console().print(rich_table(table))
     for doubt in report.doubts:
         _print_line(f"warning: {doubt}")
-    orders = report.fitted.orders
-    if orders:
-        _print_line(f"order {orders.order}: {orders.reason}")
+    if report.fitted.orders:
+        _print_line(f"order {report.fitted.orders.order}: {report.fitted.orders.reason}")
     _print_line(report.findings_summary[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.line()}")
     if identification.configuration.room:
         room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in identification.configuration.room)
         _print_line(f"lengths above the defaults, because the robot is larger or faster: {room}")
-    _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
+    _print_line(f"estimated in {report.fitted.seconds:.1f} s; report: {out / 'report.md'}")
 
 
 def _print_line(text: str) -> None:
@@ -260,7 +256,6 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
     except ConfigError as error:
         findings = [str(error)]
     if findings:
-        echo("Findings with this draft:")
-        echo("\n".join(f"  {finding}" for finding in findings))
+        echo("\n  ".join(["Findings with this draft:", *findings]))
     command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
     echo(f"Next: correct {target}, then {command}")

@@ -155,13 +155,14 @@ class TrialVerdict:
         values = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         quality = f"FIT on held-out data: {values}."
         reasons = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the surface of the log"
-        fast = f"In trial drives in simulation it {self.promise}." if self.promise else "Not at all."
+        drives = f"drives of {UNEXPLAINED}" if self.unexplained else "trial drives"
+        fast = f"In simulated {drives} it {self.promise}." if self.promise else "Not at all."
         if self.promise and self.grade == "Yes":
             next_step = "Simulate with this command, then drive the robot as described at the end of report.md:"
         elif self.promise:
             next_step = "Read the warnings in report.md, then drive slowly, first in simulation:"
         else:
-            next_step = "Read the warnings in report.md, or record slower drives, which give lower limits."
+            next_step = "Correct the causes of the warnings in report.md, or record slower drives."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def headed_conclusions(self) -> list[str]:
@@ -240,7 +241,10 @@ def judge_by_drives(
     if reduced is None and (simpler := _simpler_model(identification)) is not None:
         candidate, changes = simpler
         reduced = _with_fastest_limits(candidate, stand_ins(candidate), changes, on_try, on_run)
-    return _with_unexplained(reduced or first, on_try, on_run)
+    if reduced is None:
+        lowest_share = trial_settings().shares[-1][0]
+        return replace(first, failure=f"{first.failure}, also with {100 * lowest_share:.0f} % of the limits")
+    return _with_unexplained(reduced, on_try, on_run)
 
 
 def _with_unexplained(

@@ -129,11 +129,9 @@ def _at_limit(run: Run, config: ControllerConfig | None, thresholds: Remedies) -
         for name, share in zip(("v", "omega"), shares, strict=True)
         if share > thresholds.share_at_limit
     ]
-    return (
-        f"Commands are at their limit although the path demands less: {' and '.join(sentences)} of the ticks."
-        if sentences
-        else ""
-    )
+    if not sentences:
+        return ""
+    return f"Commands are at their limit although the path demands less: {' and '.join(sentences)} of the ticks."
 
 
 def _on_backend(run: Run, config: ControllerConfig | None, thresholds: Remedies) -> str:

@@ -395,8 +395,8 @@ class Topics(StrictModel):
 class MappedWheels(StrictModel):
     """Parameters of the wheels that convert wheel speeds to (v, omega)."""
 
-    radius: Positive | None = Field(None, description="wheel radius [m]; needed for columns of wheels")
-    track: Positive = Field(description="track [m]")
+    radius: Positive | None = Field(None, le=3.0, description="wheel radius, needed for columns of wheels [m]")
+    track: Positive = Field(le=10.0, description="track [m]")
     ticks_per_turn: Positive | None = Field(None, description="encoder ticks per turn of the wheel")
 
 

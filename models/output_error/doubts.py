@@ -114,7 +114,7 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
             side = "lower" if value - lower < upper - value else "upper"
             label_text = name.removeprefix("log_").replace("_", " ").replace("short", "the shorter time constant")
             bound = np.exp(value) if name.startswith("log_") else value
-            message = f"{label_text} is at the {side} bound of the search, {bound:.3g}: the data do not determine it"
+            message = f"{label_text} is at the {side} search bound, {bound:.3g} (SI): the data do not determine it"
             default = "dead time" if name.startswith("dead_time") else "effect"
             found_doubts.append(Doubt((kinds or {}).get(name, default), message).about(label))
     return found_doubts
@@ -125,7 +125,7 @@ def poorly_determined(fit: OutputErrorFit, label: str) -> list[Doubt]:
     condition = fit.sandwich.condition
     if condition < estimator_settings().warn.condition:
         return []
-    message = f"condition number {condition:.1e}: some parameters cannot be identified separately; lower the order"
+    message = f"condition number {condition:.1e}: some parameters cannot be identified separately; record more steps"
     return [Doubt("inseparable", message).about(label)]
 
 

@@ -76,11 +76,11 @@ def load_trajectory(
     try:
         trajectory = _read(path, limits or TrajectoryLimits.of_robot(), selected_timing)
     except BeyondLimitError as error:
+        remedy = ". This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
         if limits is not None:
-            raise
-        raise BeyondLimitError(
-            f"{error}. This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
-        ) from error
+            is_shipped = path.parent == _FOLDER
+            remedy = ", or pass a slower trajectory or --scale-to-robot (simulate, bench)" if is_shipped else ""
+        raise BeyondLimitError(f"{error}{remedy}") from error
     max_duration = load_settings().max_duration
     if trajectory.duration > max_duration:
         raise ConfigError(

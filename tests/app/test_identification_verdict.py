@@ -168,6 +168,7 @@ def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatc
     assert result.exit_code == 2 and "fails on 'circle'" in result.stderr and result.stderr.count("error: ") == 1
     assert not (tmp_path / "out" / "config.yaml").exists() and not (tmp_path / "out" / "model.yaml").exists()
     assert "May I drive? No: " in (tmp_path / "out" / "report.md").read_text()
+    assert "May I drive? No: " in result.stdout and "also with 25 % of the limits" in result.stderr
     result = CliRunner().invoke(app, [*arguments, "--force"])
     assert result.exit_code == 0 and "written because of --force" in result.stdout
     assert (tmp_path / "out" / "config.yaml").exists()

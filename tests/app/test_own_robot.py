@@ -58,6 +58,7 @@ def test_commands_drive_a_fast_path_with_its_configuration(files):
     run(*bench, "--trajectories", "straight.yaml", "--horizons", "none", "--jobs", "1", "--out", "out")
     message = run("simulate", "--trajectory", "straight.yaml", code=2)
     assert "beyond the limit of 1.5 m/s; lower it, or state the configuration of the robot (--config)" in message
+    assert "or --scale-to-robot" in run("simulate", "--trajectory", "s", "--set", "limits.v=0.3", code=2)
 
 
 def test_different_sample_times_of_controller_and_plant_are_refused_with_both_values():

@@ -27,7 +27,7 @@ from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.described import schema_rows
-from diffdrive_mpc.mpc.config.rooms import shown_key
+from diffdrive_mpc.mpc.config.rooms import EXPERT, shown_key
 from diffdrive_mpc_extras.worlds.plug_in import plant_outline
 from diffdrive_mpc_lab import numbers
 from diffdrive_mpc_lab.numbers import (
@@ -93,10 +93,7 @@ def page_data() -> tuple[dict[str, Any], bytes]:
         },
         "references": {name: pool.add(table) for name, table in _references()},
         "controllers": {key: _controller(pool, choices) for key, choices in _base_choices()},
-        "files": {
-            model: numbers.configuration(model, {}).model_dump(mode="json", exclude_defaults=True)
-            for model in values_of("model")
-        },
+        "files": {model: _configuration_groups(model) for model in values_of("model")},
         "ice": settings["ice"],
         "drawn": settings["drawing"],
         "push": settings["push"],
@@ -107,6 +104,13 @@ def page_data() -> tuple[dict[str, Any], bytes]:
         "experiments": experiments(),
     }
     return index | {"lengths": pool.lengths}, pool.numbers
+
+
+def _configuration_groups(model: str) -> dict[str, Any]:
+    """Return the groups of the configuration of `model` that differ from the defaults, in the sections of a file."""
+    groups = numbers.configuration(model, {}).model_dump(mode="json", exclude_defaults=True)
+    expert_groups = {name: groups.pop(name) for name in tuple(groups) if shown_key(name) != name}
+    return {**groups, EXPERT: expert_groups}
 
 
 def experiments() -> list[dict[str, Any]]:

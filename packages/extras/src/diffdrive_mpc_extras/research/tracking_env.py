@@ -87,7 +87,7 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
             shown = np.asarray(action).tolist()
             raise ValueError(f"action {shown}: give two finite numbers, v [m/s] and omega [rad/s]")
         if self._tick >= self._ticks:
-            raise RuntimeError("the episode is over: call reset before step")
+            raise RuntimeError("no episode is running: call reset before step")
         self._command = np.clip(command, self.action_space.low, self.action_space.high)
         self._record.record_state(self._plant, self._measurement)
         self._record.record_step(PeerStep(self._command, "TRACKING", "", math.nan), self._command)
