@@ -186,8 +186,7 @@ def test_plan_from_a_feasible_state_satisfies_the_radius():
     controller.start(reference, 0.0)
     pose = np.array([0.0, 0.04, -0.1])
     step = controller.step(0.0, Measurement(pose=Stamped(pose, 0.0)))
-    assert step.mode == "TRACKING"
-    assert step.solver.status.startswith("solved")
+    assert step.mode == "TRACKING" and step.solver.status.startswith("solved")
     assert (controller.problem_inputs()["direction"] == 1.0).all()
     model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(dt)
     # The turn and the distance between two poses of the plan follow from the mean of two samples of the twist.
