@@ -242,8 +242,8 @@ def judge_by_drives(
         candidate, changes = simpler
         reduced = _with_fastest_limits(candidate, stand_ins(candidate), changes, on_try, on_run)
     if reduced is None:
-        lowest_share = trial_settings().shares[-1][0]
-        return replace(first, failure=f"{first.failure}, also with {100 * lowest_share:.0f} % of the limits")
+        lowest = f"{100 * trial_settings().shares[-1][0]:.0f} % of the limits"
+        return replace(first, failure=f"{first.failure}, also with {lowest}")
     return _with_unexplained(reduced, on_try, on_run)
 
 
@@ -259,15 +259,15 @@ def _with_unexplained(
     stand_in = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
     for seed in range(settings.unexplained):
         disturbance = robot.disturbance(verdict.config.sample_time, np.random.default_rng(seed))
-        plant = replace(stand_in, disturbance=disturbance)
-        path = settings.curved[seed % len(settings.curved)]
+        path, plant = settings.curved[seed % len(settings.curved)], replace(stand_in, disturbance=disturbance)
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     result = replace(verdict, unexplained=tuple(drives), robot=robot)
     share = gmean([drive.lateral_share for drive in drives])
-    is_unusable = result._lost > settings.lost_share * len(drives) or share > settings.mean_share
+    is_lost = result._lost > settings.lost_share * len(drives)
+    distance = f"{UNEXPLAINED} leaves its path by {100 * share:.0f} % of a radius on average"
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
-    remedy = "record slower drives, and correct the warnings in report.md"
-    return replace(result, failure=f"{result._unexplained_reasons[0]}: {remedy}") if is_unusable else result
+    failure = f"{result._unexplained_reasons[0] if is_lost else distance}: correct the warnings, or record slower drives"
+    return replace(result, failure=failure) if is_lost or share > settings.mean_share else result
 
 
 def _with_fastest_limits(
