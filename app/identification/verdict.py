@@ -266,7 +266,7 @@ def _with_unexplained(
     is_lost = result._lost > settings.lost_share * len(drives)
     distance = f"{UNEXPLAINED} leaves its path by {100 * share:.0f} % of a radius on average"
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
-    failure = f"{result._unexplained_reasons[0] if is_lost else distance}: correct the warnings, or record slower drives"
+    failure = f"{result._unexplained_reasons[0] if is_lost else distance}: correct the warnings or record slower drives"
     return replace(result, failure=failure) if is_lost or share > settings.mean_share else result
 
 
