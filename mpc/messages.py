@@ -191,7 +191,7 @@ class MessageFormatter:
             lib.DDMPC_TOO_OLD: f"it is {a:.2f} s old; the history reaches back {self._config.estimator.history} s",
             lib.DDMPC_TOO_LARGE: f"{a:.3g} is more than {b:g}",
             lib.DDMPC_JUMPS: f"it jumps by {a:.2f} m and {b:.2f} rad" if pose else f"it jumps from {a:.2f} to {b:.2f}",
-            lib.DDMPC_TOO_MANY: "too many arrived for one sample",
+            lib.DDMPC_TOO_MANY: "too many arrived for one sample: send fewer",
         }
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
 

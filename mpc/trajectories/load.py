@@ -146,15 +146,18 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
     return _with_remark(lay(segments, limits, name=name, start=start, where=where), "", selected_timing, segments)
 
 
+_TIME_TOLERANCE = 0.01
+"""Relative difference of durations without a remark [-]; every drive with `timing: stop` has a ramp at both ends."""
+
+
 def _with_remark(trajectory: Trajectory, path: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
     """Add a remark on the duration compared with `segments`, and on the distance from the path of the file.
 
     `path` is the name of the path of the file in the remark; empty if both paths are equal.
     """
-    file_time, drive_time = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
-    parts = []
-    if segments and file_time != drive_time:
-        parts.append(f"{file_time} in the file, driven in {drive_time} (timing: {timing})")
+    file_time, drive_time, parts = sum(part.duration for part in segments), trajectory.duration, []
+    if segments and abs(drive_time - file_time) > _TIME_TOLERANCE * file_time:
+        parts.append(f"{file_time:.1f} s in the file, driven in {drive_time:.1f} s (timing: {timing})")
     if path:
         max_distance = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
         parts.append(f"its path is up to {max_distance:.3f} m from {path}; errors refer to its path")

@@ -20,7 +20,7 @@ from oracle.commands import PastCommands
 from oracle.estimate import Estimate
 from oracle.kalman import Belief, build_filter
 
-_TOO_MANY = "too many arrived for one sample"
+_TOO_MANY = "too many arrived for one sample: send fewer"
 # Capacity of one tick of the history: values of wheels and gyro, and poses.
 _MAX_TWISTS, _MAX_POSES = 12, 4
 
