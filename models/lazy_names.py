@@ -19,6 +19,6 @@ def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
             near = get_close_matches(name, homes, 1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             raise AttributeError(f"module '{package}' has no attribute '{name}'{hint}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        return getattr(import_module(f".{homes[name]}", package), name)
 
     return look_up

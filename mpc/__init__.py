@@ -5,9 +5,9 @@ Public names are imported on first access, so that the import of a submodule doe
 
 from __future__ import annotations
 
-import warnings
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import Measurement as Measurement
@@ -27,35 +27,26 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.trajectories import load_trajectory as load_trajectory
 
 _MODULES = {
-    "Controller": "mpc.controller",
-    "ControllerConfig": "mpc.config.schema",
-    "Estimate": "mpc.estimate",
-    "Hold": "mpc.hold",
-    "Measurement": "models.interface",
-    "Mode": "mpc.step_result",
-    "SolverMethod": "mpc.solver.report",
-    "SolverReport": "mpc.solver.report",
-    "SolverStatus": "mpc.solver.report",
-    "Stamped": "models.interface",
-    "StepResult": "mpc.step_result",
-    "Term": "mpc.problem.terms",
-    "Trajectory": "mpc.trajectories",
-    "load_config": "mpc.config.config_file",
-    "load_trajectory": "mpc.trajectories",
+    "Controller": "controller",
+    "ControllerConfig": "config.schema",
+    "Estimate": "estimate",
+    "Hold": "hold",
+    "Measurement": ".models.interface",
+    "Mode": "step_result",
+    "SolverMethod": "solver.report",
+    "SolverReport": "solver.report",
+    "SolverStatus": "solver.report",
+    "Stamped": ".models.interface",
+    "StepResult": "step_result",
+    "Term": "problem.terms",
+    "Trajectory": "trajectories",
+    "load_config": "config.config_file",
+    "load_trajectory": "trajectories",
 }
 
 if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
     __all__ = list(_MODULES)
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
-    """Import a public name on first access."""
-    if name == "SolverPath":
-        warnings.warn("SolverPath was renamed to SolverMethod", DeprecationWarning, stacklevel=2)
-        name = "SolverMethod"
-    if name not in _MODULES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"diffdrive_mpc.{_MODULES[name]}"), name)
+__getattr__ = on_first_use(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:
