@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import re
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -19,6 +19,19 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import similar_name, suggestion, unit_of
 from diffdrive_mpc.models.table import plain_line
+
+_KINDS = {
+    "structure": "a model; give it by --model, or as 'model' in a configuration",
+    "variance": "the robot of a log; give it by --plant model:FILE",
+    "segments": "a trajectory; give it by --trajectory",
+    "waypoints": "a trajectory; give it by --trajectory",
+    "columns": "the mapping of a log; give it by --mapping",
+    "topics": "the mapping of a log; give it by --mapping",
+    "firmware": "a simulated robot; give it by --plant mujoco:FILE",
+    "model": "a configuration; give it by --config",
+}
+"""Kinds of files with their options, by a key that no earlier kind has."""
+
 
 # Conversion of YAML text to plain values, with bounds: documents that are too deep, too large or recursive are rejected
 # before their values are built.
@@ -263,6 +276,10 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
     except ValidationError as error:
         # Limit the number of sentences, because each one requires a search for similar keys.
         details = error.errors()
+        unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
+        top_level = [key for key, *inner_keys in unknown if not inner_keys]
+        if len(top_level) > len(data) / 2 and (described := describe_kind(top_level)):
+            raise ConfigError(f"{where}: this is {described}") from error
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MAX_MISTAKES]]
         more = len(details) - len(sentences)
         for missing in [sentence for sentence in sentences if sentence.endswith(" is missing")]:
@@ -270,6 +287,11 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
             if any(f"did you mean {missing.split()[1]}?" in sentence for sentence in sentences):
                 sentences.remove(missing)
         raise ConfigError(mistakes(where, sentences, more)) from error
+
+
+def describe_kind(keys: Collection[object]) -> str | None:
+    """Describe the kind of file that has some of `keys`, and how to give it; None if no key identifies the kind."""
+    return next((kind for key, kind in _KINDS.items() if key in keys), None)
 
 
 def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:

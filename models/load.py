@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, describe_kind, read_yaml
 from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.function_structure import FunctionStructure, function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
@@ -132,10 +132,8 @@ def _check_file(path: str | Path, data: object) -> ModelFile:
     if structure is None:
         check_package("structures", _structure_name(data))
         known = ", ".join((*STRUCTURES, *function_structures()))
-        if isinstance(data, Mapping) and "model" in data:
-            raise ConfigError(
-                f"{path}: a configuration, not a model; give it by --config, or load it as a configuration"
-            )
+        if isinstance(data, Mapping) and "structure" not in data and (kind := describe_kind(data)):
+            raise ConfigError(f"{path}: this is {kind}")
         declared = data.get("structure") if isinstance(data, Mapping) else None
         hint = similar_name(str(declared), [*STRUCTURES, *function_structures()])
         raise ConfigError(f"{path}: structure: expected one of {known}, found {declared!r}{hint}")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import open_input
@@ -39,36 +38,16 @@ class CsvLayout:
     first_row: int
 
 
-class _Utf8Stream(io.RawIOBase):
-    """Raw stream that converts a UTF-16 file to UTF-8."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._text = io.TextIOWrapper(file, encoding="utf-16", newline="")
-
-    def readable(self) -> bool:
-        """Return True, because the file is readable."""
-        return True
-
-    def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
-        """Fill the buffer with as many characters as fit; a character has at most four bytes in UTF-8."""
-        block = self._text.read(len(buffer) // 4).encode()
-        buffer[: len(block)] = block
-        return len(block)
-
-    def close(self) -> None:
-        """Close the stream and the file."""
-        self._text.close()
-        super().close()
-
-
-def open_csv(path: Path) -> io.BufferedReader:
+def open_csv(path: Path) -> BinaryIO:
     """Open a CSV file as UTF-8, or as UTF-16 with a byte order mark; raise ConfigError if it cannot be opened."""
+    if path.suffix in (".yaml", ".yml"):
+        raise ConfigError(f"{path}: a YAML file, not a log; give a CSV file, or the folder of a ROS 2 bag")
     try:
         file = open_input(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
     if file.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        return io.BufferedReader(_Utf8Stream(file))
+        return cast(BinaryIO, codecs.EncodedFile(file, "utf-8", "utf-16"))
     return file
 
 

@@ -71,8 +71,6 @@ def load_config(
     data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
-    if "structure" in data:
-        raise ConfigError(f"{path}: a model, not a configuration; give it by --model, or as 'model' in a configuration")
     where = path.stem if path.stem == str(source) else str(path)
     config = _check_config(_apply_overrides(merge_sections(data, where), overrides), where)
     local = path.parent / config.model

@@ -68,7 +68,7 @@ def load_trajectory(
         loaded = load_trajectory(name_or_path, TrajectoryLimits.of_controller(limits.limits), timing)
         assert isinstance(loaded, TableTrajectory)
         return loaded.delayed(limits.start_delay) if limits.start_delay else loaded
-    if random := re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII):
+    if random := _match_random(name_or_path):
         from diffdrive_mpc.mpc.trajectories.random_spline import time_random_spline  # noqa: PLC0415 - see _read
 
         return time_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), selected_timing)
@@ -89,6 +89,10 @@ def load_trajectory(
     return trajectory
 
 
+def _match_random(name_or_path: str | Path) -> re.Match[str] | None:
+    return re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII)
+
+
 def trajectory_file(name_or_path: str | Path) -> Path:
     """Return the path of a trajectory file; raise ConfigError if it does not exist. Random splines have no file."""
     return named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
@@ -102,8 +106,14 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
     models.checked_yaml.ConfigError
         If the name is unknown, or the file is missing, is malformed, or does not consist of segments.
     """
-    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
-    return tuple(check(SegmentFile, read_yaml(path), str(path)).segments)
+    path = None if _match_random(name_or_path) else trajectory_file(name_or_path)
+    data = None if path is None or path.suffix.lower() == ".csv" else read_yaml(path)
+    if data is None or (isinstance(data, Mapping) and "waypoints" in data):
+        raise ConfigError(
+            f"{name_or_path}: --scale-to-robot and load_segments need a path of segments, such as circle; other paths "
+            "are driven as they are, within the limits of the configuration"
+        )
+    return tuple(check(SegmentFile, data, str(path)).segments)
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
