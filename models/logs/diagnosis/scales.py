@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,17 +61,7 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         return []
     relations = _command_relations(streams, 1, settings)
     is_inverted = POSE in relations and relations[POSE].correlation < settings.wrong_sign
-    direction = np.sign(streams.delay(streams.low_pass(streams.command[:, 0], 0.1), 0.2))
-    step = streams.pose_rates()
-    motion, heading = step[:, 0] + 1j * step[:, 1], np.exp(-1j * streams.pose[:, 2])
-    is_used = np.isfinite(motion) & np.isfinite(heading) & np.isfinite(direction)
-    size = float((np.abs(motion[is_used]) * np.abs(direction[is_used])).sum())
-    if not is_used.any() or size == 0 or np.ptp(streams.command[is_used, 0]) == 0:
-        return []
-    # The motion in the frame of a correct pose is real and positive. For a mirrored pose, the conjugate of the motion
-    # is constant instead, and its angle indicates the wrong axis.
-    regular = complex((motion * heading * direction)[is_used].sum()) / size
-    mirrored = complex((np.conj(motion) * heading * direction)[is_used].sum()) / size
+    regular, mirrored = _mean_directions(streams)
     if abs(mirrored) < settings.clear_correlation or abs(mirrored) < 1.5 * abs(regular):
         return _rotation_finding(log, streams, settings)
     if is_inverted:
@@ -89,6 +80,24 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         message = "the path of the pose is mirrored relative to its heading"
         change = MappingChange(POSE, f"{name}.sign", -1)
     return [Finding("mirrored pose", "error", log, message, changes=(change,))]
+
+
+def _mean_directions(streams: Streams) -> tuple[complex, complex]:
+    """Return the means of the direction of motion of the pose, and of its conjugate, relative to the heading.
+
+    The motion in the frame of a correct pose is real and positive. For a mirrored pose, the conjugate of the motion is
+    constant instead, and its angle indicates the wrong axis. Both are 0 if the pose does not move.
+    """
+    assert streams.pose is not None
+    direction = np.sign(streams.delay(streams.low_pass(streams.command[:, 0], 0.1), 0.2))
+    step = streams.pose_rates()
+    motion, heading = step[:, 0] + 1j * step[:, 1], np.exp(-1j * streams.pose[:, 2])
+    is_used = np.isfinite(motion) & np.isfinite(heading) & np.isfinite(direction)
+    size = float((np.abs(motion[is_used]) * np.abs(direction[is_used])).sum())
+    if size == 0 or np.ptp(streams.command[is_used, 0]) == 0:
+        return 0.0, 0.0
+    relative = (heading * direction)[is_used] / size
+    return complex((motion[is_used] * relative).sum()), complex((np.conj(motion[is_used]) * relative).sum())
 
 
 def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -227,10 +236,24 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             # Gyro and pose both measure the body, so compare them; wheels follow their commands despite skid.
             partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(outlier, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != outlier]
-            reference = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
-            ratio = sizes.pop(outlier) / reference
-            is_skidding = channel == 1 and outlier in (GYRO, POSE) and partner not in sizes
-            findings.append(_unit_finding(log, outlier, channel, ratio, is_skidding, streams, settings))
+            # A body with skidding wheels turns less than the wheels indicate.
+            skid = settings.typical_skid if channel == 1 and outlier in (GYRO, POSE) and partner not in sizes else 1.0
+            ratio = sizes[outlier] / float(np.exp(np.median([np.log(sizes[name]) for name in others])))
+            finding = _unit_finding(log, outlier, channel, ratio, others, skid, streams, settings)
+            if outlier == POSE and (
+                not finding.changes
+                if channel == 0
+                else abs(_mean_directions(streams)[0]) > settings.clear_correlation  # the heading follows the path
+            ):
+                # If the pose is right, the other streams are wrong, one after another.
+                other = next(name for name in sizes if name != POSE)
+                skid = 1 / settings.typical_skid if channel == 1 and other != GYRO else 1.0
+                other_ratio = sizes[other] / sizes[POSE]
+                alternative = _unit_finding(log, other, channel, other_ratio, [POSE], skid, streams, settings)
+                if alternative.changes:
+                    outlier, ratio, finding = other, other_ratio, alternative
+            findings.append(finding)
+            sizes.pop(outlier)
             _scale(streams, outlier, channel, 1 / ratio)
     return findings
 
@@ -264,16 +287,20 @@ def _find_outlier(sizes: dict[str, float], low: float, high: float) -> str | Non
 
 
 def _unit_finding(
-    log: str, name: str, channel: int, ratio: float, is_skidding: bool, streams: Streams, settings: CheckSettings
+    log: str,
+    name: str,
+    channel: int,
+    ratio: float,
+    others: Sequence[str],
+    skid: float,
+    streams: Streams,
+    settings: CheckSettings,
 ) -> Finding:
-    signal = _SIGNALS[name, channel]
     factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
     radius = _wheel_radius(streams)
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
         factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
-    # A body with skidding wheels turns less than the wheels indicate.
-    skid = settings.typical_skid if is_skidding else 1.0
     deviation = {unit: abs(math.log(ratio / (skid * factor))) for unit, factor in factors.items()}
     # Data in SI units that are declared in another unit have the inverse ratio.
     deviation |= {
@@ -284,7 +311,7 @@ def _unit_finding(
     unit = min(deviation, key=deviation.__getitem__)
     candidates = [name for name in deviation if deviation[name] < deviation[unit] + _SAME_FACTOR]
     changes: tuple[MappingChange, ...] = ()
-    tolerance = settings.unit_tolerance * (3 if is_skidding else 1 + channel)
+    tolerance = settings.unit_tolerance * (1 + channel if skid == 1.0 else 3)
     if deviation[unit] < tolerance:
         remedy = f"its column is in {unit}"
         if len(candidates) == 1:
@@ -298,7 +325,7 @@ def _unit_finding(
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no unit of its column explains this; check the units of all streams, and the lengths under 'wheels'"
-    message = f"{signal} is {ratio:.3g} times that of the other streams; {remedy}"
+    message = f"{_SIGNALS[name, channel]} is {ratio:.3g} times that of the {' and '.join(others)}; {remedy}"
     return Finding("wrong unit", "error", log, message, changes=changes)
 
 
