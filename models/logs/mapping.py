@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -398,6 +398,14 @@ class MappedWheels(StrictModel):
     radius: Positive | None = Field(None, le=3.0, description="wheel radius, needed for columns of wheels [m]")
     track: Positive = Field(le=10.0, description="track [m]")
     ticks_per_turn: Positive | None = Field(None, description="encoder ticks per turn of the wheel")
+
+    @field_validator("radius", "ticks_per_turn", mode="before")
+    @classmethod
+    def _refuse_empty(cls, value: object) -> object:
+        """Refuse a key without a value, as in a draft, which would be equal to a missing key."""
+        if value is None:
+            raise ValueError("fill in a number, or remove the key")
+        return value
 
 
 class LogMapping(StrictModel):
