@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning, checked_number
+from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning, wrong_type
 
 # Failures of a study that are not user errors. Every message is a single line.
 
@@ -74,9 +74,10 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
     WorkerDiedError
         If a process was killed, for instance because memory was exhausted.
     ArgumentError
-        If `jobs` is not a number.
+        If `jobs` is not an integer from 1.
     """
-    checked_number("jobs", jobs, "give the number of processes")
+    if not isinstance(jobs, int) or jobs < 1:
+        raise wrong_type("jobs", "a number of processes from 1", jobs, "give 2, or None for one for each core")
     results = {}
     if jobs == 1 or len(tasks) < 2:
         with threadpool_limits(limits=1):

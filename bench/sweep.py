@@ -121,7 +121,7 @@ def sweep(
     rows = [dict(zip(factors, combination, strict=True)) for combination in itertools.product(*factors.values())]
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
     check_cases(task.case for task in tasks)
-    jobs = jobs or available_cores()
+    jobs = available_cores() if jobs is None else jobs
     calls = [partial(task.row, timed=jobs == 1) for task in tasks]
     if on_done is not None:
         return pandas.DataFrame(run_tasks(calls, jobs, on_done))

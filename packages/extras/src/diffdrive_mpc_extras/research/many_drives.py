@@ -86,7 +86,7 @@ def drive_many(
         reference = path if isinstance(path, Trajectory) else load_trajectory(path, config)
         make_plant(plant, **plant_settings(config))
         tasks += [partial(_drive, name, config, reference, plant, seed) for seed in seeds]
-    jobs = jobs or available_cores()
+    jobs = available_cores() if jobs is None else jobs
     if on_done is not None:
         return pandas.DataFrame(run_tasks(tasks, jobs, on_done))
     with ProgressBar("drives", len(tasks), lines=True) as bar:
