@@ -169,7 +169,9 @@ def _other_robot(case: Case) -> str:
     robot = physics_robot(case.plant)
     if robot is None:
         return ""
-    config = controller_config(case.model, case.config, settings_of(case))
+    beside = Path(case.model).with_name("config.yaml")  # `identify` writes it beside the model
+    is_identified = case.config is None and not is_shipped(case.model) and beside.is_file()
+    config = load_config(beside) if is_identified else _config_of_robot(case)
     track, differences = config.wheels.encoder_track, []
     if abs(track / robot.track - 1.0) > _TRACK_TOLERANCE:
         differences.append(f"its track is {robot.track:.3g} m, the configuration's {track:.3g} m")

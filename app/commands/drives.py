@@ -67,6 +67,8 @@ def bench(
 ) -> None:
     """Compare controllers on trajectories. Options with several values accept a list separated by commas.
 
+    With --config, --set or --models, only mpc is run by default, with the models of these options.
+
     If a run of the predictive controller is not completed, the exit code is 1; the report is written nevertheless.
     """
     from diffdrive_mpc.bench.comparison.plan import read_options  # noqa: PLC0415 - --help does not need it

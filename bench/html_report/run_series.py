@@ -84,7 +84,9 @@ def run_series(
         poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])][:: max(1, len(run.time) // points)]
         xy = (rounded_list(poses[:, 0], 3), rounded_list(poses[:, 1], 3))
         plane = [*([Series("received poses", *xy, 3, "points")] if len(poses) else []), *plane]
-        panes[ERROR] += [line("along", time, 1e3 * along_error(run)[ticks], 1, 4)]
+        offset, heading = run.true_pose - run.reference_pose, run.reference_pose[:, 2]
+        ahead = offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading)
+        panes[ERROR] += [line("along", time, 1e3 * ahead[ticks], 1, 4)]
         for channel, title in enumerate(TWIST):
             panes[title] += [line("true", time, run.true_twist[ticks, (0, 2)[channel]], 3)]
         marks = {} if config is None else _limits(run, config)
@@ -97,12 +99,6 @@ def select_ticks(run: Run, points: int) -> NDArray[np.intp]:
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)
     return np.array([ticks[np.argmax(error[ticks])] for ticks in groups], dtype=np.intp)
-
-
-def along_error(run: Run) -> FloatArray:
-    """Return the distance (n,) of the robot ahead of its reference, along the reference's heading [m]."""
-    offset, heading = run.true_pose - run.reference_pose, run.reference_pose[:, 2]
-    return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
 
 def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
