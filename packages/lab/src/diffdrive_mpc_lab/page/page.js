@@ -1,6 +1,9 @@
 /* User interface of the page: controls, pointer and keyboard events, and animation. */
 
 const MODES = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "FINISHED"];
+/* Causes of a stop by bit of the reasons, see mpc/core/core.h. */
+const CAUSES = { 16: "no poses", 64: "too far from the path", 131072: "poses contradict wheels and gyro" };
+const LATCHED = 32; /* bit of a robot that stays stopped */
 const LIVE_CHOICES = ["dead", "surface", "ice"]; /* choices that take effect during a drive */
 const SHARED_CHOICES = ["path", "speed", "drawn", "ice"]; /* choices that both drives of a comparison share */
 const TOOLS = { carry: "Carry the robot", ice: "Paint ice", draw: "Draw a path" };
@@ -32,7 +35,7 @@ class Drive {
     const { engine } = this;
     if (!engine.start(this.choices)) return false;
     engine.c.lab_set_cover(isCovered ? 1 : 0);
-    Object.assign(this, { report: engine.report(), plan: [], rows: [] });
+    Object.assign(this, { report: engine.report(), plan: [], rows: [], cause: "" });
     this.path = engine.referencePoints(0.05).map(([, x, y]) => [x, y]);
     return true;
   }
@@ -42,7 +45,15 @@ class Drive {
     this.engine.tick();
     this.report = this.engine.report();
     this.rows.push(this.report);
+    const bit = Object.keys(CAUSES).findLast((candidate) => this.report.reasons & candidate);
+    this.cause = MODES[this.report.mode] === "TRACKING" ? "" : CAUSES[bit] ?? this.cause;
     if (this.rows.length > MAX_REPORTS) this.rows.shift();
+  }
+
+  /* Mode with the cause of a stop. */
+  get state() {
+    const remedy = this.report.reasons & LATCHED ? "; press Restart" : "";
+    return MODES[this.report.mode] + (this.cause && `: ${this.cause}${remedy}`);
   }
 
   carry(x, y) {
@@ -400,10 +411,10 @@ class Laboratory {
     this.charts.draw(activeDrives, selectedDrive, isPeerVisible);
     if (now - (this.previousUpdate ?? 0) < 200) return;
     this.previousUpdate = now;
-    for (const { side, report } of activeDrives) {
+    for (const { side, report, state } of activeDrives) {
       element(`error-${side}`).textContent = millimetres(report.error);
       element(`step-${side}`).textContent = `${(1000 * figures(report).step).toFixed(2)} ms`;
-      element(`mode-${side}`).textContent = MODES[report.mode];
+      element(`mode-${side}`).textContent = state;
     }
   }
 }
