@@ -78,7 +78,9 @@ def test_harmless_text_is_unchanged(text):
 
 @given(st.text())
 def test_name_adds_no_key_to_a_configuration(name):
-    configuration = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
+    configuration = IdentifiedConfiguration(
+        name, (Setting("sample_time", 0.02, f"from {name}"),), {"limits": (), "wheels": (), "failure": ()}
+    )
     assert set(yaml.safe_load(configuration.text())) == {"sample_time", "limits"}
 
 

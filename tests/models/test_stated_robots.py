@@ -70,7 +70,7 @@ def test_two_robots_in_one_bag_raise_config_error_with_their_namespaces(tmp_path
 
 
 def test_limits_of_the_log_do_not_exceed_those_of_the_manufacturer(identification):
-    limits = {setting.name: setting for setting in identification.configuration.limits}
+    limits = {setting.name: setting for setting in identification.configuration.groups["limits"]}
     # The log has up to 1.5 rad/s, the manufacturer permits 1.
     assert limits["omega"].value == 1.0
     assert "stated by the manufacturer" in limits["omega"].reason

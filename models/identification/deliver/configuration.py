@@ -215,8 +215,10 @@ class IdentifiedConfiguration:
     ----------
     name
         Name of the model.
-    general, limits, wheels, estimator, reentry, failure, free_space
-        Settings without a group, and settings of each group; a group may be empty.
+    general
+        Settings without a group.
+    groups
+        Settings of each group in `_GROUPS`; a group may be empty.
     sensors
         Delays and scales of the sensors, by input.
     notes
@@ -225,26 +227,15 @@ class IdentifiedConfiguration:
 
     name: str
     general: tuple[Setting, ...]
-    limits: tuple[Setting, ...]
-    wheels: tuple[Setting, ...]
-    estimator: tuple[Setting, ...] = ()
-    reentry: tuple[Setting, ...] = ()
-    failure: tuple[Setting, ...] = ()
-    free_space: tuple[Setting, ...] = ()
+    groups: Mapping[str, Sequence[Setting]]
     sensors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
-    def groups(self) -> dict[str, tuple[Setting, ...]]:
-        """Settings by name of the group."""
-        return {name: getattr(self, name) for name in _GROUPS}
-
-    @property
     def bounds(self) -> tuple[Setting, ...]:
         """Limits of speeds and accelerations."""
-        return tuple(
-            setting for setting in self.limits if f"limits.{setting.name}" not in identification_settings().lengths
-        )
+        lengths = identification_settings().lengths
+        return tuple(setting for setting in self.groups["limits"] if f"limits.{setting.name}" not in lengths)
 
     @property
     def room(self) -> tuple[Setting, ...]:
@@ -263,7 +254,7 @@ class IdentifiedConfiguration:
             reason = f"{unit}, {100 * share:.0f} % of this, because faster trial drives failed: {reason}"
             return _setting(setting.name, _map_sides(setting.value, lambda side: share * side), reason)
 
-        return replace(self, limits=tuple(map(reduce, self.limits)))
+        return replace(self, groups={**self.groups, "limits": [reduce(setting) for setting in self.groups["limits"]]})
 
     def mapping(self) -> dict[str, Any]:
         """Return keys and values for `load_config`; the model file is in the folder of the configuration."""
@@ -275,7 +266,7 @@ class IdentifiedConfiguration:
 
     def text(self) -> str:
         """Format the configuration file, with a reason for each value."""
-        has_slew = any(setting.name.endswith("_slew") for setting in self.limits)
+        has_slew = any(setting.name.endswith("_slew") for setting in self.groups["limits"])
         lines = [
             f"# Controller of {plain_line(self.name)}. "
             "Missing keys have the schema's default: diffdrive-mpc config schema",
@@ -283,8 +274,7 @@ class IdentifiedConfiguration:
             *(setting.line() for setting in self.general),
             "limits:" if has_slew else f"limits:   {_UNKNOWN_SLEW}",
             *(f"  {setting.line()}" for setting in self._select("limits", expert=False)),
-            *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
-            *(f"  {setting.line()}" for setting in self.wheels),
+            *(_group("wheels", self.groups["wheels"]) or [_UNKNOWN_WHEELS]),
         ]
         texts = {
             name: ", ".join(f"{key}: {number:.6g}" for key, number in values.items())
@@ -358,34 +348,28 @@ def configure(
     limit, speeds = _speed_limits(identified, commands, base, gain)
     if mapping_track is not None and geometry is None:
         geometry = WheelGeometry(np.nan, mapping_track)
-    wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     assumed_track = track or load_robot().track
     max_side_speed = _max_side_speed(identified, train, assumed_track, geometry.track if geometry else assumed_track)
     rim_limit = _rim_limit(np.minimum(commanded, limit), assumed_track, base, float(gain[0]), max_side_speed)
+    groups: dict[str, list[Setting]] = {name: [] for name in _GROUPS}
+    groups["limits"] = [*_slew_limits(identified), *speeds, rim_limit]
+    groups["estimator"] = [*_noise_settings(train), *_slip_settings(slip)]
     if geometry is not None and track is not None:
-        wheels = [
+        groups["wheels"] = [
             _setting("track", track, "m, for the robot's conversion of omega_ref to wheel speeds"),
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, mapping_track)}"),
         ]
-    adapted = _scaled_lengths(limit[0] * gain[0], geometry)
+    for group, settings in _scaled_lengths(limit[0] * gain[0], geometry).items():
+        groups[group] += settings
     delay = (sensors or {}).get("pose", {}).get("delay", 0.0)
     for key, time in identification_settings().pose_times.items():
         if delay > 0.5 * time:
             group, _, key_name = key.partition(".")
             reason = f"s, the default {time:g} s and the delay of the poses"
-            adapted.setdefault(group, []).append(_setting(key_name, time + delay, reason))
-    return IdentifiedConfiguration(
-        name,
-        _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time),
-        (*_slew_limits(identified), *speeds, rim_limit, *adapted.get("limits", ())),
-        tuple(wheels),
-        (*_noise_settings(train), *_slip_settings(slip), *adapted.get("estimator", ())),
-        tuple(adapted.get("reentry", ())),
-        tuple(adapted.get("failure", ())),
-        sensors=sensors or {},
-        notes=notes,
-    )
+            groups[group].append(_setting(key_name, time + delay, reason))
+    general = _general_settings(identified, train[0].dt, keep_sample_time=keep_sample_time)
+    return IdentifiedConfiguration(name, general, groups, sensors or {}, notes)
 
 
 def _speed_limits(
@@ -549,18 +533,17 @@ def apply_stated_values(configuration: IdentifiedConfiguration, robot: Manufactu
     keys = robot.configuration()
     shares: dict[str, float] = {
         setting.name: min(1.0, float(keys[f"limits.{setting.name}"].value) / _max_side(setting.value))
-        for setting in configuration.limits
+        for setting in configuration.groups["limits"]
         if setting.name in CHANNELS
     }
-    reduced = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
-    groups = {"limits": reduced, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
+    groups = {name: list(settings) for name, settings in configuration.groups.items()}
+    groups["limits"] = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in groups["limits"]]
     for key, entry in keys.items():
         group, _, name = key.partition(".")
         if name not in {setting.name for setting in groups[group]}:
             value = f"'{entry.value}'" if isinstance(entry.value, str) else entry.value
             groups[group].append(Setting(name, value, f"{entry.reason}, stated by the manufacturer of {robot.name}"))
-    limits, wheels, free_space = (tuple(settings) for settings in groups.values())
-    return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
+    return replace(configuration, groups=groups)
 
 
 def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
