@@ -122,7 +122,10 @@ class Reference(Protocol):
 
 
 class ControlStep(Protocol):
-    """Result of a controller for one tick; the closed loop reads these fields and those of `EstimatingStep`."""
+    """Result of a controller for one tick; the closed loop reads these fields.
+
+    A controller with an estimator adds `estimate`, a `MotionEstimate`, or None before the first estimate.
+    """
 
     @property
     def command(self) -> FloatArray:
@@ -186,16 +189,6 @@ class MotionEstimate(Protocol):
     @property
     def twist_deviation(self) -> FloatArray:
         """(2,) standard deviations of the twist [m/s, rad/s]."""
-        ...
-
-
-@runtime_checkable
-class EstimatingStep(Protocol):
-    """Result of a controller with an estimator: fields in addition to `ControlStep`."""
-
-    @property
-    def estimate(self) -> MotionEstimate | None:
-        """Estimate on which the command is based; None before the first estimate."""
         ...
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -159,10 +159,3 @@ class Belief:
         """(9, 9) first-order covariance of `Slip.polynomial`, the nine coefficients of Ordonez et al., 2017 (P4)."""
         gradient = self.slip.polynomial_gradient
         return gradient @ self.slip_covariance @ gradient.T
-
-    def with_slip(self, slip: Slip) -> Belief:
-        """Return a copy with the given slip, whose covariance is zero."""
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        mean[self.slips] = [getattr(slip, name) for name in SLIPS[: self.slips.stop - self.slips.start]]
-        covariance[self.slips], covariance[:, self.slips] = 0.0, 0.0
-        return replace(self, mean=mean, covariance=covariance)

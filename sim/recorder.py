@@ -65,7 +65,6 @@ class Recorder:
             self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
         if step.solver is not None:
             self._iterations[k] = step.solver.iterations
-        # `isinstance` with the protocol `EstimatingStep` would take longer than the step.
         estimate: MotionEstimate | None = getattr(step, "estimate", None)
         if estimate is not None:
             self._estimates[k, :3], self._estimates[k, 3:] = estimate.pose, estimate.twist

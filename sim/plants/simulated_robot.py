@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, merge_mappings
+from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_commands import BaseCommands
@@ -35,16 +34,6 @@ class SimulatedRobot(StrictModel):
     parts: dict[str, Any] = Field(
         default_factory=dict, description="values for simulator parts of other packages, by name"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read_former_keys(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
-        """Convert `drive` and `battery`, the keys of version 0.2, to keys of `parts.power`."""
-        former = {key: data[key] for key in ("drive", "battery") if key in data} if isinstance(data, Mapping) else {}
-        if not former:
-            return data
-        values = {key: value for key, value in data.items() if key not in former}
-        return merge_mappings(values, {"parts": {"power": former}})
 
     @model_validator(mode="after")
     def _check_weight(self) -> SimulatedRobot:

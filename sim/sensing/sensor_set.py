@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, merge_mappings
 from diffdrive_mpc.models.named_file import EntryFile
@@ -71,15 +71,6 @@ class SensorSet(StrictModel):
     parts: dict[str, Any] = Field(
         default_factory=dict, description="values for simulator parts of other packages, by name"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read_former_key(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
-        """Convert `power`, the key of version 0.2, to `parts.power`."""
-        if not isinstance(data, Mapping) or "power" not in data:
-            return data
-        values = {key: value for key, value in data.items() if key != "power"}
-        return values if data["power"] is None else merge_mappings(values, {"parts": {"power": data["power"]}})
 
 
 def load_sensor_set(name: str | Path, readings: Mapping[str, Any] | None = None) -> SensorSet:
