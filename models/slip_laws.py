@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,18 +15,6 @@ POLYNOMIAL = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3
 
 # Minimum argument of the square root for a shrinking track; the law has no solution below 0 and no finite slope at 0.
 _MIN_RADICAND = 0.04
-
-
-class _Functions(NamedTuple):
-    """Functions of NumPy or CasADi in the formula of the virtual track."""
-
-    sqrt: Callable[[Any], Any]
-    absolute: Callable[[Any], Any]
-    larger: Callable[[Any, Any], Any]
-
-
-_NUMERIC = _Functions(np.sqrt, np.abs, np.maximum)
-_SYMBOLIC = _Functions(ca.sqrt, ca.fabs, ca.fmax)
 
 
 def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
@@ -62,20 +49,14 @@ def polynomial_terms(
     return v + ahead, left, omega + turn
 
 
-def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
-    """Compute the ratio k of the track to the track at rest by the law of P3, for numbers or symbols.
+def track_widening(settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
+    """Compute the ratio of the track to the track at rest [-] with CasADi; the track depends on the yaw rate.
 
     The law i = p1 |omega| + p0 becomes k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k. This
     equation is quadratic in k; its solution with k = 1 for growth = 0 is used. For a shrinking track, k has a lower
     bound, because faster turns have no solution.
-    """
-    return 0.5 * (1 + functions.sqrt(functions.larger(1 + 4 * growth * functions.absolute(settled), _MIN_RADICAND)))
 
-
-def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
-    """Return the CasADi expression of the ratio of the track to the track at rest [-]; the track depends on yaw rate.
-
-    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3), see `virtual_track_yaw_rate`.
+    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3).
 
     Parameters
     ----------
@@ -84,7 +65,7 @@ def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
     growth
         Relative growth of the track per yaw rate of the robot, p1 / p0 [s/rad].
     """
-    return ca.SX(_widening(_SYMBOLIC, settled, growth))
+    return 0.5 * (1 + ca.sqrt(ca.fmax(1 + 4 * growth * ca.fabs(settled), _MIN_RADICAND)))
 
 
 def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> FloatArray:
@@ -106,4 +87,4 @@ def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> Float
         (...) yaw rate [rad/s].
     """
     settled = np.asarray(difference, dtype=float) / p0
-    return np.asarray(settled / _widening(_NUMERIC, settled, p1 / p0))
+    return settled / np.reshape(track_widening(settled.ravel(), p1 / p0), settled.shape)
