@@ -26,6 +26,7 @@ from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
 from diffdrive_mpc.mpc.trajectories.speed_check import describe_tight_turns
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.metrics.metrics import driven_share
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
 
@@ -124,7 +125,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
         driver = driver_name(outcome.case)
         yield f"completed: {driver} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
     else:
-        message = f"{run.errors.position[last]:.3f} m from the reference at its end"
+        message = f"{run.errors.position[last]:.3f} m from the reference at its end; {driven_share(run):.0%} driven"
         yield f"not completed: {run.ended or message}"
     yield "errors: " + "; ".join(
         f"{quantity} RMSE {1e3 * rmse:.1f} mm, max {1e3 * maximum:.1f} mm"

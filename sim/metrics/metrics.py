@@ -240,13 +240,21 @@ def _has_stopped(run: ScoredRun) -> bool:
     return not BRAKING_MODES.isdisjoint(run.modes[start:])
 
 
+def driven_share(run: ScoredRun) -> float:
+    """Compute the distance that the robot drove, as a share of the length of its path [-]; 1 for turns on the spot."""
+    path = run.sample_time * float(np.abs(run.reference_twist[run.counted, 0]).sum())
+    driven = float(np.hypot(*np.diff(run.true_pose[:, :2], axis=0).T).sum())
+    return driven / path if path > 0.0 else 1.0
+
+
 def _is_completed(run: ScoredRun) -> bool:
-    """Return True if the run tracked its reference to the end, ended near the reference, and has only finite values."""
-    last = int(np.flatnonzero(run.counted)[-1])
+    """Return True if the run tracked its reference to the end, covered its path, and has only finite values."""
+    last, settings = int(np.flatnonzero(run.counted)[-1]), metric_settings()
     return bool(
         not run.ended
         and run.time[-1] >= run.reference.duration - TIME_TOLERANCE
         and all(np.isfinite(series).all() for series in (run.true_pose, run.true_twist, run.command))
         and run.modes[last] not in BRAKING_MODES
-        and run.errors.position[last] < metric_settings().end_error
+        and run.errors.position[last] < settings.end_error
+        and driven_share(run) >= settings.covered_share
     )

@@ -22,6 +22,7 @@ class MetricSettings(StrictModel):
     band: Positive = Field(description="half width of the lateral band [m]")
     moving_speed: Positive = Field(description="minimum speed at which the course error is computed [m/s]")
     end_error: Positive = Field(description="maximum distance of a completed run from the end of the reference [m]")
+    covered_share: Positive = Field(description="minimum distance of a completed run, as a share of its path [-]")
     path_window: Positive = Field(
         description="arc length before and after the reference in which the nearest point is searched [m]"
     )

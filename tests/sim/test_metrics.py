@@ -204,7 +204,9 @@ def test_run_is_completed_if_it_ends_in_tracking_at_the_end_of_the_reference() -
         run_along(LINE, (pose + [ahead, 0.0, 0.0])[:count], [0.5, 0.0, 0.0], SECOND[:count])
         for ahead, count in ((0.2, 51), (0.3, 51), (0.0, 40))
     )
-    assert near.metrics.completed and not replace(near, ended="the robot is lost").metrics.completed
+    at_rest = run_along(LINE, np.tile(pose[-1], (51, 1)), [0.0, 0.0, 0.0], SECOND)  # as on a closed path
+    assert near.metrics.completed and not at_rest.metrics.completed
+    assert not replace(near, ended="the robot is lost").metrics.completed
     assert not far.metrics.completed and not short.metrics.completed
 
 
