@@ -21,6 +21,13 @@ from diffdrive_mpc.sim.plants.names import BUILT_IN, split_plant
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
+
+def describe_setting(setting: tuple[str, object]) -> str:
+    """Format an override for names and notes."""
+    key, value = setting
+    return str(value).upper() if key == "solver.method" else f"{key}={value}"
+
+
 NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
 """Scenario without disturbances; placeholder for the model of a peer; timing of the trajectory file."""
 MAX_SEEDS = 10_000

@@ -10,7 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
 
+from diffdrive_mpc.bench.chart_look import marker_number
 from diffdrive_mpc.bench.figure_style import ERROR_MAP, MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, RunViews, Series
 from diffdrive_mpc.models.interface import FloatArray
@@ -75,11 +77,14 @@ def draw_run(views: RunViews, title: str, path: Path, draw_more: Callable[[Axes]
 
 
 def _legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
-    handles: dict[str, Any] = {}
+    """Add a legend that shows the bars and the lines of each name side by side."""
+    handles: dict[str, dict[type, Any]] = {}
     for axes in panels:
-        drawn_handles, labels = axes.get_legend_handles_labels()
-        handles = dict(zip(labels, drawn_handles, strict=True)) | handles
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, {}).setdefault(type(handle), handle)
+    shown: list[Any] = [tuple(kinds.values()) for kinds in handles.values()]
+    beside = {tuple: HandlerTuple(ndivide=None)}
+    figure.legend(shown, list(handles), handler_map=beside, loc="outside lower center", ncols=columns)
 
 
 def draw_chart(axes: Axes, chart: Chart) -> None:
@@ -155,7 +160,7 @@ def _draw_bars(axes: Axes, series: Series, position: int, count: int, categories
     values = np.nan_to_num(_numbers(lengths))
     style: dict[str, Any] = {
         "color": colour(series.style),
-        "hatch": HATCHES[series.style % len(HATCHES)],
+        "hatch": HATCHES[marker_number(series.style)],
         "edgecolor": "white",
         "alpha": 0.85,
         "label": series.name,
@@ -181,7 +186,7 @@ def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
         style |= {"color": REFERENCE_COLOUR, "linestyle": ":", "linewidth": 2.0}
     elif series.kind != "line":
         size = 4.0 if len(series.x) < _DENSE else 1.5
-        style |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": size}
+        style |= {"marker": MARKERS[marker_number(series.style)], "markersize": size}
     axes.errorbar(x, y, yerr=_interval(series, y), capsize=3, **style)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, Case, Overrides, label
+from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, Case, Overrides, describe_setting, label
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.peers import PEERS, accepts_settings, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -161,8 +161,18 @@ def other_robots(cases: Iterable[Case]) -> list[str]:
 
 def reference_remarks(cases: Iterable[Case]) -> list[str]:
     """Return a remark on each reference that differs from its file."""
-    distinct = {(case.trajectory, case.timing, case.scaled, case.top_speed): case for case in cases}
-    return list(dict.fromkeys(filter(None, (load_reference(case).remark for case in distinct.values()))))
+    distinct: dict[tuple[object, ...], Case] = {}
+    for case in cases:
+        distinct[case.trajectory, case.timing, case.scaled, case.top_speed, case.config, settings_of(case)] = case
+    remarks: dict[str, Case] = {}
+    for case in distinct.values():
+        remarks.setdefault(load_reference(case).remark, case)
+    counts = Counter(case.trajectory for case in remarks.values())
+    return [
+        ", with ".join((remark, *(map(describe_setting, case.overrides) if counts[case.trajectory] > 1 else ())))
+        for remark, case in remarks.items()
+        if remark
+    ]
 
 
 def _other_robot(case: Case) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.bench.case import DIMENSIONS, Case
+from diffdrive_mpc.bench.case import DIMENSIONS, Case, describe_setting
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import Trajectory
@@ -21,8 +21,6 @@ from diffdrive_mpc.sim.run import NO_SOLVER
 Row = dict[str, Any]
 CLOCK = ("step_time", "solve_time", "deadline")
 """Prefixes of columns that differ between repetitions of a run."""
-FORMER_COLUMNS = {f"path_{name}_percent": f"method_{name}_percent" for name in ("unlimited", "active_set", "backend")}
-"""Names of columns by deprecated name; both are written for one more release."""
 STATISTICS = "true pose relative to the reference, from t = 0 to the end of the reference without a settling time"
 """Definition of the errors in reports."""
 
@@ -92,7 +90,6 @@ def row_of(case: Case, run: Run) -> Row:
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
     """Compute the metrics and the shares of the solver's methods, without the columns in `CLOCK` if not `timed`."""
     values = asdict(run.metrics) | asdict(SolverShares.from_run(run))
-    values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
 
 
@@ -126,10 +123,6 @@ def model_name(name: str) -> str:
     }.get(name, name)
 
 
-def _setting(key: str, value: object) -> str:
-    return str(value).upper() if key == "solver.method" else f"{key}={value}"
-
-
 def driver_names(cases: Sequence[Case]) -> list[str]:
     """Name the compared controllers by model or peer and by the dimensions and settings that vary between the cases."""
     labels = [case.labels for case in cases]
@@ -146,6 +139,6 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
             labels_of_case[entry.name] if entry.kind is str else f"{entry.name}={labels_of_case[entry.name]}"
             for entry in varying
         ]
-        parts += [_setting(key, value) for key, value in case.overrides] if overrides_vary else []
+        parts += map(describe_setting, case.overrides) if overrides_vary else ()
         names.append(", ".join(parts))
     return names

@@ -163,11 +163,6 @@ class ControlStep(Protocol):
         ...
 
 
-def solver_method(report: Any) -> str:  # noqa: ANN401 - the type depends on the solver
-    """Return the name of a step's solver method; reports of other controllers may use the former name `path`."""
-    return str(report.method if hasattr(report, "method") else report.path)
-
-
 class MotionEstimate(Protocol):
     """Estimate of the robot's motion at a tick, with standard deviations."""
 

@@ -14,7 +14,6 @@ from diffdrive_mpc.models.interface import (
     Measurement,
     MotionEstimate,
     Reference,
-    solver_method,
 )
 from diffdrive_mpc.models.step_scalars import scalar_row
 from diffdrive_mpc.sim.plants.drivetrain import NO_WORK, MotorWork, motor_work, stack
@@ -159,7 +158,7 @@ class _StepReport(NamedTuple):
     def of_step(cls, step: ControlStep) -> _StepReport:
         """Extract texts and scalars of `step`."""
         solver, state = step.solver, str(getattr(step, "state", step.mode))
-        status, method = ("", NO_SOLVER) if solver is None else (str(solver.status), solver_method(solver))
+        status, method = ("", NO_SOLVER) if solver is None else (str(solver.status), str(solver.method))
         return cls(str(step.mode), step.message, status, method, scalar_row(step), state)
 
 

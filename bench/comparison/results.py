@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.experiment import concatenate, mean
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
-from diffdrive_mpc.bench.run_row import CLOCK, FORMER_COLUMNS, STATISTICS, Row, SolverShares
+from diffdrive_mpc.bench.run_row import CLOCK, STATISTICS, Row, SolverShares
 from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
 from diffdrive_mpc.bench.turns import BLOCK, MAX_REPEATS
 from diffdrive_mpc.sim import Metrics
@@ -94,7 +94,7 @@ class ComparisonResults:
         return {name: part for name, part in rows.items() if part}
 
 
-_STATISTICS = (*(member.name for kind in (Metrics, SolverShares) for member in fields(kind)), *FORMER_COLUMNS)
+_STATISTICS = tuple(member.name for kind in (Metrics, SolverShares) for member in fields(kind))
 _RECOVERY = tuple(member.name for member in fields(Recovery))
 
 

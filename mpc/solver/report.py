@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -79,9 +78,3 @@ class SolverReport:
     soft_limits: bool = False
     operations: int = 0
     missed: int = 0
-
-    @property
-    def path(self) -> str:
-        """Return `method`; deprecated, emits DeprecationWarning."""
-        warnings.warn("SolverReport.path was renamed to SolverReport.method", DeprecationWarning, stacklevel=2)
-        return self.method

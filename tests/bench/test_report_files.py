@@ -47,7 +47,7 @@ FIELDS = {
         (bool, "stopped"),
         (float, "behind_max_s method_unlimited_percent method_active_set_percent method_backend_percent"),
         (int, "not_solved"),
-        (float, "path_unlimited_percent path_active_set_percent path_backend_percent timed_clean_percent"),
+        (float, "timed_clean_percent"),
     )
     for name in names.split()
 }

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Stamped, solver_method
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Stamped
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 
@@ -113,7 +113,7 @@ def step_cells(step: ControlStep) -> dict[str, Cell]:
         "mode": str(step.mode),
         "message": step.message,
         "solver_status": "" if solver is None else str(solver.status),
-        "solver_path": "none" if solver is None else solver_method(solver),
+        "solver_path": "none" if solver is None else str(solver.method),
         "step_time_s": step.step_time,
         "solve_time_s": step.solve_time,
     }
