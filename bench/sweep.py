@@ -100,6 +100,10 @@ def sweep(
         If pandas is not installed.
     """
     pandas = load_pandas("sweep")
+    if not isinstance(config, (str, Path, type(None))):
+        raise wrong_type(
+            "sweep: config", "a name or path", config, "for objects, use drive_many of diffdrive-mpc-extras"
+        )
     factors = {
         "model": _as_list(model),
         "trajectory": _as_list(trajectory),

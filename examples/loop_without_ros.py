@@ -28,8 +28,8 @@ class SerialLine:
 line = SerialLine()
 controller = Controller(load_config("ssm", {"sample_time": PERIOD, "horizon": 25}))
 pose, sent, before = (0.0, 0.0, 0.0), None, 0.0
-start = due = time.monotonic()
 controller.start(load_trajectory("cane"), 0.0)
+start = due = time.monotonic()
 print("driving")
 try:
     while True:

@@ -13,7 +13,10 @@ from diffdrive_mpc.models.table import escape
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C")
-_TYPE_MISTAKE = re.compile(r"could not convert|broadcast|inhomogeneous|'(\w+)' object (has no|is not|cannot|does not)")
+_TYPE_MISTAKE = re.compile(
+    r"could not convert|broadcast|inhomogeneous|must be real number|expected str, bytes|to be integer|"
+    r"(?:argument of type )?'(\w+)'(?: object)? (has no|is not|cannot|does not)"
+)
 """Messages of Python and NumPy for arguments of a wrong type or shape; the group is the name of the type."""
 _MAX_VALUE_LENGTH = 40
 """Maximum number of characters of a value in a message."""

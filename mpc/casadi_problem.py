@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from diffdrive_mpc.models.errors import checked_call
+from diffdrive_mpc.models.errors import checked_call, checked_methods
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -36,6 +36,7 @@ from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_terms, para
 _UNLIMITED = 1e13
 
 
+@checked_methods
 @dataclass(frozen=True)
 class CasadiProblem:
     """Nonlinear problem of a tick: dynamics and cost of a stage, and the problem over a horizon of N stages.
@@ -103,6 +104,12 @@ class CasadiProblem:
         if missing := [name for name in (*names, "lower", "upper") if name not in inputs]:
             raise ValueError(f"inputs: {', '.join(missing)} missing; give those of Controller.problem_inputs()")
         values = [inputs[name] for name in names]
+        for name, value in zip(names, values, strict=True):
+            if np.size(value) != (size := self.horizon.numel_in(name)):
+                raise ValueError(
+                    f"inputs: {name} has {np.size(value)} values, expected {size}; give those of a controller with the "
+                    "same model, horizon and limits"
+                )
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]
         lower, upper = np.copysign(bounds[0], inputs["lower"]), np.copysign(bounds[1], inputs["upper"])
         # The first four kinds of limit are hard. A soft limit takes two rows, one for each of its sides and slacks.

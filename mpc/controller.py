@@ -566,7 +566,7 @@ class Controller:
             if not isinstance(values, (Mapping, type(None))):
                 raise wrong_type(group, "values by key", values, f"write update({group}={{'{_EXAMPLES[group]}': 1.0}})")
         changes = {
-            f"{group}.{key}": value
+            f"{group}.{key.removeprefix(f'{group}.')}": value
             for group, values in zip(_CHANGEABLE_GROUPS, (weights, limits), strict=True)
             for key, value in (values or {}).items()
         }
@@ -682,13 +682,15 @@ class Controller:
             hold = feature.before_step(t) or hold
         # Values of `ddmpc_request`.
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
-        tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
         # Only the replay of a late tick passes a number of iterations.
         tick_input.is_late = most_iterations is not None
         try:
+            tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
             since_start = t - self._t0
         except TypeError as error:
-            raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
+            given = (t, deadline, most_iterations)
+            names = "t, deadline, most_iterations"
+            raise wrong_type(names, "times [s] and an integer", given, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
         # The reference's clock advances once per tick, but not at a repeated call or at an invalid time.
         has_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))

@@ -78,7 +78,7 @@ class MessageFormatter:
         reasons = c.reasons
         parts = [describe(c) for bit, describe in self._time_messages(lib) if reasons & bit]
         if reasons & lib.DDMPC_SENT_REJECTED:
-            parts.append("sent command rejected: it exceeds the command limits")
+            parts.append("sent command rejected: it is not two finite numbers, or exceeds the command limits")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
         parts += self._sensor_messages(c)
         if reasons & lib.DDMPC_HELD and hold is not None:

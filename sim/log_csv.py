@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
 
 
+@checked_call()
 def write_log(run: Run, path: str | Path) -> None:
     """Write `run` to a CSV file; cells without a new reading are empty.
 

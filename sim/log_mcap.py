@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
 from diffdrive_mpc.models.logs.drive_log.topics import path_times
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
@@ -20,6 +21,7 @@ START = 10**9
 _NANO = 10**9
 
 
+@checked_call()
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
     """Write `run`, including its stored plans, to an MCAP file; the file is written atomically.
 

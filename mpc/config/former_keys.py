@@ -13,7 +13,6 @@ from diffdrive_mpc.mpc.config.schema import Estimator
 
 CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if get_origin(field.annotation) is list)
 """Kinds of slip that are configured as lists in the group `estimator`."""
-_FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 _ENTRIES = ("", "_uncertainty", "_drift")
 """Suffixes of the former keys of a curved slip, in the order of the entries of the list that replaced them."""
 _REMOVED_GROUPS = {"online_dead_time": "the filter estimates unknown delays"}
@@ -84,9 +83,6 @@ def rename_former_keys(data: Mapping[str, Any], where: str = "configuration") ->
     _drop_constants(current, where)
     if isinstance(current.get("estimator"), dict):
         _join_curved_slips(current["estimator"])
-    solver = current.get("solver")
-    if isinstance(solver, dict) and _FORMER_SOLVER & solver.keys():
-        current["solver"] = _with_method(solver)
     return current
 
 
@@ -114,14 +110,3 @@ def _join_curved_slips(estimator: dict[str, Any]) -> None:
         values = {entry: estimator.pop(key) for entry, key in former.items()}
         values = {entry: value for entry, value in values.items() if not isinstance(value, list)}
         estimator[slip] = [values.get(entry, value) for entry, value in enumerate(new_values)]
-
-
-def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the former keys `strategy`, `backend` and `check_every` by `method` and the group `osqp`."""
-    new_values = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
-    if solver.keys() & {"strategy", "backend"}:
-        strategy = solver.get("strategy", "auto")
-        new_values["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
-    if "check_every" in solver and isinstance(new_values.get("osqp", {}), Mapping):
-        new_values["osqp"] = {**new_values.get("osqp", {}), "check_termination": solver["check_every"]}
-    return new_values

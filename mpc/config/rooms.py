@@ -108,7 +108,6 @@ def _moved_keys(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str
             shown = shown_key(place) if place == plain_key(key) else place
             if shown != f"{prefix}{key}" and not (prefix and shown == key):
                 moved[f"{prefix}{key}"] = shown
-    moved |= {f"solver.{key}": "solver.method" for key in ("strategy", "backend") if key in first.get("solver", ())}
     return moved
 
 

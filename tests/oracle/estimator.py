@@ -100,7 +100,7 @@ class StateEstimator:
             return []
         value = sent_command(sent, max_command)
         if value is None:
-            return ["sent command rejected: it exceeds the command limits"]
+            return ["sent command rejected: it is not two finite numbers, or exceeds the command limits"]
         self.commands.correct_last(value)
         return []
 
