@@ -78,9 +78,9 @@ def simulate(
     _check(controller, ("start", "step"), "controller", "a Controller")
     config = getattr(controller, "config", None)
     config = config if isinstance(config, ControllerConfig) else None
-    if not _has(plant, ("measure", "advance")):
+    if not _has(plant, _PLANT):
         if not isinstance(plant, (str, Path)) and not hasattr(plant, "with_extra_dead_time"):
-            _check(plant, ("measure", "advance"), "plant", "a plant or its name")
+            _check(plant, _PLANT, "plant", "a plant or its name")
         plant = make_plant(plant, **(plant_settings(config) if config else {}))  # type: ignore[arg-type]
     if isinstance(reference, (str, Path)):
         reference = load_trajectory(reference, config)
@@ -123,6 +123,10 @@ def sensor_readings(config: ControllerConfig) -> dict[str, dict[str, Any]]:
     }
 
 
+_PLANT = ("sample_time", "time", "true_pose", "true_twist", "reset", "measure", "advance")
+"""Members of a plant, see `sim.plants.plant.Plant`."""
+
+
 def _check_names(arguments: Mapping[str, object]) -> None:
     """Raise ArgumentError if an argument is a built-in name of another kind; `arguments` are the arguments by kind."""
     for kind, names in {"plant": (PHYSICS,), "trajectory": BUILT_IN}.items():
@@ -138,4 +142,5 @@ def _has(value: object, names: tuple[str, ...]) -> bool:
 def _check(value: object, names: tuple[str, ...], argument: str, expected: str) -> None:
     """Raise ArgumentError if `value` lacks an attribute in `names`."""
     if not _has(value, names):
-        raise wrong_type(argument, expected, value, _ORDER)
+        missing = ", ".join(name for name in names if not hasattr(value, name))
+        raise wrong_type(argument, expected, value, f"it lacks {missing}; {_ORDER}" if missing else _ORDER)

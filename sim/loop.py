@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffdrive_mpc.models.errors import checked_number
-from diffdrive_mpc.models.interface import CompiledController, FloatArray, Reference, TrackingController
+from diffdrive_mpc.models.errors import checked_number, wrong_type
+from diffdrive_mpc.models.interface import CompiledController, FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.plants.plug_ins import Surrounded
@@ -84,13 +84,18 @@ def simulate(
         if k == ticks:
             break
         measurement = plant.measure() if step is None else None
+        if step is None and not isinstance(measurement, Measurement):
+            raise wrong_type(
+                "plant.measure()", "a Measurement", measurement, "return Measurement() if there are no data"
+            )
         record.record_state(plant, measurement)
         is_over = False
         if surrounded is not None:
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement) if measurement is not None else step
-        assert step is not None
+        if step is None or not hasattr(step, "command"):
+            raise wrong_type("controller.step()", "a result like StepResult", step, "return command, mode and message")
         command = _check_command(step.command, plant.time)
         record.record_step(step, command)
         try:
