@@ -316,7 +316,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         return f"unknown key '{place}'" + suggestion(schema, location, shown)
     if kind == "missing":
         return f"key '{place}' is missing"
-    message = plain_line(str(error["msg"]).removeprefix("Value error, "))
+    message = plain_line(str(error["msg"]).removeprefix("Value error, ").replace(" after validation", ""))
     stated_value, hint = error.get("input"), ""
     if kind.startswith(("less_than", "greater_than", "float", "int")) and (unit := unit_of(schema, location)):
         message += f" {unit}" if "_than" in kind else f" in {unit}"

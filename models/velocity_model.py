@@ -184,7 +184,7 @@ class VelocityModel:
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value.shape != shape:
-                raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape} for the {n} rows of A")
+                raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape}: A has {n} rows")
             if not np.isfinite(value).all():
                 raise ModelError(f"{where}: {name} holds a value that is not finite; identify the model again")
         rightmost = self.poles[np.argmax(self.poles.real)]

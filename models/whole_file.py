@@ -179,6 +179,6 @@ def _check_replaceable(target: Path, path: str | Path) -> None:
     if not os.path.lexists(target):
         return
     if not target.is_file():
-        raise ConfigError(f"{path}: not a regular file")
+        raise ConfigError(f"{path}: not a regular file; give the name of a file")
     if not os.access(target, os.W_OK):
         raise ConfigError(f"{path}: the file is read-only; give another one")

@@ -33,7 +33,7 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
         *revision,
         *more,
         ("date", run["date"]),
-        ("duration", f"{run['wall_time_s']:g} s"),
+        ("computed in", f"{run['wall_time_s']:g} s"),
         ("machine", f"{machine['cpu']}, {machine['cores']} cores, {machine['os']}"),
         ("software", f"Python {machine['python']}, {packages}"),
     ]

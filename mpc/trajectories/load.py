@@ -170,7 +170,8 @@ def _with_remark(trajectory: Trajectory, path: str, timing: str = "", segments: 
         parts.append(f"{file_time:.1f} s in the file, driven in {drive_time:.1f} s (timing: {timing})")
     if path:
         max_distance = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
-        parts.append(f"its path is up to {max_distance:.3f} m from {path}; errors refer to its path")
+        if f"{max_distance:.3f}" != "0.000":
+            parts.append(f"its path is up to {max_distance:.3f} m from {path}; errors refer to its path")
     return replace(trajectory, remark=f"trajectory '{trajectory.name}': {'; '.join(parts)}") if parts else trajectory
 
 

@@ -94,7 +94,8 @@ def _read(path: Path) -> FloatArray:
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMN_NAMES if name not in header]
             if missing:
-                remedy = f"the header must name {','.join(_COLUMN_NAMES)} (found {plain_line(','.join(header), 100)})"
+                found = plain_line(",".join(header), 90)
+                remedy = f"the header must name {','.join(_COLUMN_NAMES)} with commas (found {found})"
                 raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {remedy}")
             columns = [header.index(name) for name in _COLUMN_NAMES]
             lines, numbers = array("q"), array("d")

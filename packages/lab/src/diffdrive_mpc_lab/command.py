@@ -19,11 +19,10 @@ def lab(
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from diffdrive_mpc_lab.build import page_text  # noqa: PLC0415
 
-    text = page_text()
-    out.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(out) as draft:
-        draft.write_text(text, encoding="utf-8")
-    echo(f"{out}: {len(text.encode()) / 1e6:.2f} MB")
+        echo("compiling the controller to WebAssembly, about 20 s")
+        size = draft.write_text(page_text(), encoding="utf-8")
+    echo(f"{out}: {size / 1e6:.2f} MB")
 
 
 LAB = PluggedCommand("Drive", lab, "Example: diffdrive-mpc lab --out out/lab.html")
