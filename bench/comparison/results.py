@@ -10,7 +10,6 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.comparison.plan import ComparisonSettings
-from diffdrive_mpc.bench.comparison.properties import Property, property_rows
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.experiment import concatenate, mean
 from diffdrive_mpc.bench.peers import PEERS
@@ -47,8 +46,6 @@ class ComparisonResults:
         Runs of the horizon sweep; `main` may contain some of them.
     timing
         State of the computer during all timed runs.
-    properties
-        Open-loop properties of the models on the plants.
     speed, dead_time, other_seeds, population, dynamics
         Rows without runs, see `CasePlan`; empty if the part was not run.
     """
@@ -57,7 +54,6 @@ class ComparisonResults:
     main: DataFrame
     horizon: DataFrame = field(default_factory=DataFrame)
     timing: TimingPass = UNDISTURBED
-    properties: tuple[Property, ...] = ()
     speed: DataFrame = field(default_factory=DataFrame)
     dead_time: DataFrame = field(default_factory=DataFrame)
     other_seeds: DataFrame = field(default_factory=DataFrame)
@@ -87,7 +83,7 @@ class ComparisonResults:
     def content(self) -> dict[str, object]:
         """Return all rows of plain values by name, without parts that were not run."""
         scored = {name: getattr(self, name) for name in ROW_PARTS}
-        rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
+        rows = {"runs": self.rows()}
         rows |= {
             name: [untimed_row(row, self.silent) for row in part.to_dict("records")] for name, part in scored.items()
         }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 
 from pandas import DataFrame
@@ -11,7 +10,6 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import CasePlan, ComparisonSettings, plan_cases
-from diffdrive_mpc.bench.comparison.properties import measure_properties
 from diffdrive_mpc.bench.comparison.results import (
     ROW_PARTS,
     TIMING,
@@ -70,11 +68,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             return frame(rows[case] for case in part)
 
         row_parts = {name: rows_of(getattr(plan, name)) for name in ROW_PARTS}
-        results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **row_parts)
-        if not self.settings.beyond:
-            return results
-        # One process is used, because starting a process pool would take longer than the computation.
-        return replace(results, properties=tuple(measure_properties(plan.main, 1)))
+        return ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **row_parts)
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """Build the report, with overview figures above the tables and the runs of the first seed below."""

@@ -98,10 +98,6 @@ def report_tables(results: ComparisonResults) -> list[Table]:
     tables += [horizon_table(results.horizon)] if len(results.horizon) else []
     if several:
         tables.append(order_table(main, results.other_seeds))
-    if results.properties:
-        from diffdrive_mpc.bench.comparison.properties import property_table  # noqa: PLC0415 - loads slowly
-
-        tables.append(property_table(results.properties, main))
     return tables
 
 
