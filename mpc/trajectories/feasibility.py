@@ -53,6 +53,8 @@ class Shortfall:
         Distance [m], or angle [rad] for limits of omega, by which a robot at the limit lags after the violation.
     duration, drivable
         Duration of the reference, and minimum feasible duration among the candidates [s]; infinite if none is feasible.
+    start
+        Speed at which the reference starts although the robot is at rest, if this is the violation [m/s, rad/s].
     """
 
     reference: str
@@ -64,6 +66,7 @@ class Shortfall:
     behind: float
     duration: float
     drivable: float
+    start: float = 0.0
 
     def __str__(self) -> str:
         """Format point, limit, consequence and remedy in one line."""
@@ -71,6 +74,8 @@ class Shortfall:
         remedy = f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
         if math.isinf(self.drivable):
             remedy = "no slower timing helps: raise the limit"
+        if self.start:
+            remedy = f"it starts at {self.start:.2g} {unit}/s and the robot at rest: let it start at rest"
         return (
             f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {name} takes "
             f"{self.needed:.3g} {unit}/s{'^2' if 'slew' in name else ''}, {self.key} = {self.available:.3g}; "
@@ -104,6 +109,7 @@ def find_shortfall(
     loss = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
     limit = getattr(config.limits, name)
     size, bound, side = at_side(needed[np.argmax(ratio)], limit if isinstance(limit, TwoSided) else TwoSided(limit))
+    starts_at_speed = first == 0 and "slew" in name and not is_moving
     time = min(first * ticks.step + float(ticks.lag[int("omega" in name)]), reference.duration)
     return Shortfall(
         reference.name,
@@ -115,6 +121,7 @@ def find_shortfall(
         float(ticks.step * (np.abs(needed) * loss).sum()),
         reference.duration,
         reference.duration * next((factor for factor in _STRETCHES if make_ticks(factor).deficit() is None), math.inf),
+        abs(float(ticks.body[0, int("omega" in name)])) if starts_at_speed else 0.0,
     )
 
 
