@@ -25,7 +25,8 @@ def simulate(
     settings: Settings = None,
     out: Annotated[Path | None, out_option("report.html and figures")] = None,
     log: Annotated[
-        Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
+        Path | None,
+        typer.Option(help="File for the log of the run, .csv or .mcap; its folder is created.", show_default=False),
     ] = None,
     scale_to_robot: Scaled = False,
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
