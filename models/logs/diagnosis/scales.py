@@ -245,13 +245,15 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 if channel == 0
                 else abs(_mean_directions(streams)[0]) > settings.clear_correlation  # the heading follows the path
             ):
-                # If the pose is right, the other streams are wrong, one after another.
-                other = next(name for name in sizes if name != POSE)
-                skid = 1 / settings.typical_skid if channel == 1 and other != GYRO else 1.0
-                other_ratio = sizes[other] / sizes[POSE]
-                alternative = _unit_finding(log, other, channel, other_ratio, [POSE], skid, streams, settings)
-                if alternative.changes:
-                    outlier, ratio, finding = other, other_ratio, alternative
+                # If the pose is right, all other streams are in a wrong unit; they are corrected one after another.
+                ratios = {name: size / sizes[POSE] for name, size in sizes.items() if name != POSE}
+                skids = {name: 1 / settings.typical_skid if channel == 1 and name != GYRO else 1.0 for name in ratios}
+                alternatives = [
+                    _unit_finding(log, name, channel, ratios[name], [POSE], skids[name], streams, settings)
+                    for name in ratios
+                ]
+                if all(alternative.changes for alternative in alternatives):
+                    outlier, ratio, finding = *next(iter(ratios.items())), alternatives[0]
             findings.append(finding)
             sizes.pop(outlier)
             _scale(streams, outlier, channel, 1 / ratio)
