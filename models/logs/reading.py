@@ -76,7 +76,7 @@ def read_log(
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
     # With a wrong unit of time, all later checks would report consequences of it, so this error ends the reading.
-    if finding := check_period(raw.name, period, settings):
+    if finding := check_period(raw.name, period, settings, is_stated=raw.sample_time is not None):
         raise_on_error([finding])
     max_step = (loaded.gap if loaded else None) or settings.max_step(period)
     records, findings = _build_records(raw, dt, max_step, loaded.times if loaded else (), settings)

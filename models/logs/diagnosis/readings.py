@@ -8,6 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.mapping import FACTORS
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 
@@ -197,15 +198,23 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     return None
 
 
-def check_period(name: str, period: float, settings: CheckSettings) -> Finding | None:
-    """Return the finding for an implausible sample time [s]; None for a plausible one."""
+def check_period(name: str, period: float, settings: CheckSettings, *, is_stated: bool = False) -> Finding | None:
+    """Return the finding for an implausible sample time [s]; None for a plausible one.
+
+    A sample time that the mapping states (`is_stated`) is corrected itself, because there is no column of times.
+    """
     low, high = settings.sample_times
     if low <= period <= high:
         return None
-    units = [unit for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high]
+    units = [unit for unit in ("ms", "us", "ns") if low <= period * FACTORS[unit] <= high]
     hint = "" if units else ": check the column and its unit"
     message = f"the times step by {period:.4g} s, which is not a plausible sample time of a robot{hint}"
-    remedy = tuple(MappingChange("time", "unit", unit) for unit in units[:1])
+    remedy = tuple(
+        MappingChange("time", "sample_time", float(f"{period * FACTORS[unit]:.4g}"))
+        if is_stated
+        else MappingChange("time", "unit", unit)
+        for unit in units[:1]
+    )
     return Finding("wrong unit", "error", name, message, changes=remedy)
 
 
