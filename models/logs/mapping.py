@@ -58,6 +58,8 @@ def draft_command(log: Path) -> str:
 MAPPINGS = Path(__file__).parent / "mappings"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Delay = Annotated[float, Field(ge=-1, le=1)]
+"""Delay [s]; at most that of a sensor in a configuration, and negative for readings that precede their motion."""
 Sign = Literal[1, -1]
 SIDES = ("left", "right")
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -170,7 +172,7 @@ class _TwistOrWheels(StrictModel):
 class CommandColumns(_TwistOrWheels):
     """Columns of the command: (v, omega), or wheel speeds left and right. An empty cell keeps the last command."""
 
-    delay: float = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
+    delay: Delay = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
 
     @model_validator(mode="after")
     def _check_units(self) -> Self:
@@ -189,7 +191,7 @@ class SensorColumns(StrictModel):
         None, description="times of the readings, if they differ from the times of the rows"
     )
     held: bool = Field(False, description="rows repeat the last reading until the next one arrives")
-    delay: float = Field(0.0, description="delay of the logged time of a reading after the measurement [s]")
+    delay: Delay = Field(0.0, description="delay of the logged time of a reading after the measurement [s]")
 
 
 class EncoderColumns(_TwistOrWheels, SensorColumns):
@@ -213,7 +215,9 @@ class PoseColumns(SensorColumns):
     x: LengthColumn
     y: LengthColumn
     theta: AngleColumn | None = Field(None, description="heading; if it is missing, it is computed from x and y")
-    heading_offset: float = Field(0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]")
+    heading_offset: Annotated[float, Field(ge=-4, le=4)] = Field(
+        0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]"
+    )
 
 
 class PowerColumns(SensorColumns):
@@ -303,7 +307,7 @@ class Topic(_NameOrFields):
 
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="factor of yaw rates, headings and currents; -1 for a sensor mounted upside down")
-    delay: float = Field(0.0, description="delay of the stamps after the measurement [s]")
+    delay: Delay = Field(0.0, description="delay of the stamps after the measurement [s]")
     fields: tuple[str, ...] | None = Field(
         None, description="fields of the values if the message type is not supported, such as twist.linear.x or data.0"
     )

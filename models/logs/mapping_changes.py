@@ -49,7 +49,7 @@ def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]
 def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Return the mapping with all changes applied.
 
-    Changes are relative: a sign is inverted and a delay is added, so a finding does not depend on the current values.
+    Signs are inverted and delays are added, so these changes do not depend on the current values.
     For columns of wheels, an exchange of the sides inverts omega; inverted signs and an exchange together invert v.
 
     Raises
@@ -86,9 +86,7 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     stream = group[change.stream] = _expand_name(group.get(change.stream, "/cmd_vel"), "topic")
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
-    elif change.key == "heading_offset" and has_columns:
-        stream["heading_offset"] = round(stream.get("heading_offset", 0.0) + float(change.value), 4)
-    elif change.key in ("held", "on_change"):
+    elif change.key in ("held", "on_change") or (change.key == "heading_offset" and has_columns):
         stream[change.key] = change.value
     elif not has_columns:
         if change.key != "sign":

@@ -185,7 +185,7 @@ class MappingChange:
         "heading_offset"; "sides" and "axes" for an exchange of columns; "times" for the stream "log". Keys of "v" and
         "omega" are also valid if wheels are mapped.
     value
-        New value. For "delay" and "heading_offset" the increment [s, rad]; for "sign" -1, which inverts the sign; for
+        New value. For "delay" the increment [s]; for "sign" -1, which inverts the sign; for
         "times" start and end [s], as "0.0 to 61.5".
     """
 

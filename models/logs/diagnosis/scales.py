@@ -127,8 +127,13 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     message = (
         f"the pose moves at {math.degrees(-offset):.0f} deg to its heading: its frame is rotated relative to the robot"
     )
-    change = MappingChange(POSE, "heading_offset", round(offset, 4))
-    return [Finding("turned pose", "warning", log, message, changes=(change,))]
+    return [Finding("turned pose", "warning", log, message, changes=(_turned_by(offset, streams),))]
+
+
+def _turned_by(angle: float, streams: Streams) -> MappingChange:
+    """Return the change that adds an angle [rad] to the heading offset in the mapping."""
+    offset = math.remainder(streams.heading_offset + angle, math.tau)
+    return MappingChange(POSE, "heading_offset", round(offset, 4) + 0.0)  # no negative zero
 
 
 def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], streams: Streams) -> Finding | None:
@@ -347,6 +352,9 @@ def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingCha
     columns = _columns(name, channel, streams)
     if columns[0] in (*SIDES, *FOUR_WHEELS):
         columns = (CHANNELS[channel],)
+    # With a large offset in the mapping, the offset is more likely wrong than both signs.
+    if columns == ("x", "y") and abs(streams.heading_offset) > math.pi / 2:
+        return (_turned_by(math.pi, streams),)
     return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
 
 

@@ -45,6 +45,8 @@ class Streams:
         Half of the window for the differentiation of poses [samples].
     commands_wheels
         True if the log commands wheel speeds, so that v and omega share their columns.
+    heading_offset
+        Heading offset of the pose in the mapping [rad].
     """
 
     dt: float
@@ -57,6 +59,7 @@ class Streams:
     slices: tuple[slice, ...]
     half_window: int
     commands_wheels: bool = False
+    heading_offset: float = 0.0
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """Return v (channel 0) or omega (1) of a stream (N,), averaged over the window for poses; None if missing."""
