@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
-from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
+from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees, irregular_spacing
 from diffdrive_mpc.models.logs.long_logs import reduce_table
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
@@ -333,9 +333,10 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
 def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
     """Return a finding if each of the readings (n, width) is clearly repeated over several rows."""
     period = hold_period(readings, check_settings())
-    if period is None or period == 1:
+    spacing = irregular_spacing(readings, check_settings()) if period is None else f"multiples of {period}"
+    if period == 1 or spacing is None:
         return []
-    message = f"the readings of the {sensor} change only after multiples of {period} rows: rows repeat the last reading"
+    message = f"the readings of the {sensor} change only after {spacing} rows: rows repeat the last reading"
     change = MappingChange(sensor, "held", True)
     return [Finding("held readings", "note", table.path.name, message, changes=(change,))]
 

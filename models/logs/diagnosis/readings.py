@@ -15,6 +15,8 @@ from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 _SENSOR = {"twist": "encoders", "wheels": "encoders", "wheel_speeds": "encoders", "yaw_rate": "gyro", "pose": "pose"}
 _MIN_READINGS = 100
 """Minimum number of readings for checks of spikes and held values."""
+_FINE_STEPS = 5
+"""Minimum ratio of the median to the 5th percentile of the changes of a reading with a fine resolution."""
 
 
 def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
@@ -151,6 +153,24 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
         if period > 2 and np.isin(quick_gaps, [period - 1, period]).mean() >= settings.held_share:
             return period
     return 1 if shorter == 1 else None
+
+
+def irregular_spacing(readings: FloatArray, settings: CheckSettings) -> str | None:
+    """Return the range of rows between two changes, such as "2 to 7", of readings (n, width) that most rows repeat.
+
+    The result is None if fewer rows repeat a reading, or if a coarse resolution may be the cause: then most changes
+    are a single step of the resolution.
+    """
+    readings = readings[np.isfinite(readings).all(axis=1)]
+    steps = np.abs(np.diff(readings, axis=0))
+    gaps = np.diff(np.flatnonzero((steps > 0).any(axis=1)))
+    if len(readings) < _MIN_READINGS or len(gaps) < settings.min_samples or np.median(gaps) < 2:
+        return None
+    quantiles = np.array([np.percentile(column[column > 0], [5, 50]) for column in steps.T if column.any()])
+    if (quantiles[:, 1] < _FINE_STEPS * quantiles[:, 0]).all():
+        return None
+    low, high = np.percentile(gaps, [10, 90])
+    return f"{low:.0f} to {high:.0f}"
 
 
 def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:
