@@ -190,12 +190,13 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         return None
     backward_count = int((steps < 0).sum())
     if backward_count > max(3.0, settings.backward_share * len(steps)):
-        # Readings are smooth in their true order.
+        # Readings are smooth in their true order; a reversed log is as smooth by time.
         order = np.argsort(time, kind="stable")
         row_variation, time_variation = (
             float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order])
         )
-        is_sortable = time_variation <= row_variation
+        is_reversed = backward_count > (1.0 - settings.backward_share) * len(steps)
+        is_sortable = is_reversed or time_variation <= row_variation
         mean_step = float(np.ptp(time)) / len(steps)
         remedy = "sort the rows by their time" if is_sortable else "the rows are in order and the stamps are not"
         message = f"time runs backwards {backward_count} times in {len(steps)} steps: {remedy}"
