@@ -20,6 +20,8 @@ _TOPICS = {"encoders": "odometry", "gyro": "imu"}
 _SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
 """Key of a topic that corresponds to each sign of a column."""
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
+_EXCHANGES = {"sides": _SIDES, "axes": (("x", "y"),), "channels": (("v", "omega"),)}
+"""Pairs of columns that a change exchanges, by its key."""
 
 
 def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
@@ -106,11 +108,8 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
     """Change the sign or unit of columns of one stream, or exchange its columns."""
-    if change.key == "sides":
-        _exchange(stream, _SIDES)
-        return
-    if change.key == "axes":
-        _exchange(stream, (("x", "y"),))
+    if change.key in _EXCHANGES:
+        _exchange(stream, _EXCHANGES[change.key])
         return
     name, _, key = change.key.rpartition(".")
     names = [name] if name in stream else []

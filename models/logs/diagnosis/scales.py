@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,31 @@ class _CommandRelation:
 
     gain: float
     correlation: float
+
+
+def check_swap(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: v and omega of the command are exchanged; correct `streams`.
+
+    Every sensor then follows the command of the other channel. A reversed wheel has the same effect on the encoders,
+    but not on gyro and pose.
+    """
+    if streams.commands_wheels or {GYRO, POSE}.isdisjoint(streams.sensors(1)):
+        return []
+    exchanged = streams.command[:, ::-1]
+    for command, low, high in (
+        (streams.command, 0.0, settings.weak_correlation),
+        (exchanged, settings.clear_correlation, 1.0),
+    ):
+        tested = replace(streams, command=command)
+        for channel in (0, 1):
+            relations = _command_relations(tested, channel, settings).values()
+            if not relations or not all(low <= abs(relation.correlation) <= high for relation in relations):
+                return []
+    streams.command = exchanged
+    message = "v of the sensors follows omega of the command, and omega follows v: exchange v and omega of the command"
+    return [
+        Finding("swapped channels", "error", log, message, changes=(MappingChange(COMMAND, "channels", "exchanged"),))
+    ]
 
 
 def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
