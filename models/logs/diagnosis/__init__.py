@@ -122,7 +122,10 @@ def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -
         response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
         if response is None:
             lines.append(f"{name} not driven")
-        else:
-            times = f"{response.gain[0, 0]:.3g} times, {response.delay:.2f} s later"
-            lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
+            continue
+        interval = 1.96 * response.size_deviation
+        times = f"{response.size:.3f} +- {interval:.3f} times, {response.delay:.2f} s later"
+        # With such an interval, the delay is arbitrary as well.
+        times = times if interval < 0.5 * abs(response.size) else "not determined"
+        lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
     return "command -> " + "; ".join(lines) if lines else "no sensor"

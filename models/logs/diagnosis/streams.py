@@ -242,9 +242,9 @@ class StreamResponse:
         (c, m) steady-state gains from c inputs to m outputs.
     correlation
         (m,) correlation of each output with the best combination of inputs; for one input, with the sign of the gain.
-    size
-        Ratio of the first output to the first input, including their means; it is also valid for drives at almost
-        constant speed.
+    size, size_deviation
+        Ratio of the first output to the first input, including their means, which is also valid for drives at almost
+        constant speed; and its standard deviation, by the jackknife over parts of the log.
     """
 
     dead_time: float
@@ -253,6 +253,7 @@ class StreamResponse:
     gain: FloatArray
     correlation: FloatArray
     size: float
+    size_deviation: float
 
     @property
     def delay(self) -> float:
@@ -308,9 +309,13 @@ def fit_response(
         # A part of the log without excitation has no clear maximum.
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * explained_variance.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
-    before, after = (part[:, 0] for part in finite_pairs(filtered, y, low + index))
-    size = float(before @ after) / max(float(before @ before), 1e-300)
-    return StreamResponse(streams.dt * _peak(explained_variance, low), deviation, lag, gain, correlation, size)
+    blocks = (np.array_split(part[:, 0], _BLOCKS) for part in finite_pairs(filtered, y, low + index))
+    products = np.array([[before @ after, before @ before] for before, after in zip(*blocks, strict=True)])
+    without_one = products.sum(axis=0) - products
+    size, *sizes = (float(product / max(square, 1e-300)) for product, square in [products.sum(axis=0), *without_one])
+    size_deviation = float(np.sqrt(_BLOCKS - 1) * np.std(sizes))
+    dead_time = streams.dt * _peak(explained_variance, low)
+    return StreamResponse(dead_time, deviation, lag, gain, correlation, size, size_deviation)
 
 
 def _with_initial_commands(
