@@ -424,6 +424,14 @@ class LogMapping(StrictModel):
     )
     gap: Positive | None = Field(None, description="maximum time between two commands or rows of one stretch [s]")
 
+    @field_validator("times")
+    @classmethod
+    def _check_times(cls, times: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        for start, end in times:
+            if not start < end:
+                raise ValueError(f"the part from {start:g} to {end:g} s is empty; give the start before the end")
+        return times
+
     def unused_entries(self) -> list[str]:
         """List entries of the mapping that have no effect, one sentence each."""
         groups = (self.columns.command, self.columns.encoders) if self.columns else ()
