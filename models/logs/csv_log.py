@@ -216,6 +216,9 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     table, findings = reduce_table(whole, columns, settings)
     findings = [*table.findings, *findings]
     del whole
+    if columns.time is not None:
+        table, copies = _without_copies(table)
+        findings += copies
     reader = RowReader(table, wheels)
     time = _times(table, columns)
     commands, wheel_commands, is_invalid = reader.command(columns.command)
@@ -265,6 +268,18 @@ def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
     if not keep.any():
         raise ConfigError(f"{table.path}: no row satisfies 'where' in the mapping: {columns.where}")
     return table if keep.all() else table.part(keep)
+
+
+def _without_copies(table: CsvTable) -> tuple[CsvTable, list[Finding]]:
+    """Remove rows that are equal to the row before, including its time; return the finding if there are any."""
+    is_copy = np.append(False, np.all([np.diff(np.nan_to_num(cells)) == 0 for cells in table.values.values()], axis=0))
+    if not is_copy.any():
+        return table, []
+    place = f"{table.path.name}, line {format_ranges(table.lines[is_copy])}"
+    message = f"{is_copy.sum()} rows are copies of the row before, with the same time; they are left out"
+    remaining = table.part(~is_copy)
+    remaining.row -= np.cumsum(is_copy)[~is_copy]
+    return remaining, [Finding("time stands still", "warning", place, message)]
 
 
 def _times(table: CsvTable, columns: Columns) -> FloatArray:
