@@ -106,7 +106,8 @@ class RowReader:
             )
         if bad.any():
             place = f"{self.table.path.name}, line {format_ranges(self.table.lines[bad])}"
-            message = f"column '{column.column}' is not finite in {bad.sum()} rows; these rows are left out"
+            limits = f"not finite or beyond {MAX_VALUE:g}"
+            message = f"column '{column.column}' is {limits} in {bad.sum()} rows; these rows are left out"
             self.findings.append(Finding("NaN rows", "warning", place, message))
         return column.sign * self._factor(column) * values, bad
 

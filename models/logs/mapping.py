@@ -164,6 +164,10 @@ class _TwistOrWheels(StrictModel):
             if present and len(present) < len(group):
                 missing = next(name for name in group if name not in present)
                 raise ValueError(f"'{present[0]}' also needs '{missing}'")
+        for first, second in (("v", "omega"), SIDES, FOUR_WHEELS[:2], FOUR_WHEELS[2:]):
+            columns = [part.column for name, part in self if name in (first, second) and part is not None]
+            if len(columns) > len(set(columns)):
+                raise ValueError(f"column '{columns[0]}' is named for '{first}' and for '{second}'; correct one")
         if not any(self.has(*group) for group in groups):
             raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
         return self

@@ -82,7 +82,7 @@ def test_repeated_time_is_a_finding(tmp_path):
 def test_nan_rows_of_a_sensor_are_omitted(tmp_path):
     log = read_modified(tmp_path, with_value("gyro", [100, 101, 300], np.nan))
     assert texts(log, "NaN rows") == [
-        "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; these rows are left out"
+        "log.csv, line 102 to 103, 302: column 'gyro' is not finite or beyond 1e+20 in 3 rows; these rows are left out"
     ]
     (record,) = log.records
     assert list(np.flatnonzero(~record.fresh_yaw_rate)) == [100, 101, 300]
@@ -91,7 +91,7 @@ def test_nan_rows_of_a_sensor_are_omitted(tmp_path):
 def test_numbers_too_large_to_be_squared_are_not_readings(tmp_path):
     """The squares of these numbers would overflow."""
     log = read_modified(tmp_path, with_value("gyro", [100, 300], 1e308))
-    assert "column 'gyro' is not finite in 2 rows" in texts(log, "NaN rows")[0]
+    assert "column 'gyro' is not finite or beyond 1e+20 in 2 rows" in texts(log, "NaN rows")[0]
     for value in (1e308, -1e308, np.nan):
         with pytest.raises(ConfigError, match="column 'v_ref' holds no usable number in any row"):
             read_modified(tmp_path, with_value("v_ref", slice(None), value))
@@ -99,7 +99,7 @@ def test_numbers_too_large_to_be_squared_are_not_readings(tmp_path):
 
 def test_unknown_command_ends_the_stretch(tmp_path):
     log = read_modified(tmp_path, with_value("v_ref", 400, np.nan))
-    assert "column 'v_ref' is not finite in 1 rows" in texts(log, "NaN rows")[0]
+    assert "column 'v_ref' is not finite or beyond 1e+20 in 1 rows" in texts(log, "NaN rows")[0]
     assert [len(record.command) for record in log.records] == [400, 599]
 
 
