@@ -43,8 +43,10 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     streams = replace(streams)  # a copy, because the rules replace its arrays
     findings = check_presence(log, streams)
     # A short log does not distinguish responses from chance.
-    if np.isfinite(streams.command[:, 0]).sum() * streams.dt < settings.min_duration:
-        return findings
+    duration = np.isfinite(streams.command[:, 0]).sum() * streams.dt
+    if duration < settings.min_duration:
+        message = f"{duration:.1f} s do not suffice to compare the streams; record {settings.min_duration:g} s or more"
+        return [*findings, Finding("little excitation", "warning", log, message)]
     findings += check_counts(log, streams, settings)
     findings += check_swap(log, streams, settings)
     if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):
