@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,6 +17,7 @@ from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
 SENSORS = (ENCODERS, GYRO, POSE)
+_FIELDS = {ENCODERS: "twist", GYRO: "yaw_rate", POSE: "pose"}
 _BLOCKS = 5
 """Number of parts of a log for the standard deviation of a dead time."""
 
@@ -109,6 +111,26 @@ class Streams:
 
         return self.map_stretches(delay_part, values) if count else values
 
+    def command_responses(
+        self, channel: int, settings: CheckSettings, *, intervals: bool = False
+    ) -> dict[str, StreamResponse]:
+        """Return the responses of the sensors of a channel to its command; {} for a constant command."""
+        responses = {
+            name: fit_response(self, *self.pair(COMMAND, name, channel), settings, intervals=intervals)
+            for name in self.sensors(channel)
+        }
+        return {name: response for name, response in responses.items() if response is not None}
+
+    def remove(self, name: str) -> None:
+        """Remove a sensor."""
+        setattr(self, _FIELDS[name], None)
+        if name == ENCODERS:
+            self.wheels = None
+
+    def shift(self, name: str, seconds: float) -> None:
+        """Delay the readings of a sensor by `seconds`."""
+        setattr(self, _FIELDS[name], self.delay(getattr(self, _FIELDS[name]), seconds))
+
     def low_pass(self, values: FloatArray, lag: float) -> FloatArray:
         """Filter values (N, ...) by two equal first-order lags [s]; each stretch starts in steady state."""
         if lag == 0:
@@ -119,7 +141,7 @@ class Streams:
             from scipy.signal import lfilter  # noqa: PLC0415 - slow import, not needed to load a model
 
             start = np.where(np.isfinite(part[0]), part[0], 0.0)
-            first_lag = lfilter([1 - pole], [1, -pole], _interpolate_missing(part) - start, axis=0)
+            first_lag = lfilter([1 - pole], [1, -pole], interpolate_missing(part) - start, axis=0)
             return np.asarray(lfilter([1 - pole], [1, -pole], first_lag, axis=0) + start)
 
         return self.map_stretches(filter_part, values)
@@ -160,7 +182,7 @@ class Streams:
         return self.map_stretches(crop_part, values)
 
 
-def _interpolate_missing(values: FloatArray) -> FloatArray:
+def interpolate_missing(values: FloatArray) -> FloatArray:
     """Interpolate missing values (n, ...) linearly."""
     if np.isfinite(values).all():
         return values
@@ -254,6 +276,11 @@ class StreamResponse:
     correlation: FloatArray
     size: float
     size_deviation: float
+
+    @property
+    def signed_correlation(self) -> float:
+        """Correlation of the first output with the sign of `size`; its own sign is random for a rare command."""
+        return math.copysign(float(self.correlation[0]), self.size)
 
     @property
     def delay(self) -> float:
