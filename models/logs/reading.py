@@ -139,16 +139,14 @@ def _build_records(
                 place = f"{raw.name}, {first:.1f} to {last:.1f} s"
                 findings.append(Finding("short stretch", "note", place, message, (first, last)))
     if not records:
-        if times and not max_count:
-            first, last = raw.stretches[0].clock[0], raw.stretches[-1].clock[-1]
-            parts = ", ".join(f"{start:g} to {end:g} s" for start, end in times)
-            raise ConfigError(
-                f"{raw.name}: 'times' of the mapping ({parts}) are outside the log ({first:.1f} to {last:.1f} s)"
-            )
         bursts = [finding.message for finding in raw.findings if finding.kind == "silent commands"]
         hint = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
+        remedy = f"record for longer, or give a longer 'gap' in the mapping (now {max_step:.3g} s){hint}"
+        if times and not max_count:
+            first, last = raw.stretches[0].clock[0], raw.stretches[-1].clock[-1]
+            remedy = f"'times' of the mapping are outside the log, which is from {first:.1f} to {last:.1f} s"
         raise ConfigError(
             f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.min_samples} are needed; "
-            f"record for longer, or give a longer 'gap' in the mapping (now {max_step:.3g} s){hint}"
+            f"{remedy}"
         )
     return records, findings

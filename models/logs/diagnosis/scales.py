@@ -47,16 +47,17 @@ def check_swap(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     """
     if streams.commands_wheels or {GYRO, POSE}.isdisjoint(streams.sensors(1)):
         return []
-    exchanged = streams.command[:, ::-1]
-    for command, low, high in (
-        (streams.command, 0.0, settings.weak_correlation),
-        (exchanged, settings.clear_correlation, 1.0),
-    ):
+
+    def correlations(command: FloatArray) -> list[float]:
         tested = replace(streams, command=command)
-        for channel in (0, 1):
-            relations = tested.command_responses(channel, settings).values()
-            if not relations or not all(low <= abs(relation.signed_correlation) <= high for relation in relations):
-                return []
+        responses = (tested.command_responses(channel, settings).values() for channel in (0, 1))
+        return [abs(response.signed_correlation) for part in responses for response in part]
+
+    exchanged = streams.command[:, ::-1]
+    if max(correlations(streams.command), default=1.0) > settings.weak_correlation:
+        return []
+    if min(correlations(exchanged), default=0.0) < settings.clear_correlation:
+        return []
     streams.command = exchanged
     message = "v of the sensors follows omega of the command, and omega follows v: exchange v and omega of the command"
     return [
