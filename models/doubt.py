@@ -67,6 +67,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "uneven wheels": _SCALE,
     "reversed wheel": _SIGN,
     "swapped sides": _SIGN,
+    "swapped channels": _SIGN,
     "mirrored pose": _SIGN,
     "late sensor": _irrelevant("`identify` corrects it"),
     "scaled sensor": _irrelevant("`identify` corrects it"),

@@ -228,7 +228,7 @@ def identify(
     share = identification_settings().fit_share if fit_share is None else fit_share
     stated_robot = None if robot is None else load_stated_robot(robot)
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, _frames_by_name(folder):
-        paths = _paths(logs, Path(folder), "data_frame")
+        paths = _paths(logs, Path(folder), "data frame")
         if not paths:
             raise ConfigError("no logs: pass at least one log")
         if on_progress:
@@ -238,7 +238,7 @@ def identify(
         effective_mapping = (
             stated_robot.mapping() if stated_robot is not None and mapping is None and is_robot_bag else mapping
         )
-        validation_paths = _paths(validate, Path(folder), "validation")
+        validation_paths = _paths(validate, Path(folder), "validation data frame")
         selection = LogSelection(tuple(paths), tuple(validation_paths), effective_mapping, share)
         log_findings: list[Finding] = []
         report = on_findings or (lambda _: None)
@@ -366,7 +366,7 @@ def _frames_by_name(folder: str) -> Iterator[None]:
     except ConfigError as error:
         if folder not in (message := str(error)):
             raise
-        remedy = "; first write the data frame to this file: frame.to_csv('data_frame_0.csv', index=False)"
+        remedy = "; first write the data frame to this file: frame.to_csv('data frame 0', index=False)"
         raise ConfigError(message.replace(f"{folder}/", "") + remedy * ("--draft" in message)) from error
 
 
@@ -376,7 +376,7 @@ def _paths(logs: object, folder: Path, name: str) -> list[Path]:
     paths = []
     for number, log in enumerate(items):
         if hasattr(log, "to_csv"):
-            paths.append(folder / f"{name}_{number}.csv")
+            paths.append(folder / f"{name} {number}")
             log.to_csv(paths[-1], index=False)
         elif isinstance(log, (str, Path)):
             paths.append(Path(log))

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
-from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
+from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees, irregular_spacing
 from diffdrive_mpc.models.logs.long_logs import reduce_table
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
@@ -106,7 +106,8 @@ class RowReader:
             )
         if bad.any():
             place = f"{self.table.path.name}, line {format_ranges(self.table.lines[bad])}"
-            message = f"column '{column.column}' is not finite in {bad.sum()} rows; these rows are left out"
+            limits = f"not finite or beyond {MAX_VALUE:g}"
+            message = f"column '{column.column}' is {limits} in {bad.sum()} rows; these rows are left out"
             self.findings.append(Finding("NaN rows", "warning", place, message))
         return column.sign * self._factor(column) * values, bad
 
@@ -216,6 +217,9 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     table, findings = reduce_table(whole, columns, settings)
     findings = [*table.findings, *findings]
     del whole
+    if columns.time is not None:
+        table, copies = _without_copies(table)
+        findings += copies
     reader = RowReader(table, wheels)
     time = _times(table, columns)
     commands, wheel_commands, is_invalid = reader.command(columns.command)
@@ -265,6 +269,18 @@ def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
     if not keep.any():
         raise ConfigError(f"{table.path}: no row satisfies 'where' in the mapping: {columns.where}")
     return table if keep.all() else table.part(keep)
+
+
+def _without_copies(table: CsvTable) -> tuple[CsvTable, list[Finding]]:
+    """Remove rows that are equal to the row before, including its time; return the finding if there are any."""
+    is_copy = np.append(False, np.all([np.diff(np.nan_to_num(cells)) == 0 for cells in table.values.values()], axis=0))
+    if not is_copy.any():
+        return table, []
+    place = f"{table.path.name}, line {format_ranges(table.lines[is_copy])}"
+    message = f"{is_copy.sum()} rows are copies of the row before, with the same time; they are left out"
+    remaining = table.part(~is_copy)
+    remaining.row -= np.cumsum(is_copy)[~is_copy]
+    return remaining, [Finding("time stands still", "warning", place, message)]
 
 
 def _times(table: CsvTable, columns: Columns) -> FloatArray:
@@ -333,9 +349,10 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
 def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
     """Return a finding if each of the readings (n, width) is clearly repeated over several rows."""
     period = hold_period(readings, check_settings())
-    if period is None or period == 1:
+    spacing = irregular_spacing(readings, check_settings()) if period is None else f"multiples of {period}"
+    if period == 1 or spacing is None:
         return []
-    message = f"the readings of the {sensor} change only after multiples of {period} rows: rows repeat the last reading"
+    message = f"the readings of the {sensor} change only after {spacing} rows: rows repeat the last reading"
     change = MappingChange(sensor, "held", True)
     return [Finding("held readings", "note", table.path.name, message, changes=(change,))]
 

@@ -130,6 +130,8 @@ class CsvTable:
             remedy = "leave the cell empty if a reading is missing"
             if _DECIMAL_COMMA.fullmatch(cell):
                 remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
+            elif len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
+                remedy = "no cell of this line is one: delete the line, such as a second header or a row of units"
             raise ConfigError(
                 f"{self.path}, line {self.lines[index]}, column '{name}': '{plain_line(cell, _MAX_CELL)}' is not a "
                 f"number; {remedy}"

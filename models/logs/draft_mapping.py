@@ -20,6 +20,7 @@ from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
 from diffdrive_mpc.models.logs.diagnosis.readings import in_degrees
+from diffdrive_mpc.models.logs.diagnosis.streams import interpolate_missing
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     FOUR_WHEELS,
@@ -151,7 +152,7 @@ def _draft_from_table(log: Path) -> list[str]:
 
 def _restart_column(table: CsvTable, pose: dict[str, _Column]) -> str:
     """Return the column with the most changes, if the position jumps at most of them; "" if there is no such column."""
-    steps = np.hypot(*(np.diff(_interpolate_missing(pose[axis].values)) for axis in "xy"))
+    steps = np.hypot(*(np.diff(interpolate_missing(pose[axis].values)) for axis in "xy"))
     counts = {"": 0}
     for name in table.header:
         is_change = np.diff(table.cells(name)) != 0
@@ -363,19 +364,13 @@ def _add_comparison(command: _Column | None, measured: _Column) -> None:
 def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, float]:
     """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
     # Correlate changes instead of values, because offsets and slow drifts would hide the delay.
-    u, y = (np.diff(_interpolate_missing(values)) for values in (first, second))
+    u, y = (np.diff(interpolate_missing(values)) for values in (first, second))
     max_lag = min(_table().max_lag_rows, len(u) // 4)
     lags = range(-max_lag, max_lag + 1)
     size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)
     products = [float(u[max(-lag, 0) : len(u) - max(lag, 0)] @ y[max(lag, 0) : len(y) + min(lag, 0)]) for lag in lags]
     peak = int(np.argmax(np.abs(products)))
     return lags[peak], products[peak] / size
-
-
-def _interpolate_missing(values: FloatArray) -> FloatArray:
-    """Interpolate missing values (n,)."""
-    rows = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(len(values)), rows, values[rows])
 
 
 _TYPES = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES, "battery": BATTERIES}

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
+from diffdrive_mpc.models.logs.diagnosis.streams import interpolate_missing
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, Record
 
 _WINDOWS = (2.0, 6.0)
@@ -101,12 +102,11 @@ def _positions(record: Record) -> _Positions | None:
     rows = np.flatnonzero(record.fresh_pose)
     v, omega = (record.command if record.twist is None else record.twist).T
     inputs = [v, omega if record.yaw_rate is None else record.yaw_rate]
-    known = [np.flatnonzero(np.isfinite(values)) for values in inputs]
-    if not all(map(len, known)):
+    if not all(np.isfinite(values).any() for values in inputs):
         return None
-    grid = np.arange(len(v))
-    filled = [np.interp(grid, k, values[k]) for k, values in zip(known, inputs, strict=True)]
-    return _Positions(np.column_stack(filled), record.dt, rows, record.pose[rows, :2] @ [1.0, 1.0j])
+    return _Positions(
+        interpolate_missing(np.column_stack(inputs)), record.dt, rows, record.pose[rows, :2] @ [1.0, 1.0j]
+    )
 
 
 def _fit(data: Sequence[_Positions]) -> FloatArray:

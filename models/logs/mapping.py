@@ -58,6 +58,8 @@ def draft_command(log: Path) -> str:
 MAPPINGS = Path(__file__).parent / "mappings"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Delay = Annotated[float, Field(ge=-1, le=1)]
+"""Delay [s]; at most that of a sensor in a configuration, and negative for readings that precede their motion."""
 Sign = Literal[1, -1]
 SIDES = ("left", "right")
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -162,6 +164,10 @@ class _TwistOrWheels(StrictModel):
             if present and len(present) < len(group):
                 missing = next(name for name in group if name not in present)
                 raise ValueError(f"'{present[0]}' also needs '{missing}'")
+        for first, second in (("v", "omega"), SIDES, FOUR_WHEELS[:2], FOUR_WHEELS[2:]):
+            columns = [part.column for name, part in self if name in (first, second) and part is not None]
+            if len(columns) > len(set(columns)):
+                raise ValueError(f"column '{columns[0]}' is named for '{first}' and for '{second}'; correct one")
         if not any(self.has(*group) for group in groups):
             raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
         return self
@@ -170,7 +176,7 @@ class _TwistOrWheels(StrictModel):
 class CommandColumns(_TwistOrWheels):
     """Columns of the command: (v, omega), or wheel speeds left and right. An empty cell keeps the last command."""
 
-    delay: float = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
+    delay: Delay = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
 
     @model_validator(mode="after")
     def _check_units(self) -> Self:
@@ -189,7 +195,7 @@ class SensorColumns(StrictModel):
         None, description="times of the readings, if they differ from the times of the rows"
     )
     held: bool = Field(False, description="rows repeat the last reading until the next one arrives")
-    delay: float = Field(0.0, description="delay of the logged time of a reading after the measurement [s]")
+    delay: Delay = Field(0.0, description="delay of the logged time of a reading after the measurement [s]")
 
 
 class EncoderColumns(_TwistOrWheels, SensorColumns):
@@ -213,7 +219,9 @@ class PoseColumns(SensorColumns):
     x: LengthColumn
     y: LengthColumn
     theta: AngleColumn | None = Field(None, description="heading; if it is missing, it is computed from x and y")
-    heading_offset: float = Field(0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]")
+    heading_offset: Annotated[float, Field(ge=-4, le=4)] = Field(
+        0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]"
+    )
 
 
 class PowerColumns(SensorColumns):
@@ -303,7 +311,7 @@ class Topic(_NameOrFields):
 
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="factor of yaw rates, headings and currents; -1 for a sensor mounted upside down")
-    delay: float = Field(0.0, description="delay of the stamps after the measurement [s]")
+    delay: Delay = Field(0.0, description="delay of the stamps after the measurement [s]")
     fields: tuple[str, ...] | None = Field(
         None, description="fields of the values if the message type is not supported, such as twist.linear.x or data.0"
     )
@@ -419,6 +427,14 @@ class LogMapping(StrictModel):
         (), description="start and end of each part to use, on the log's clock [s]; empty for the whole log"
     )
     gap: Positive | None = Field(None, description="maximum time between two commands or rows of one stretch [s]")
+
+    @field_validator("times")
+    @classmethod
+    def _check_times(cls, times: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        for start, end in times:
+            if not start < end:
+                raise ValueError(f"the part from {start:g} to {end:g} s is empty; give the start before the end")
+        return times
 
     def unused_entries(self) -> list[str]:
         """List entries of the mapping that have no effect, one sentence each."""

@@ -20,6 +20,8 @@ _TOPICS = {"encoders": "odometry", "gyro": "imu"}
 _SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
 """Key of a topic that corresponds to each sign of a column."""
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
+_EXCHANGES = {"sides": _SIDES, "axes": (("x", "y"),), "channels": (("v", "omega"),)}
+"""Pairs of columns that a change exchanges, by its key."""
 
 
 def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
@@ -49,7 +51,7 @@ def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]
 def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Return the mapping with all changes applied.
 
-    Changes are relative: a sign is inverted and a delay is added, so a finding does not depend on the current values.
+    Signs are inverted and delays are added, so these changes do not depend on the current values.
     For columns of wheels, an exchange of the sides inverts omega; inverted signs and an exchange together invert v.
 
     Raises
@@ -86,9 +88,7 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     stream = group[change.stream] = _expand_name(group.get(change.stream, "/cmd_vel"), "topic")
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
-    elif change.key == "heading_offset" and has_columns:
-        stream["heading_offset"] = round(stream.get("heading_offset", 0.0) + float(change.value), 4)
-    elif change.key in ("held", "on_change"):
+    elif change.key in ("held", "on_change") or (change.key == "heading_offset" and has_columns):
         stream[change.key] = change.value
     elif not has_columns:
         if change.key != "sign":
@@ -108,11 +108,8 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
     """Change the sign or unit of columns of one stream, or exchange its columns."""
-    if change.key == "sides":
-        _exchange(stream, _SIDES)
-        return
-    if change.key == "axes":
-        _exchange(stream, (("x", "y"),))
+    if change.key in _EXCHANGES:
+        _exchange(stream, _EXCHANGES[change.key])
         return
     name, _, key = change.key.rpartition(".")
     names = [name] if name in stream else []

@@ -76,7 +76,7 @@ def read_log(
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
     # With a wrong unit of time, all later checks would report consequences of it, so this error ends the reading.
-    if finding := check_period(raw.name, period, settings):
+    if finding := check_period(raw.name, period, settings, is_stated=raw.sample_time is not None):
         raise_on_error([finding])
     max_step = (loaded.gap if loaded else None) or settings.max_step(period)
     records, findings = _build_records(raw, dt, max_step, loaded.times if loaded else (), settings)
@@ -92,6 +92,8 @@ def read_log(
         records, notes = with_headings(raw.name, records)
         findings += notes
     streams = streams_of(records, settings)
+    if loaded and loaded.columns and loaded.columns.pose:
+        streams.heading_offset = loaded.columns.pose.heading_offset
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
         # Resampling hides short zeros and dead zones, so these two checks use the raw log.
@@ -139,8 +141,12 @@ def _build_records(
     if not records:
         bursts = [finding.message for finding in raw.findings if finding.kind == "silent commands"]
         hint = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
+        remedy = f"record for longer, or give a longer 'gap' in the mapping (now {max_step:.3g} s){hint}"
+        if times and not max_count:
+            first, last = raw.stretches[0].clock[0], raw.stretches[-1].clock[-1]
+            remedy = f"'times' of the mapping are outside the log, which is from {first:.1f} to {last:.1f} s"
         raise ConfigError(
             f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.min_samples} are needed; "
-            f"record for longer, or give a longer 'gap' in the mapping (now {max_step:.3g} s){hint}"
+            f"{remedy}"
         )
     return records, findings

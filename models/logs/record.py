@@ -182,10 +182,10 @@ class MappingChange:
         "command", "encoders", "gyro", "pose"; "time" for the clock of the log; "log" for the whole log.
     key
         Dotted key in the mapping of the stream: "delay", "held", "on_change", "yaw_rate.sign", "left.unit",
-        "heading_offset"; "sides" and "axes" for an exchange of columns; "times" for the stream "log". Keys of "v" and
-        "omega" are also valid if wheels are mapped.
+        "heading_offset"; "sides", "axes" and "channels" for an exchange of columns; "times" for the stream "log". Keys
+        of "v" and "omega" are also valid if wheels are mapped.
     value
-        New value. For "delay" and "heading_offset" the increment [s, rad]; for "sign" -1, which inverts the sign; for
+        New value. For "delay" the increment [s]; for "sign" -1, which inverts the sign; for
         "times" start and end [s], as "0.0 to 61.5".
     """
 

@@ -107,7 +107,7 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
         # Zero is a valid dead time; all other bounds only limit the search.
         if name.startswith("dead_time") and value - lower < AT_BOUND:
             message = (
-                "the data show no dead time in addition to the lag; check that `delay` in the mapping is not too large"
+                "the data show no dead time in addition to the lag; if the mapping has a `delay`, it may be too large"
             )
             found_doubts.append(Doubt("no dead time", message).about(label))
         elif min(value - lower, upper - value) < AT_BOUND:

@@ -44,6 +44,7 @@ def drive(*, gyro=1.0, wheels=1.0, late=0, max_rate=np.inf, seed=0):
     [
         ({}, {}),
         ({"gyro": 0.77}, {"yaw_rate": {"scale": 0.77}}),
+        ({"gyro": 180 / np.pi}, {}),
         ({"wheels": 0.7}, {"wheels": {"scale": 0.7}}),
         ({"late": 1}, {"pose": {"delay": DT}}),
         ({"late": 6, "gyro": 1.3}, {"yaw_rate": {"scale": 1.3}, "pose": {"delay": 6 * DT}}),

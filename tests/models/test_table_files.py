@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.csv_layout import open_csv
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from refusals import one_line_error
 
-COLUMNS = drive(seconds=4.0)
+COLUMNS = drive(seconds=6.0)
 NAMES = list(COLUMNS)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_delay, calibrate_gyro, calibrate_lags
 from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
@@ -122,7 +123,7 @@ def find_corrections(
     inferred: dict[str, dict[str, float]] = {}
     findings: list[Finding] = []
     limits = identification_settings().sensors
-    certainty = limits.significance
+    certainty, plausible = limits.significance, check_settings()
 
     def report(kind: str, text: str) -> None:
         findings.append(Finding(kind, "warning", name, f"{text}; `identify` sets 'sensors' in config.yaml"))
@@ -143,19 +144,21 @@ def find_corrections(
                 report("late sensor", text)
             gyro = calibrate_gyro(with_pose, delay).parameters
             scale, deviation = gyro.value("gyro_scale"), gyro.deviation("gyro_scale")
-            if abs(scale - 1.0) > max(limits.min_scale, limits.significance * deviation):
+            # A scale beyond the plausible gains is a wrong unit or a dead sensor, which the checks of the log report.
+            is_plausible = plausible.gain_of_omega[0] < scale < plausible.gain_of_omega[1]
+            if is_plausible and abs(scale - 1.0) > max(limits.min_scale, limits.significance * deviation):
                 inferred["yaw_rate"] = {"scale": round(scale, 4), **inferred.get("yaw_rate", {})}
                 text = f"rotation of the gyro is {scale:.4f} +- {1.96 * deviation:.4f} times that of the poses"
                 report("scaled sensor", text)
         if with_pose and all(record.twist is not None for record in with_pose):
             lags = calibrate_lags(SensorCorrections({}, inferred).correct(with_pose))
             scale, deviation = lags.value("wheels.scale"), lags.deviation("wheels.scale")
-            is_scaled = abs(math.log(scale)) > limits.min_wheel_scale and abs(scale - 1.0) > certainty * deviation
-            if is_scaled and _commands_agree_with_poses(with_pose, scale):
+            size, is_significant = abs(math.log(scale)), abs(scale - 1.0) > certainty * deviation
+            if size > limits.min_wheel_scale and is_significant and _commands_agree_with_poses(with_pose, scale):
                 inferred["wheels"] = {"scale": round(scale, 4)}
                 text = f"encoder distance is {scale:.3f} +- {1.96 * deviation:.3f} times that of poses and commands"
                 report("scaled sensor", text)
-            elif abs(math.log(scale)) > limits.min_scale and abs(scale - 1.0) > certainty * deviation:
+            elif limits.min_scale < size < math.log(plausible.gain_of_v[1]) and is_significant:
                 findings.append(_pose_scale_finding(name, scale, 1.96 * deviation, limits.min_slip))
     except ValueError:  # too few windows for an estimate
         pass

@@ -149,7 +149,7 @@ def surface_text(surface: Mapping[str, Mapping[str, float]]) -> str:
     reasons = {
         "yaw_gain": "ratio of true yaw rate and the model's; 1, because the model is identified from the log",
         "wheel_yaw_gain": "ratio of true yaw rate and the encoders', from the gyro; 1 for a log without a gyro",
-        "longitudinal_gain": "ratio of true forward speed and the encoders'; not in the log",
+        "longitudinal_gain": "ratio of true forward speed and the encoders'; assumed, robot.yaml has that of the poses",
         "side_slip": "s, ratio of lateral speed and v * omega; see config.yaml",
     }
     lines = [f"  {name}: {value}   # {reasons[name]}" for name, value in surface["slip"].items()]

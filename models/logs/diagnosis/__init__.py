@@ -17,7 +17,7 @@ from diffdrive_mpc.models.logs.diagnosis.commands import check_curve, check_echo
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
 from diffdrive_mpc.models.logs.diagnosis.motions import check_motions, compare_sensors
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
-from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
+from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_swap, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
@@ -43,9 +43,12 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     streams = replace(streams)  # a copy, because the rules replace its arrays
     findings = check_presence(log, streams)
     # A short log does not distinguish responses from chance.
-    if np.isfinite(streams.command[:, 0]).sum() * streams.dt < settings.min_duration:
-        return findings
+    duration = np.isfinite(streams.command[:, 0]).sum() * streams.dt
+    if duration < settings.min_duration:
+        message = f"{duration:.1f} s do not suffice to compare the streams; record {settings.min_duration:g} s or more"
+        return [*findings, Finding("little excitation", "warning", log, message)]
     findings += check_counts(log, streams, settings)
+    findings += check_swap(log, streams, settings)
     if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):
         return [*findings, *change]  # the parts before and after the change contradict each other in all later checks
     if echo := check_echo(log, streams, settings):
@@ -121,7 +124,10 @@ def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -
         response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
         if response is None:
             lines.append(f"{name} not driven")
-        else:
-            times = f"{response.gain[0, 0]:.3g} times, {response.delay:.2f} s later"
-            lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
+            continue
+        interval = 1.96 * response.size_deviation
+        times = f"{response.size:.3f} +- {interval:.3f} times, {response.delay:.2f} s later"
+        # With such an interval, the delay is arbitrary as well.
+        times = times if interval < 0.5 * abs(response.size) else "not determined"
+        lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
     return "command -> " + "; ".join(lines) if lines else "no sensor"

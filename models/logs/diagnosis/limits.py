@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import KINDS, apply_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import Streams
 
 _SHARES = np.geomspace(0.03, 0.8, 10)
 """Candidate limits: levels as shares of the maximum command, rates as shares of twice the maximum per second."""
@@ -47,8 +47,6 @@ def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:
 
 def _residual_share(streams: Streams, channel: int, settings: CheckSettings) -> float:
     """Return the mean share of the sensors' variance that the command does not explain."""
-    responses = [
-        fit_response(streams, *streams.pair(COMMAND, name, channel), settings) for name in streams.sensors(channel)
-    ]
-    shares = [1 - float(response.correlation[0]) ** 2 for response in responses if response is not None]
+    responses = streams.command_responses(channel, settings).values()
+    shares = [1 - float(response.correlation[0]) ** 2 for response in responses]
     return float(np.mean(shares)) if shares else 0.0

@@ -8,12 +8,15 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.mapping import FACTORS
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 
 _SENSOR = {"twist": "encoders", "wheels": "encoders", "wheel_speeds": "encoders", "yaw_rate": "gyro", "pose": "pose"}
 _MIN_READINGS = 100
 """Minimum number of readings for checks of spikes and held values."""
+_FINE_STEPS = 5
+"""Minimum ratio of the median to the 5th percentile of the changes of a reading with a fine resolution."""
 
 
 def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
@@ -152,6 +155,24 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
     return 1 if shorter == 1 else None
 
 
+def irregular_spacing(readings: FloatArray, settings: CheckSettings) -> str | None:
+    """Return the range of rows between two changes, such as "2 to 7", of readings (n, width) that most rows repeat.
+
+    The result is None if fewer rows repeat a reading, or if a coarse resolution may be the cause: then most changes
+    are a single step of the resolution.
+    """
+    readings = readings[np.isfinite(readings).all(axis=1)]
+    steps = np.abs(np.diff(readings, axis=0))
+    gaps = np.diff(np.flatnonzero((steps > 0).any(axis=1)))
+    if len(readings) < _MIN_READINGS or len(gaps) < settings.min_samples or np.median(gaps) < 2:
+        return None
+    quantiles = np.array([np.percentile(column[column > 0], [5, 50]) for column in steps.T if column.any()])
+    if (quantiles[:, 1] < _FINE_STEPS * quantiles[:, 0]).all():
+        return None
+    low, high = np.percentile(gaps, [10, 90])
+    return f"{low:.0f} to {high:.0f}"
+
+
 def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:
     """Return the finding if the stamps (n,) [s] of the rows are unusable; None for regular stamps.
 
@@ -169,12 +190,13 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         return None
     backward_count = int((steps < 0).sum())
     if backward_count > max(3.0, settings.backward_share * len(steps)):
-        # Readings are smooth in their true order.
+        # Readings are smooth in their true order; a reversed log is as smooth by time.
         order = np.argsort(time, kind="stable")
         row_variation, time_variation = (
             float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order])
         )
-        is_sortable = time_variation <= row_variation
+        is_reversed = backward_count > (1.0 - settings.backward_share) * len(steps)
+        is_sortable = is_reversed or time_variation <= row_variation
         mean_step = float(np.ptp(time)) / len(steps)
         remedy = "sort the rows by their time" if is_sortable else "the rows are in order and the stamps are not"
         message = f"time runs backwards {backward_count} times in {len(steps)} steps: {remedy}"
@@ -197,15 +219,23 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     return None
 
 
-def check_period(name: str, period: float, settings: CheckSettings) -> Finding | None:
-    """Return the finding for an implausible sample time [s]; None for a plausible one."""
+def check_period(name: str, period: float, settings: CheckSettings, *, is_stated: bool = False) -> Finding | None:
+    """Return the finding for an implausible sample time [s]; None for a plausible one.
+
+    A sample time that the mapping states (`is_stated`) is corrected itself, because there is no column of times.
+    """
     low, high = settings.sample_times
     if low <= period <= high:
         return None
-    units = [unit for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high]
+    units = [unit for unit in ("ms", "us", "ns") if low <= period * FACTORS[unit] <= high]
     hint = "" if units else ": check the column and its unit"
     message = f"the times step by {period:.4g} s, which is not a plausible sample time of a robot{hint}"
-    remedy = tuple(MappingChange("time", "unit", unit) for unit in units[:1])
+    remedy = tuple(
+        MappingChange("time", "sample_time", float(f"{period * FACTORS[unit]:.4g}"))
+        if is_stated
+        else MappingChange("time", "unit", unit)
+        for unit in units[:1]
+    )
     return Finding("wrong unit", "error", name, message, changes=remedy)
 
 

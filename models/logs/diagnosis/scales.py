@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.limits import apply_best_limits
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, StreamResponse, Streams
 from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -39,28 +39,38 @@ _SIGNALS = {
 }
 
 
-@dataclass(frozen=True)
-class _CommandRelation:
-    """Relation of a stream to the command.
+def check_swap(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: v and omega of the command are exchanged; correct `streams`.
 
-    Attributes
-    ----------
-    gain
-        Ratio of the stream to the command.
-    correlation
-        Correlation at the best lag, with the sign of `gain`; its own sign is random if the command changes rarely.
+    Every sensor then follows the command of the other channel. A reversed wheel has the same effect on the encoders,
+    but not on gyro and pose.
     """
+    if streams.commands_wheels or {GYRO, POSE}.isdisjoint(streams.sensors(1)):
+        return []
 
-    gain: float
-    correlation: float
+    def correlations(command: FloatArray) -> list[float]:
+        tested = replace(streams, command=command)
+        responses = (tested.command_responses(channel, settings).values() for channel in (0, 1))
+        return [abs(response.signed_correlation) for part in responses for response in part]
+
+    exchanged = streams.command[:, ::-1]
+    if max(correlations(streams.command), default=1.0) > settings.weak_correlation:
+        return []
+    if min(correlations(exchanged), default=0.0) < settings.clear_correlation:
+        return []
+    streams.command = exchanged
+    message = "v of the sensors follows omega of the command, and omega follows v: exchange v and omega of the command"
+    return [
+        Finding("swapped channels", "error", log, message, changes=(MappingChange(COMMAND, "channels", "exchanged"),))
+    ]
 
 
 def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return findings about poses whose axes, heading and motion are inconsistent; correct `streams`."""
     if streams.pose is None:
         return []
-    relations = _command_relations(streams, 1, settings)
-    is_inverted = POSE in relations and relations[POSE].correlation < settings.wrong_sign
+    relations = streams.command_responses(1, settings)
+    is_inverted = POSE in relations and relations[POSE].signed_correlation < settings.wrong_sign
     regular, mirrored = _mean_directions(streams)
     if abs(mirrored) < settings.clear_correlation or abs(mirrored) < 1.5 * abs(regular):
         return _rotation_finding(log, streams, settings)
@@ -127,16 +137,21 @@ def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> li
     message = (
         f"the pose moves at {math.degrees(-offset):.0f} deg to its heading: its frame is rotated relative to the robot"
     )
-    change = MappingChange(POSE, "heading_offset", round(offset, 4))
-    return [Finding("turned pose", "warning", log, message, changes=(change,))]
+    return [Finding("turned pose", "warning", log, message, changes=(_turned_by(offset, streams),))]
 
 
-def _swapped_sides_finding(log: str, relations: dict[str, _CommandRelation], streams: Streams) -> Finding | None:
+def _turned_by(angle: float, streams: Streams) -> MappingChange:
+    """Return the change that adds an angle [rad] to the heading offset in the mapping."""
+    offset = math.remainder(streams.heading_offset + angle, math.tau)
+    return MappingChange(POSE, "heading_offset", round(offset, 4) + 0.0)  # no negative zero
+
+
+def _swapped_sides_finding(log: str, relations: dict[str, StreamResponse], streams: Streams) -> Finding | None:
     """Return the finding if gyro and pose have the opposite sense of rotation to the encoders; correct `streams`."""
     body_sensors, encoders = [name for name in (GYRO, POSE) if name in relations], relations.get(ENCODERS)
-    if len(body_sensors) < 2 or encoders is None or streams.wheels is None or encoders.correlation < 0:
+    if len(body_sensors) < 2 or encoders is None or streams.wheels is None or encoders.signed_correlation < 0:
         return None
-    if any(relations[name].correlation > 0 for name in body_sensors):
+    if any(relations[name].signed_correlation > 0 for name in body_sensors):
         return None
     for name in (COMMAND, ENCODERS):
         _scale(streams, name, 1, -1.0)
@@ -157,22 +172,22 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     """Return findings about unresponsive and inverted streams; remove or correct them in `streams`."""
     findings = []
     for channel in (0, 1):
-        relations = _command_relations(streams, channel, settings)
+        relations = streams.command_responses(channel, settings)
         if not relations:
             continue
-        max_correlation = max(abs(relation.correlation) for relation in relations.values())
+        max_correlation = max(abs(relation.signed_correlation) for relation in relations.values())
         for name, relation in list(relations.items()):
             if (
-                abs(relation.correlation) < settings.weak_correlation
-                or -settings.weak_correlation > relation.correlation > settings.wrong_sign
+                abs(relation.signed_correlation) < settings.weak_correlation
+                or -settings.weak_correlation > relation.signed_correlation > settings.wrong_sign
             ):
                 findings.append(_weak_finding(log, name, channel, relation, max_correlation, settings))
-                _remove(streams, name)
+                streams.remove(name)
                 del relations[name]
         if channel == 1 and (swapped := _swapped_sides_finding(log, relations, streams)):
             findings.append(swapped)
             continue
-        inverted = [name for name, relation in relations.items() if relation.correlation < 0]
+        inverted = [name for name, relation in relations.items() if relation.signed_correlation < 0]
         if not inverted:
             continue
         all_inverted = len(inverted) > 1 and len(inverted) == len(relations)
@@ -181,17 +196,17 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             reference = "all sensors" if all_inverted else "the command"
             has_wheels = name == ENCODERS and channel == 0 and streams.wheels is not None
             minimum = (
-                min(relation.correlation for relation in relations.values())
+                min(relation.signed_correlation for relation in relations.values())
                 if all_inverted
-                else relations[name].correlation
+                else relations[name].signed_correlation
             )
             message = f"{signal} has the opposite sign to {reference} (correlation {minimum:.2f})"
             changes = _sign_changes(name, channel, streams)
             _scale(streams, name, channel, -1.0)
             if (
                 has_wheels
-                and ENCODERS in (others := _command_relations(streams, 1, settings))
-                and others[ENCODERS].correlation < 0
+                and ENCODERS in (others := streams.command_responses(1, settings))
+                and others[ENCODERS].signed_correlation < 0
             ):
                 _scale(streams, ENCODERS, 1, -1.0)  # reversed wheels invert both v and omega
                 changes += _sign_changes(ENCODERS, 1, streams)
@@ -200,11 +215,11 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 
 def _weak_finding(
-    log: str, name: str, channel: int, relation: _CommandRelation, max_correlation: float, settings: CheckSettings
+    log: str, name: str, channel: int, relation: StreamResponse, max_correlation: float, settings: CheckSettings
 ) -> Finding:
     restarts = ": where poses restart, `segment` in the mapping names a column that changes" if name == POSE else ""
     message = (
-        f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.correlation:.2f}); check "
+        f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.signed_correlation:.2f}); check "
         f"the column{restarts}; and that the robot executed these commands, or leave the {name} out of the mapping"
     )
     # The sensor is faulty if another sensor responds.
@@ -262,8 +277,8 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 def _magnitudes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, float]:
     """Return the magnitude of each stream of a channel relative to the command."""
-    relations = _command_relations(streams, channel, settings)
-    return {COMMAND: 1.0} | {name: abs(relation.gain) for name, relation in relations.items() if relation.gain}
+    relations = streams.command_responses(channel, settings)
+    return {COMMAND: 1.0} | {name: abs(relation.size) for name, relation in relations.items() if relation.size}
 
 
 def _has_wrong_command_unit(streams: Streams, settings: CheckSettings) -> bool:
@@ -349,6 +364,9 @@ def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingCha
     columns = _columns(name, channel, streams)
     if columns[0] in (*SIDES, *FOUR_WHEELS):
         columns = (CHANNELS[channel],)
+    # With a large offset in the mapping, the offset is more likely wrong than both signs.
+    if columns == ("x", "y") and abs(streams.heading_offset) > math.pi / 2:
+        return (_turned_by(math.pi, streams),)
     return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
 
 
@@ -366,27 +384,6 @@ def _wheel_radius(streams: Streams) -> float | None:
     is_finite = np.isfinite(mean) & np.isfinite(v)
     size = float(mean[is_finite] @ mean[is_finite])
     return abs(float(mean[is_finite] @ v[is_finite])) / size if size > 0 else None
-
-
-def _command_relations(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _CommandRelation]:
-    """Compute the relation of each sensor of the channel to the command; return {} for a constant command."""
-    relations = {}
-    for name in streams.sensors(channel):
-        response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
-        if response is not None:
-            relations[name] = _CommandRelation(
-                response.size, math.copysign(float(response.correlation[0]), response.size)
-            )
-    return relations
-
-
-def _remove(streams: Streams, name: str) -> None:
-    if name == ENCODERS:
-        streams.twist = streams.wheels = None
-    elif name == GYRO:
-        streams.yaw_rate = None
-    elif name == POSE:
-        streams.pose = None
 
 
 def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
@@ -428,5 +425,5 @@ def check_presence(log: str, streams: Streams) -> list[Finding]:
                 "the connection of the sensor"
             )
             findings.append(Finding("no response", "error", log, message))
-            _remove(streams, name)
+            streams.remove(name)
     return findings

@@ -31,9 +31,8 @@ def _clear_responses(streams: Streams, settings: CheckSettings) -> dict[tuple[st
     """Return the clear responses of each channel and sensor to the command."""
     responses = {}
     for channel in (0, 1):
-        for name in streams.sensors(channel):
-            response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
-            if response is not None and abs(response.correlation[0]) > settings.clear_correlation:
+        for name, response in streams.command_responses(channel, settings, intervals=True).items():
+            if abs(response.correlation[0]) > settings.clear_correlation:
                 responses[name, channel] = response
     return responses
 
@@ -71,7 +70,7 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
         f"the {name} is {abs(delay):.2f} +- {1.96 * deviation:.2f} s {'later' if delay > 0 else 'earlier'} than the "
         f"{' and the '.join(others)}"
     )
-    _shift(streams, name, -delay)
+    streams.shift(name, -delay)
     return [Finding("time shift", "warning", log, message, changes=(MappingChange(name, "delay", round(delay, 2)),))]
 
 
@@ -134,15 +133,6 @@ def _shifted_sensor(
     responses = _clear_responses(streams, settings)
     dead_times = [response.dead_time for (name, _), response in responses.items() if name == early]
     return early if dead_times and min(dead_times) < -settings.response_lead else late
-
-
-def _shift(streams: Streams, name: str, seconds: float) -> None:
-    if name == "encoders" and streams.twist is not None:
-        streams.twist = streams.delay(streams.twist, seconds)
-    elif name == "gyro" and streams.yaw_rate is not None:
-        streams.yaw_rate = streams.delay(streams.yaw_rate, seconds)
-    elif streams.pose is not None:
-        streams.pose = streams.delay(streams.pose, seconds)
 
 
 def _check_command_times(

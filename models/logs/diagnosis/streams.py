@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,6 +17,7 @@ from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
 SENSORS = (ENCODERS, GYRO, POSE)
+_FIELDS = {ENCODERS: "twist", GYRO: "yaw_rate", POSE: "pose"}
 _BLOCKS = 5
 """Number of parts of a log for the standard deviation of a dead time."""
 
@@ -45,6 +47,8 @@ class Streams:
         Half of the window for the differentiation of poses [samples].
     commands_wheels
         True if the log commands wheel speeds, so that v and omega share their columns.
+    heading_offset
+        Heading offset of the pose in the mapping [rad].
     """
 
     dt: float
@@ -57,6 +61,7 @@ class Streams:
     slices: tuple[slice, ...]
     half_window: int
     commands_wheels: bool = False
+    heading_offset: float = 0.0
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """Return v (channel 0) or omega (1) of a stream (N,), averaged over the window for poses; None if missing."""
@@ -106,6 +111,26 @@ class Streams:
 
         return self.map_stretches(delay_part, values) if count else values
 
+    def command_responses(
+        self, channel: int, settings: CheckSettings, *, intervals: bool = False
+    ) -> dict[str, StreamResponse]:
+        """Return the responses of the sensors of a channel to its command; {} for a constant command."""
+        responses = {
+            name: fit_response(self, *self.pair(COMMAND, name, channel), settings, intervals=intervals)
+            for name in self.sensors(channel)
+        }
+        return {name: response for name, response in responses.items() if response is not None}
+
+    def remove(self, name: str) -> None:
+        """Remove a sensor."""
+        setattr(self, _FIELDS[name], None)
+        if name == ENCODERS:
+            self.wheels = None
+
+    def shift(self, name: str, seconds: float) -> None:
+        """Delay the readings of a sensor by `seconds`."""
+        setattr(self, _FIELDS[name], self.delay(getattr(self, _FIELDS[name]), seconds))
+
     def low_pass(self, values: FloatArray, lag: float) -> FloatArray:
         """Filter values (N, ...) by two equal first-order lags [s]; each stretch starts in steady state."""
         if lag == 0:
@@ -116,7 +141,7 @@ class Streams:
             from scipy.signal import lfilter  # noqa: PLC0415 - slow import, not needed to load a model
 
             start = np.where(np.isfinite(part[0]), part[0], 0.0)
-            first_lag = lfilter([1 - pole], [1, -pole], _interpolate_missing(part) - start, axis=0)
+            first_lag = lfilter([1 - pole], [1, -pole], interpolate_missing(part) - start, axis=0)
             return np.asarray(lfilter([1 - pole], [1, -pole], first_lag, axis=0) + start)
 
         return self.map_stretches(filter_part, values)
@@ -157,7 +182,7 @@ class Streams:
         return self.map_stretches(crop_part, values)
 
 
-def _interpolate_missing(values: FloatArray) -> FloatArray:
+def interpolate_missing(values: FloatArray) -> FloatArray:
     """Interpolate missing values (n, ...) linearly."""
     if np.isfinite(values).all():
         return values
@@ -239,9 +264,9 @@ class StreamResponse:
         (c, m) steady-state gains from c inputs to m outputs.
     correlation
         (m,) correlation of each output with the best combination of inputs; for one input, with the sign of the gain.
-    size
-        Ratio of the first output to the first input, including their means; it is also valid for drives at almost
-        constant speed.
+    size, size_deviation
+        Ratio of the first output to the first input, including their means, which is also valid for drives at almost
+        constant speed; and its standard deviation, by the jackknife over parts of the log.
     """
 
     dead_time: float
@@ -250,6 +275,12 @@ class StreamResponse:
     gain: FloatArray
     correlation: FloatArray
     size: float
+    size_deviation: float
+
+    @property
+    def signed_correlation(self) -> float:
+        """Correlation of the first output with the sign of `size`; its own sign is random for a rare command."""
+        return math.copysign(float(self.correlation[0]), self.size)
 
     @property
     def delay(self) -> float:
@@ -305,9 +336,13 @@ def fit_response(
         # A part of the log without excitation has no clear maximum.
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * explained_variance.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
-    before, after = (part[:, 0] for part in finite_pairs(filtered, y, low + index))
-    size = float(before @ after) / max(float(before @ before), 1e-300)
-    return StreamResponse(streams.dt * _peak(explained_variance, low), deviation, lag, gain, correlation, size)
+    blocks = (np.array_split(part[:, 0], _BLOCKS) for part in finite_pairs(filtered, y, low + index))
+    products = np.array([[before @ after, before @ before] for before, after in zip(*blocks, strict=True)])
+    without_one = products.sum(axis=0) - products
+    size, *sizes = (float(product / max(square, 1e-300)) for product, square in [products.sum(axis=0), *without_one])
+    size_deviation = float(np.sqrt(_BLOCKS - 1) * np.std(sizes))
+    dead_time = streams.dt * _peak(explained_variance, low)
+    return StreamResponse(dead_time, deviation, lag, gain, correlation, size, size_deviation)
 
 
 def _with_initial_commands(
