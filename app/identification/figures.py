@@ -100,12 +100,8 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
             if name == "measured":  # points need no gaps between records
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
-            times = [round(float(value), 3) for value in time]
-            series.append(
-                Series(
-                    name, times, [round_digits(value) for value in values], style, "points" if style == 0 else "line"
-                )
-            )
+            x, y = [round(float(value), 3) for value in time], [round_digits(value) for value in values]
+            series.append(Series(name, x, y, style, "points" if style == 0 else "line"))
         fit = number(float(fitted.validation.fit_percent[i]), 1)
         note = f"All validation data, simulated from the commands only. FIT {fit} %."
         axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"
