@@ -79,8 +79,7 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
 
     Records follow each other in time. Each series is reduced to about `points` points, which preserve the extremes.
     """
-    data, fitted = report.data, report.fitted
-    records = data.validation
+    data, fitted, records = report.data, report.fitted, report.data.validation
     time_title = "time in validation data [s], records in sequence"
     starts = np.cumsum([0.0, *(record.dt * len(record.command) for record in records)])
     if len(records) == 1:
