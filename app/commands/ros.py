@@ -71,8 +71,9 @@ def robot(
         raise ValueError(f"--duration {duration}: use a time above zero in seconds")
     arguments = ros_arguments(context)
 
-    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help needs neither this nor ROS
-    from diffdrive_mpc.bench.controllers import build_plant, load_reference, select_model  # noqa: PLC0415
+    from diffdrive_mpc.bench import controllers  # noqa: PLC0415 - --help needs neither this nor ROS
+    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415
+    from diffdrive_mpc.bench.drive import plant_settings  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.simulated_base import load_base_settings  # noqa: PLC0415
@@ -87,20 +88,21 @@ def robot(
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)
-    values |= {"model": select_model(None, config), "config": None if config is None else str(config)}
+    values |= {"model": controllers.select_model(None, config), "config": None if config is None else str(config)}
     case = Case(trajectory=trajectory, **values)
-    plant = (
-        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
-        if config is None
-        else build_plant(case)
-    )
+    options = {} if config is None else plant_settings(controllers.controller_config(case.model, case.config))
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **options)
+    readings = options.get("readings", {})
+    for sentence in () if config is None else controllers.other_robots([case]):
+        echo(f"note: {sentence}")
     config_option = [] if config is None else ["--config", str(config)]
     driver = shlex.join(["diffdrive-mpc", "node", *config_option, "--trajectory", case.trajectory, "--drive"])
     run_robot(
         plant,
-        load_reference(case).sample([0.0]).pose[0],
+        controllers.load_reference(case).sample([0.0]).pose[0],
         settings,
-        load_sensor_set(values["sensors"]),
+        load_sensor_set(values["sensors"], readings),
+        correction=(readings["encoders"]["left"], readings["gyro"]["scale"]) if readings else (1.0, 1.0),
         lock_step=lock_step,
         duration=duration,
         record=record,

@@ -79,8 +79,7 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
 
     Records follow each other in time. Each series is reduced to about `points` points, which preserve the extremes.
     """
-    data, fitted = report.data, report.fitted
-    records = data.validation
+    data, fitted, records = report.data, report.fitted, report.data.validation
     time_title = "time in validation data [s], records in sequence"
     starts = np.cumsum([0.0, *(record.dt * len(record.command) for record in records)])
     if len(records) == 1:
@@ -100,12 +99,8 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
             if name == "measured":  # points need no gaps between records
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
-            times = [round(float(value), 3) for value in time]
-            series.append(
-                Series(
-                    name, times, [round_digits(value) for value in values], style, "points" if style == 0 else "line"
-                )
-            )
+            x, y = [round(float(value), 3) for value in time], [round_digits(value) for value in values]
+            series.append(Series(name, x, y, style, "points" if style == 0 else "line"))
         fit = number(float(fitted.validation.fit_percent[i]), 1)
         note = f"All validation data, simulated from the commands only. FIT {fit} %."
         axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"

@@ -43,8 +43,10 @@ _HEADER = (
 )
 
 
-def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], float, float]:
+def unexplained_motion(identification: Identification) -> tuple[list[FloatArray], float, float, bool]:
     """Compute measured minus predicted twists (K, 3) of each validation record, traction slip, and fast displacement.
+
+    The last result is True if poses determine the twists of any record.
 
     The twists are means over windows. The columns are forward and lateral speed [m/s] and yaw rate [rad/s] of the
     rotation centre on the surface of the log. Measured twists are computed from poses, except for yaw rates of a gyro.
@@ -72,13 +74,14 @@ def unexplained_motion(identification: Identification) -> tuple[list[FloatArray]
             if part := _PoseErrors.create(report.poses.at_rotation_centre([record])[0], predicted, yaw_rates):
                 by_pose.append((part, motion[-1][:, : 3 if yaw_rate is None else 2]))
     if not by_pose:
-        return motion, 0.0, 0.0
+        return motion, 0.0, 0.0, False
     fast, slipped, noise = np.concatenate([part.fast() for part, _ in by_pose]).T
     traction_slip = max(0.0, float(-(fast @ slipped) / max(slipped @ slipped, np.finfo(float).tiny)))
     for part, columns in by_pose:
         columns[:] = part.twists(traction_slip)[:, : columns.shape[1]]
     variance = max(0.0, float(np.mean((fast + traction_slip * slipped) ** 2 - noise)))
-    return motion, traction_slip, math.sqrt(variance + _NOISE_BOUND * math.sqrt(np.mean(noise**2) / len(noise)))
+    displacement = math.sqrt(variance + _NOISE_BOUND * math.sqrt(np.mean(noise**2) / len(noise)))
+    return motion, traction_slip, displacement, True
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
@@ -88,7 +91,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     weighted least squares converge to maximum likelihood, so that large errors do not determine small variances.
     """
     report = identification.report
-    motion, traction_slip, displacement = unexplained_motion(identification)
+    motion, traction_slip, displacement, has_poses = unexplained_motion(identification)
     if not any(map(len, motion)):
         return None
     identified, dt = report.fitted.identified, report.data.validation[0].dt
@@ -99,9 +102,12 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     yaw_slip = _subtract_yaw_slip(motion, outputs, _GYRO_WINDOW / dt if report.data.yaw == "gyro" else window)
     features = [_block_means(intensity_features(rows, np.gradient(rows, dt, axis=0)), window) for rows in outputs]
     all_features, errors = np.concatenate(features), np.concatenate(motion)
-    variance = np.array([_fit_variance(all_features, column**2) for column in errors.T])
-    variance[:, 0] = np.maximum(variance[:, 0], _MIN_VARIANCE * (errors**2).mean(axis=0) + np.finfo(float).eps)
-    normalised = [row / np.sqrt(rows @ variance.T) for row, rows in zip(motion, features, strict=True)]
+    # Only poses show motion at rest. Without them a constant variance would make a robot creep that stands still.
+    fitted_features = all_features * [has_poses, 1.0, 1.0, 1.0, 1.0, 1.0]
+    variance = np.array([_fit_variance(fitted_features, column**2) for column in errors.T])
+    minimum = _MIN_VARIANCE * (errors**2).mean(axis=0) + np.finfo(float).eps
+    variance[:, 0] = np.maximum(variance[:, 0], has_poses * minimum)
+    normalised = [row / np.sqrt((rows @ variance.T).clip(minimum)) for row, rows in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
         slip=slip,
@@ -113,6 +119,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         variance=_round_values(variance),
         traction_slip=float(f"{traction_slip:.4g}"),
         yaw_slip=_round_values(yaw_slip),
+        on_wheels=(not has_poses, not has_poses and report.data.yaw != "gyro"),
         displacement=float(f"{displacement:.4g}"),
         largest=_round_values(all_features.max(axis=0)),
         motion=[intervals(row) for row in normalised],
@@ -178,7 +185,9 @@ def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tup
 
 def write_robot(robot: IdentifiedRobot, path: Path) -> None:
     """Write a robot file to `path`; raise OSError on failure."""
-    text = yaml.safe_dump(robot.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120)
+    # robot.yaml has the key only if it is true.
+    content = robot.model_dump(mode="json", exclude=None if any(robot.on_wheels) else {"on_wheels"})
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     path.write_text(f"{_HEADER}{text}", encoding="utf-8")
 
 

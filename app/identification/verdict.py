@@ -252,8 +252,7 @@ def _with_unexplained(
 ) -> TrialVerdict:
     """Run drives on curved paths with unexplained motion, and add them to the verdict; most drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
-    robot = None if verdict.config is None else identified_robot(identification, verdict.config)
-    if verdict.failure or verdict.config is None or robot is None:
+    if verdict.failure or verdict.config is None or (robot := identified_robot(identification, verdict.config)) is None:
         return verdict
     on_try("driving with unexplained motion", settings.unexplained)
     stand_in = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)

@@ -532,6 +532,15 @@ class ControllerConfig(Group):
             check(cls, values, cls.__name__)
         return super().__new__(cls)
 
+    @model_validator(mode="after")
+    def _check_time_limit(self) -> Self:
+        limit = self.solver.time_limit
+        if limit is not None and limit > self.sample_time:
+            raise ValueError(
+                f"solver.time_limit: {limit:g} s exceeds sample_time, {self.sample_time:g} s; give seconds"
+            )
+        return self
+
     @model_validator(mode="before")
     @classmethod
     def _read_features(cls, data: object) -> object:

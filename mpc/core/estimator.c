@@ -285,8 +285,11 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         ddmpc_node *node = node_at(c, index);
         real expected[3];
         ddmpc_filter_pose_at(c, &node->posterior, (real)(pose.stamp - node->time), expected);
-        if (node->poses == MAX_POSES) {
-            ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_TOO_MANY, R(0.0), R(0.0));
+        /* Late poses from before a drive are all at its first node; they leave room for a pose of its own time. */
+        const int is_before = pose.stamp < node->time - 1e-9;
+        if (node->poses >= MAX_POSES - is_before) {
+            if (!is_before)
+                ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_TOO_MANY, R(0.0), R(0.0));
         } else if (ddmpc_pose_passes(c, &pose, expected)) {
             node->pose[node->poses++] = pose;
             first = ddmpc_min_int(first, index);

@@ -238,5 +238,5 @@ class RivalWatch(NodePart):
         return (
             "the simulated clock does not advance in steps of this node's sample_time, "
             f"{1e3 * tools.controller.config.sample_time:.4g} ms: "
-            "start the simulated robot with the same configuration (robot --config FILE)"
+            "start the simulated robot with the same configuration (sim-robot --config FILE)"
         )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
@@ -20,7 +20,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc.mpc.trajectories.load import load_segments, trajectory_file
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
@@ -155,7 +155,10 @@ def scaled_to_robot(
             remaining_share * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
-    return time_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
+    name = read_yaml(trajectory_file(name_or_path)).get("name", Path(name_or_path).stem)
+    path = time_segments(scaled, bounds, name=f"{name} scaled to the robot", where=str(name_or_path))
+    durations = f"{sum(segment.duration for segment in segments):.1f} s in the file, driven in {path.duration:.1f} s"
+    return replace(path, remark=f"trajectory '{path.name}': {length:.3g} times the lengths of the file; {durations}")
 
 
 def _min_radius(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:

@@ -20,8 +20,8 @@ void plant_sample(velocity_plant *p, sensor_unit *s, const double *command)
         sensors_add_pose(s, s->due_time, s->due_time != now ? pose : p->pose);
     }
     /* BodySlip.turned */
-    twist[0] = p->wheels[0];
-    twist[1] = p->yaw_gain * p->wheels[1] / p->wheel_yaw_gain;
+    twist[0] = p->wheels[0] + p->wheel_motion[0];
+    twist[1] = (p->yaw_gain * p->wheels[1] + p->wheel_motion[1]) / p->wheel_yaw_gain;
     for (i = 0; i < 4; i++) /* rounded like a matrix product */
         speeds[i] = fma(twist[0], s->to_wheels[2 * i], twist[1] * s->to_wheels[2 * i + 1]);
     sensors_add_motion(s, now, speeds, p->yaw_rate);

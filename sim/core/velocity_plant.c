@@ -80,11 +80,26 @@ static void compute_body(velocity_plant *p)
     p->body[1] += p->yaw_per_metre * p->body[0];
 }
 
-/* Compute the twist [3] of the body for an output [2] of the model: BodySlip.body and UnexplainedMotion.twist. */
+/* Add the unexplained motion to a twist [3] of the body for an output [2] of the model. */
+static void add_unexplained(const velocity_plant *p, const double *output, double *twist)
+{
+    const double *row = p->rows + 3 * (p->tick % p->count);
+    const double features[6] = {1.0, output[0], output[1], output[0] * output[1], p->rate[0], p->rate[1]};
+    int i, j;
+    for (i = 0; i < 3; i++) {
+        double variance = 0.0;
+        for (j = 0; j < 6; j++)
+            variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->max_squares[j]);
+        twist[i] += row[i] * sqrt(variance);
+    }
+    twist[0] -= p->traction_slip * fabs(output[1]) * p->rate[0];
+    twist[2] += output[1] * (p->yaw_slip[0] + p->yaw_slip[1] * fmin(output[0] * output[0], p->max_squares[1]));
+}
+
+/* Compute the twist [3] of the body for an output [2] of the model: BodySlip.body and unexplained motion. */
 static void compute_twist(const velocity_plant *p, const double *output, double *twist)
 {
     double v = p->longitudinal_gain * output[0], omega = p->yaw_gain * output[1], lateral = 0.0;
-    int i, j;
     if (p->track_at_rest > 0.0) {
         /* The factor cancels, but its rounding is that of the Python implementation. */
         const double settled = p->track_at_rest * omega / p->track_at_rest;
@@ -100,18 +115,8 @@ static void compute_twist(const velocity_plant *p, const double *output, double 
     twist[0] = v;
     twist[1] = lateral - p->side_slip * v * omega;
     twist[2] = omega;
-    if (p->count) {
-        const double *row = p->rows + 3 * (p->tick % p->count);
-        const double features[6] = {1.0, output[0], output[1], output[0] * output[1], p->rate[0], p->rate[1]};
-        for (i = 0; i < 3; i++) {
-            double variance = 0.0;
-            for (j = 0; j < 6; j++)
-                variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->max_squares[j]);
-            twist[i] += row[i] * sqrt(variance);
-        }
-        twist[0] -= p->traction_slip * fabs(output[1]) * p->rate[0];
-        twist[2] += output[1] * (p->yaw_slip[0] + p->yaw_slip[1] * fmin(output[0] * output[0], p->max_squares[1]));
-    }
+    if (p->count)
+        add_unexplained(p, output, twist);
 }
 
 /* models/pose.py, integrate_pose; a body with side-slip moves like a body that points in the direction of travel. */
@@ -142,6 +147,7 @@ void velocity_plant_reset(velocity_plant *p)
 void velocity_plant_advance(velocity_plant *p, const double *command)
 {
     const double previous[2] = {p->body[0], p->body[1]};
+    double unexplained[3] = {0.0, 0.0, 0.0};
     int step, i;
     for (step = 0; step < p->steps; step++) {
         double *arc = p->arcs + 6 * step, requested[2], mean[2];
@@ -165,9 +171,13 @@ void velocity_plant_advance(velocity_plant *p, const double *command)
     }
     compute_body(p);
     compute_twist(p, p->body, p->twist);
-    /* The gyro measures the sample that has ended, so its yaw rate precedes the update of tick and rate, which select
-     * the unexplained motion of the next sample. */
+    /* Gyro and encoders measure the sample that has ended, so their readings precede the update of tick and rate,
+     * which select the unexplained motion of the next sample. */
     p->yaw_rate = p->twist[2];
+    if (p->count)
+        add_unexplained(p, p->body, unexplained);
+    for (i = 0; i < 2; i++)
+        p->wheel_motion[i] = p->on_wheels[i] ? unexplained[2 * i] : 0.0;
     for (i = 0; i < 2; i++)
         p->rate[i] = (p->body[i] - previous[i]) / (p->steps * p->step_time);
     p->tick++;

@@ -25,6 +25,7 @@ typedef struct {
     double variance[18], max_squares[6]; /* [3][6] factors of the squared features, and upper bounds of the squares */
     /* Ratio of forward slip speed and |omega| dv/dt; ratio of additional yaw rate and omega, and its growth per v^2. */
     double traction_slip, yaw_slip[2];
+    int on_wheels[2]; /* 1 if the encoders measure the unexplained forward speed, and the unexplained yaw rate */
     double limits[2], wheel_yaw_gain; /* maximum absolute commands; ratio of true yaw rate to that of the encoders */
     /* State and results. */
     long long tick;
@@ -34,6 +35,7 @@ typedef struct {
     double wheels[2], body[2]; /* v, omega of encoders and body at the end of the sample */
     double pose[3], twist[3];  /* true pose and twist */
     double yaw_rate;           /* at the end of the sample, including unexplained motion */
+    double wheel_motion[2];    /* unexplained v, omega of the encoders at the end of the sample */
     double *arcs;              /* [steps][6] pose and constant twist of each step */
 } velocity_plant;
 

@@ -47,7 +47,7 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class UnexplainedMotion:
-    """Unexplained motion of the body: a difference from the model that the encoders do not measure.
+    """Unexplained motion of the body: a difference from the model.
 
     Attributes
     ----------
@@ -61,6 +61,8 @@ class UnexplainedMotion:
         Ratio of forward slip speed and |omega| dv/dt [s^2/rad].
     yaw_slip
         Yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2].
+    on_wheels
+        True for forward speed and yaw rate if it is motion of the wheels, which the encoders measure.
     """
 
     rows: FloatArray
@@ -68,6 +70,7 @@ class UnexplainedMotion:
     largest: FloatArray
     traction_slip: float = 0.0
     yaw_slip: tuple[float, float] = (0.0, 0.0)
+    on_wheels: tuple[bool, bool] = (False, False)
 
 
 class IdentifiedRobot(StrictModel):
@@ -89,6 +92,10 @@ class IdentifiedRobot(StrictModel):
     )
     yaw_slip: tuple[float, float] = Field(
         default=(0.0, 0.0), description="yaw rate per omega that the model lacks [-], and its growth per v^2 [s^2/m^2]"
+    )
+    on_wheels: tuple[bool, bool] = Field(
+        default=(False, False),
+        description="true for unexplained forward speed and yaw rate of the wheels, which the encoders measure",
     )
     displacement: NotNegative = Field(
         default=0.0,
@@ -126,7 +133,7 @@ class IdentifiedRobot(StrictModel):
         """Draw unexplained motion for a `ModelPlant` with the sample time `sample_time` [s]."""
         rows = draw_motion(self.records, MOTION_DURATION, (self.sample_time, sample_time), self.block_time, rng)
         variance, largest = np.array(self.variance), np.array(self.largest)
-        return UnexplainedMotion(rows, variance, largest, self.traction_slip, self.yaw_slip)
+        return UnexplainedMotion(rows, variance, largest, self.traction_slip, self.yaw_slip, self.on_wheels)
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:

@@ -52,7 +52,7 @@ class ModelPlant:
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        Motion of the body that the model does not explain and the encoders do not measure; None if it is absent.
+        Motion of the body that the model does not explain; None if it is absent.
     """
 
     def __init__(
@@ -181,6 +181,7 @@ def _plant_in_c(
     if disturbance is not None:
         c.count, c.traction_slip, c.yaw_slip = len(disturbance.rows), disturbance.traction_slip, disturbance.yaw_slip
         c.variance, c.max_squares = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
+        c.on_wheels = disturbance.on_wheels
     c.upper, c.lower = _both_sides(effects.twist_range).tolist()
     c.max_rise, c.max_fall = (_both_sides(effects.twist_slew) * c.step_time).tolist()
     if effects.wheel_command is not None:

@@ -31,6 +31,7 @@ def run_robot(
     settings: BaseSettings,
     sensors: SensorSet,
     *,
+    correction: tuple[float, float] = (1.0, 1.0),
     lock_step: bool = False,
     duration: float | None = None,
     record: Path | None = None,
@@ -52,6 +53,8 @@ def run_robot(
         Rates, timeouts and command type.
     sensors
         Sensor set of the plant, which defines the latency of poses.
+    correction
+        Ratios of the readings of wheels and gyro to speed and yaw rate, which the odometry pose corrects [-].
     lock_step
         True to publish /clock and wait for the command of each tick; otherwise the base runs in real time.
     duration
@@ -78,7 +81,9 @@ def run_robot(
             SteppedClock(settings.lock_step.first_tick, plant.sample_time) if lock_step else WallClock()
         )
         memory = math.ceil(sensors.pose.latency / plant.sample_time)
-        base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
+        base = SimulatedBase(
+            node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder, correction=correction
+        )
         commands = f"commands, such as those of: {driver}" if driver else "commands"
         node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}; waiting for {commands}")
         if isinstance(clock, SteppedClock):

@@ -216,6 +216,8 @@ class SimulatedBase:
         Function that returns the robot's time [ns].
     record
         Recorder of all sent and received messages; None to disable the recording.
+    correction
+        Ratios of the readings of wheels and gyro to speed and yaw rate, which the odometry pose corrects [-].
     """
 
     def __init__(
@@ -228,11 +230,13 @@ class SimulatedBase:
         pose_memory: int,
         clock: Callable[[], int],
         record: MessageRecorder | None = None,
+        correction: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         self.node, self.plant = node, plant
         self._settings, self._clock, self._record = settings, clock, record
         plant.reset(start)
-        self._odometry = Odometry(plant.true_pose, pose_memory, use_pose_sensor=settings.odometry_pose == "pose_sensor")
+        uses_pose_sensor = settings.odometry_pose == "pose_sensor"
+        self._odometry = Odometry(plant.true_pose, pose_memory, use_pose_sensor=uses_pose_sensor, correction=correction)
         self._wheel_angles, self._wheel_speeds = np.zeros(4), np.zeros(4)
         self.tick = 0
         tolerance = round(0.5e9 * plant.sample_time)

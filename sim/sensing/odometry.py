@@ -23,12 +23,16 @@ class Odometry:
     use_pose_sensor
         True to start from the newest pose of the sensor and integrate the motion since its time; False for pure dead
         reckoning.
+    correction
+        Ratios of the readings of wheels and gyro to speed and yaw rate, by which readings are divided [-].
     """
 
-    def __init__(self, pose: ArrayLike, memory: int, *, use_pose_sensor: bool) -> None:
+    def __init__(
+        self, pose: ArrayLike, memory: int, *, use_pose_sensor: bool, correction: tuple[float, float] = (1.0, 1.0)
+    ) -> None:
         start = np.array(pose, dtype=float)
         self._integrated = start
-        self._twist = np.zeros(2)
+        self._twist, self._correction = np.zeros(2), correction
         self._time = 0.0
         self._past: deque[tuple[float, FloatArray]] = deque([(0.0, start)], maxlen=memory + 2)
         self._use_pose_sensor = use_pose_sensor
@@ -46,9 +50,9 @@ class Odometry:
         """
         twist = self._twist.copy()
         if measurement.wheel_twist is not None:
-            twist[0] = np.asarray(measurement.wheel_twist.value)[0]
+            twist[0] = np.asarray(measurement.wheel_twist.value)[0] / self._correction[0]
         if measurement.yaw_rate is not None:
-            twist[1] = measurement.yaw_rate.value
+            twist[1] = np.asarray(measurement.yaw_rate.value) / self._correction[1]
         mean = 0.5 * (self._twist + twist)
         self._integrated = integrate_pose(self._integrated, mean[0], mean[1], time - self._time)
         self._time, self._twist = time, twist

@@ -19,6 +19,8 @@ from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import VERDICTS, Doubt
 from diffdrive_mpc.models.identification.deliver.trust import judge
+from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.surface import load_surface
 
 TRACK = "wheels: {track: 0.5}\n"
 
@@ -68,18 +70,18 @@ def unexplained_with(identification, motion):
 
 
 def test_unexplained_motion_contains_slides_but_no_pose_noise_or_slip_by_traction(identification):
-    (original,), slip, _ = unexplained_motion(identification)
+    (original,), slip, *_ = unexplained_motion(identification)
     (outputs,), dt = identification.report.fitted.simulated, identification.report.data.validation[0].dt
     (slide,), *_ = unexplained_with(identification, lambda time, left: 0.05 * dt * np.cumsum(left))
     assert (slide - original)[np.any(slide != 0.0, axis=1)].mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
     noise = np.array([1, 1j]) @ np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
-    (noisy,), _, displacement = unexplained_with(identification, lambda time, _: noise[: len(time)])
+    (noisy,), _, displacement, _ = unexplained_with(identification, lambda time, _: noise[: len(time)])
     # Displacements over one second would give 28 mm/s.
     assert np.std(noisy[:, 1]) < 0.015 and displacement < 0.02 / 2
-    *_, fast = unexplained_with(identification, lambda time, left: 0.005j * left * np.sign(np.sin(6.0 * time)))
+    _, _, fast, _ = unexplained_with(identification, lambda time, left: 0.005j * left * np.sign(np.sin(6.0 * time)))
     assert fast == pytest.approx(0.005, rel=0.15)
     speed = 0.05 * np.abs(outputs[:, 1]) * np.gradient(outputs[:, 0], dt)
-    (motion,), new_slip, _ = unexplained_with(identification, lambda _, left: 1j * dt * np.cumsum(speed * left))
+    (motion,), new_slip, *_ = unexplained_with(identification, lambda _, left: 1j * dt * np.cumsum(speed * left))
     assert new_slip - slip == pytest.approx(0.05, rel=0.1)
     assert motion[:, 0] == pytest.approx(original[:, 0], abs=0.002)
 
@@ -91,6 +93,22 @@ def test_yaw_slip_that_grows_with_the_speed_is_repeated_and_not_random(identific
     robot = identified_robot(with_held_out(identification, **changes), valid.config)
     assert robot.yaw_slip == pytest.approx((0.2, -0.5), abs=0.02)
     assert np.max(robot.variance[2]) < 1e-3
+
+
+@pytest.mark.parametrize("yaw", ["gyro", "encoders"])
+def test_robot_of_a_log_without_poses_rests_and_its_encoders_measure_its_motion(identification, valid, yaw):
+    without_poses = with_held_out(identification, pose=None, fresh_pose=None)
+    report = without_poses.report
+    report = replace(report, data=replace(report.data, yaw=yaw))
+    robot = identified_robot(replace(without_poses, report=report), valid.config)
+    assert robot.on_wheels == (True, yaw == "encoders")
+    assert np.all(np.array(robot.variance)[:, 0] == 0.0) and np.any(robot.variance)
+    slip, motion = load_surface("default").slip, robot.disturbance(valid.config.sample_time, np.random.default_rng(0))
+    plant = ModelPlant(identification.model, slip, robot.sensors, disturbance=motion)
+    for command in [0.0, 0.5]:
+        for _ in range(20):
+            plant.advance([command, command])
+        assert np.any(plant.true_pose) == (command > 0.0)
 
 
 @pytest.mark.system

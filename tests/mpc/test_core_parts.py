@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from side_by_side import InnerController
 
-from diffdrive_mpc import Measurement, Stamped, load_trajectory
+from diffdrive_mpc import Measurement, Stamped, load_config, load_trajectory, simulate
 
 STEPS = 8
 
@@ -105,3 +105,9 @@ def test_rejected_reference_changes_no_state(t0, duration):
     assert inner.lib.ddmpc_start(inner.c, reference, 2.0) == 1
     assert (inner.c.t0, inner.c.reference.duration) == (2.0, 5.0)
     assert inner.lib.ddmpc_switch_reference(inner.c, reference, 3.0) == 1
+
+
+def test_late_poses_of_the_time_before_a_drive_are_skipped_without_a_message():
+    settings = {"sensors.pose.delay": 0.21, "estimator.history": 0.4, "failure.max_pose_age": 1.0}
+    run = simulate(load_config("ssm", settings), "model:ssm", "circle")
+    assert run.metrics.completed and not any("pose rejected" in message for message in run.messages)

@@ -244,6 +244,7 @@ def test_scaled_path_satisfies_limits_and_keeps_its_shape_for_any_robot(path, va
     rate = np.eye(2) / lag
     model = VelocityModel("lag", "sm", -rate, rate * gains, np.eye(2))
     scaled, original = scaled_to_robot(path, config, model), load_trajectory(path, timing="stop")
+    assert scaled.name == f"{original.name} scaled to the robot" and "times the lengths of the file" in scaled.remark
     dt = scaled.duration / 4000
     twist = scaled.sample(np.arange(4001) * dt).twist
     command = np.abs(twist) / gains

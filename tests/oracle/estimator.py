@@ -140,8 +140,9 @@ class StateEstimator:
         if pose is not None:
             index = self._node_before(pose.true_at)
             node = self.nodes[index]
-            if len(node.poses) == _MAX_POSES:
-                rejected.append(f"pose rejected: {_TOO_MANY}")
+            is_before = pose.true_at < node.time - 1e-9
+            if len(node.poses) >= _MAX_POSES - is_before:
+                rejected += [] if is_before else [f"pose rejected: {_TOO_MANY}"]
             elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.true_at - node.time), rejected):
                 node.poses.append(pose)
                 first = min(first, index)

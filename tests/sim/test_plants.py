@@ -180,3 +180,16 @@ def test_body_of_the_model_plant_follows_the_slip_laws_and_the_unexplained_motio
         np.testing.assert_allclose(plants[0].true_twist, slip.body(output), atol=1e-12)
         np.testing.assert_allclose(plants[1].true_twist, slip.body(output) + unexplained, atol=1e-9)
         last_output = output
+
+
+def test_encoders_measure_the_unexplained_motion_of_the_wheels() -> None:
+    variance, slip = np.outer([0.01, 0.0, 0.04], np.eye(6)[0]), load_surface("default").slip
+    readings, twists = [], []
+    for on_wheels in ((False, False), (True, True)):
+        motion = UnexplainedMotion(np.ones((1, 3)), variance, np.ones(6), on_wheels=on_wheels)
+        plant = ModelPlant(load_model("ssm"), slip, PERFECT, disturbance=motion)
+        plant.advance([0.5, 0.5])
+        readings.append(np.asarray(plant.measure().wheel_twist.value))
+        twists.append(plant.true_twist)
+    np.testing.assert_array_equal(twists[0], twists[1])
+    np.testing.assert_allclose(readings[1] - readings[0], [0.1, 0.2 / slip.wheel_yaw_gain], atol=1e-12)

@@ -165,3 +165,15 @@ def test_robot_ticks_at_the_sample_time_of_the_configuration(tmp_path):
     arguments = ["--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"), "--record", str(tmp_path / "bag")]
     invoke(app, "sim-robot", *arguments, "--duration", "0.4")
     assert np.array_equal(np.diff(read_messages(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))
+
+
+def test_robot_of_a_configuration_corrects_its_odometry_and_notes_another_plant(tmp_path, monkeypatch):
+    corrections = []
+    monkeypatch.setattr(
+        "diffdrive_mpc.sim.ros.run_robot.run_robot",
+        lambda *_, correction, **__: corrections.append(correction),
+    )
+    (tmp_path / "fast.yaml").write_text("model: ssm\nlimits: {v: 3.0}\nsensors: {yaw_rate: {sign: -1}}\n")
+    result = invoke(app, "sim-robot", "--config", str(tmp_path / "fast.yaml"))
+    assert corrections == [(1.0, -1.0)]
+    assert "note: the plant 'mujoco' does not match the robot of the configuration" in result.output

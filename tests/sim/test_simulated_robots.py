@@ -168,6 +168,13 @@ def test_odometry_uses_speed_from_the_wheels_and_turning_from_the_gyro():
         assert np.allclose(odometry.update(k * DT, measurement_at(k)), truth, rtol=0, atol=1e-12)
 
 
+def test_odometry_corrects_the_scales_of_its_sensors():
+    odometry = Odometry(np.zeros(3), 1, use_pose_sensor=False, correction=(-1.0, -2.0))
+    turned = Measurement(wheel_twist=Stamped((-0.5, 0.0), 0.0), yaw_rate=Stamped(-2.0, 0.0))
+    odometry.update(0.0, turned)
+    assert odometry.update(0.1, turned)[2] == pytest.approx(0.1) and odometry.update(0.2, turned)[0] > 0.0
+
+
 def test_odometry_holds_the_last_value_of_a_sensor_without_readings():
     odometry = Odometry(np.zeros(3), 1, use_pose_sensor=False)
     straight = Measurement(wheel_twist=Stamped((0.5, 0.0), 0.0), yaw_rate=Stamped(0.0, 0.0))

@@ -254,10 +254,10 @@ def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> Trajecto
         maximum = settings.reach_share * getattr(limits, name)
         if not (np.isfinite(requested) and 0 < requested <= maximum):
             option = "--speed" if name == "v" else "--yaw-rate"
-            limit = getattr(limits, name)
+            limit = f"limits.{name} = {getattr(limits, name):g} {unit}"
             raise ConfigError(
-                f"{option} {requested:g}: with limits.{name} = {limit:g} {unit}, give at most {maximum:g} {unit}; "
-                "tracking needs the rest"
+                f"{option} {requested:g}: with {limit}, give more than 0 and at most {maximum:g} {unit}; tracking "
+                "needs the rest"
             )
     slew = model_excitation_settings().slew_share
     return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -59,13 +61,13 @@ def absolute_errors(run: Run, count: int) -> tuple[FloatArray, FloatArray]:
     return lateral, ahead
 
 
-def tube(errors: FloatArray, dt: float, level: float = LEVEL) -> ErrorTube:
+def tube(errors: FloatArray, dt: float, level: float = LEVEL, cause: str = "") -> ErrorTube:
     """Compute the tube from the errors (m, n) [m] of m drives with sample time `dt` [s].
 
     The width is a multiple of the root mean square over drives and neighbouring positions. The errors of each drive are
     divided by the width from the other drives (jackknife); the multiples are conformal quantiles of these ratios.
 
-    Raises ConfigError if too few drives arrive for the level.
+    Raises ConfigError if too few drives arrive for the level; the error states `cause`, messages of the lost drives.
     """
     finite_errors = errors[np.isfinite(errors).all(axis=1)]
     squares = uniform_filter1d(finite_errors**2, max(1, round(_WINDOW / dt)), axis=1, mode="nearest")
@@ -80,9 +82,10 @@ def tube(errors: FloatArray, dt: float, level: float = LEVEL) -> ErrorTube:
     ratios += [np.full(errors.shape[1], np.inf)] * (len(errors) - len(finite_errors))
     everywhere = conformal_quantile([ratio.max(keepdims=True) for ratio in ratios], level)
     if not np.isfinite(everywhere):
+        reason = f"; most frequent messages of the lost drives: {cause}" if cause else ""
         raise ConfigError(
-            f"{len(finite_errors)} of {len(errors)} simulated drives arrive: too few for {100 * level:g} %; drive "
-            "slower, or give more --draws"
+            f"{len(finite_errors)} of {len(errors)} simulated drives arrive: too few for {100 * level:g} %{reason}; "
+            "correct the cause, drive at another speed, or give more --draws"
         )
     scale = width(total, len(finite_errors))
     return ErrorTube(conformal_quantile(ratios, level) * scale, everywhere * scale, {})
@@ -129,12 +132,14 @@ def predict_reference(
     """Predict the tracking error of a reference with a configuration; parameters and errors as `predict_by_drives`."""
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(reference.duration / dt) + 1)) * dt, dtype=np.float64)
-    tasks = [partial(_errors, reference, config, plant, seed, len(time)) for seed in range(draws)]
-    results, sample = np.array(run_tasks(tasks, jobs, on_done)), reference.sample(time)
+    tasks = [partial(_drive, reference, config, plant, seed, len(time)) for seed in range(draws)]
+    errors, messages = zip(*run_tasks(tasks, jobs, on_done), strict=True)
+    results, sample = np.array(errors), reference.sample(time)
+    cause = ", ".join(_most_frequent(chain.from_iterable(messages)))
     if robot := identified_robot_of(plant):
         rngs = (np.random.default_rng([seed, 1]) for seed in range(draws))
         results[:, 1] = np.abs(results[:, 1] + [robot.displacements(len(time), dt, rng) for rng in rngs])
-    lateral, along = (tube(errors, dt).scaled(MODEL_ERROR) for errors in results.swapaxes(0, 1))
+    lateral, along = (tube(rows, dt, cause=cause).scaled(MODEL_ERROR) for rows in results.swapaxes(0, 1))
     return PredictedError(
         reference.name,
         LEVEL,
@@ -188,6 +193,15 @@ def scale_by_logs(
     return replace(predicted, drives=f"{predicted.drives}, {factors}")
 
 
-def _errors(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
+def _drive(
+    reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int
+) -> tuple[Sequence[FloatArray], list[str]]:
+    """Return the absolute errors of a drive and, if it does not arrive, its two most frequent messages."""
     robot = make_plant(plant, seed=seed, **plant_settings(config))
-    return absolute_errors(simulate(Controller(config), robot, reference, lean=True), count)
+    run = simulate(Controller(config), robot, reference, lean=True)
+    messages = [] if run.metrics.completed else [part for message in run.messages for part in message.split("; ")]
+    return absolute_errors(run, count), _most_frequent(filter(None, messages))
+
+
+def _most_frequent(messages: Iterable[str]) -> list[str]:
+    return [message for message, _ in Counter(messages).most_common(2)]

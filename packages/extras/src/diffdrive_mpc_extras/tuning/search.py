@@ -14,10 +14,11 @@ from diffdrive_mpc.bench.sweep import sweep
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.load import is_shipped, load_model
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.rooms import plain_key
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc_extras.tuning.tune_file import TunePlan
 
 if TYPE_CHECKING:
@@ -59,6 +60,13 @@ class ConfigurationSearch:
     plan
         Ranges, runs and seeds.
 
+    Attributes
+    ----------
+    start
+        Values of the tuned keys in the start configuration.
+    skipped
+        Keys of the plan that are not tuned, because their values have two sides.
+
     Raises ConfigError if a key or a range is invalid, MissingPackageError without Optuna.
     """
 
@@ -68,8 +76,15 @@ class ConfigurationSearch:
         start = load_config(config)
         self._config_options = {"model": config} if is_shipped(config) else {"config": config, "model": start.model}
         complete_config = build_problem(start, chosen_model(start, None)).config
-        self.start: Values = {key: _value(complete_config, key) for key in plan.parameters}
-        bounds = {key: search_range.bounds(key, self.start[key]) for key, search_range in plan.parameters.items()}
+        values = {key: _value(complete_config, key) for key in plan.parameters}
+        self._runs: dict[str, Any] = {str(name): texts for name, texts in plan.runs.items()}
+        self.skipped: list[str] = []
+        if plan.adapt_to_robot and not is_shipped(config):
+            self.skipped = [key for key, value in values.items() if isinstance(value, Mapping)]
+            model, paths = load_model(start.model), self._runs.get("trajectory", ())
+            self._runs["trajectory"] = [scaled_to_robot(path, start, model) for path in paths]
+        self.start: Values = {key: value for key, value in values.items() if key not in self.skipped}
+        bounds = {key: plan.parameters[key].bounds(key, value) for key, value in self.start.items()}
         for side in range(2):
             load_config(config, {key: type(self.start[key])(pair[side]) for key, pair in bounds.items()})
         self._distributions = {key: self._distribution(key, *pair) for key, pair in bounds.items()}
@@ -77,7 +92,7 @@ class ConfigurationSearch:
     def drive(self, values: Mapping[str, Any], seeds: Iterable[int], jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every combination of the plan and the seeds with `values`; return the table of `sweep`."""
         changes = {key: value for key, value in values.items() if value != self.start[key]}
-        items = [*self._config_options.items(), *self._plan.runs.items(), *changes.items()]
+        items = [*self._config_options.items(), *self._runs.items(), *changes.items()]
         options: dict[str, Any] = {str(name): value for name, value in items}
         return sweep(seeds=seeds, jobs=jobs, on_done=bar.advance, **options)
 

@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Series,
 )
 from diffdrive_mpc.bench.plain_values import plain
-from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.runner import persistent_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
@@ -146,7 +146,11 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
 
     def plan(self) -> ConfigurationSearch:
         """Prepare the search; raises the errors of `ConfigurationSearch`."""
-        return ConfigurationSearch(self._config, self._plan)
+        search = ConfigurationSearch(self._config, self._plan)
+        if search.skipped:
+            keys = ", ".join(search.skipped)
+            output_console().print(f"note: not tuned, because the value has two sides: {keys}", soft_wrap=True)
+        return search
 
     def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:
         """Search with the tuning seeds, then compare with the report seeds."""

@@ -77,6 +77,9 @@ class TunePlan(StrictModel):
     runs: dict[Dimension, str | tuple[str, ...]] = Field(
         default_factory=dict, description="values by dimension of `diffdrive_mpc.sweep`"
     )
+    adapt_to_robot: bool = Field(
+        False, description="true: scale the paths to the robot of a configuration file, and skip two-sided limits"
+    )
     failure_error: Factor = Field(0.5, description="minimum error of a failed run [m]")
     tuning_seeds: SeedRange = Field(description="seeds of the search")
     report_seeds: SeedRange = Field(description="seeds of the comparison")
