@@ -155,7 +155,7 @@ def scaled_to_robot(
             remaining_share * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
-    name = read_yaml(trajectory_file(name_or_path)).get("name", Path(name_or_path).stem)
+    name = read_yaml(trajectory_file(name_or_path)).get("name") or Path(name_or_path).stem
     path = time_segments(scaled, bounds, name=f"{name} scaled to the robot", where=str(name_or_path))
     durations = f"{sum(segment.duration for segment in segments):.1f} s in the file, driven in {path.duration:.1f} s"
     return replace(path, remark=f"trajectory '{path.name}': {length:.3g} times the lengths of the file; {durations}")

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import TextTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +47,6 @@ class Recovery:
     command_energy_omega: float
     command_rate_v: float
     command_rate_omega: float
-
-    def __str__(self) -> str:
-        """Format a table with "-" for missing values, and "inf" if the robot did not return."""
-        rows = (
-            ("recovery time [s]", self.recovery_time_s),
-            ("overshoot [m]", self.overshoot_m),
-            ("maximum |lateral| [m]", self.lateral_max_m),
-            ("energy of v_ref [m^2/s]", self.command_energy_v),
-            ("energy of omega_ref [rad^2/s]", self.command_energy_omega),
-            ("rate of v_ref, RMS [m/s^2]", self.command_rate_v),
-            ("rate of omega_ref, RMS [rad/s^2]", self.command_rate_omega),
-        )
-        cells = tuple((name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows)
-        return str(TextTable("", ("recovery", "value"), cells))
 
 
 def compute_recovery(
