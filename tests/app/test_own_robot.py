@@ -7,13 +7,12 @@ import yaml
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 
 from commands import invoke
-from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, identify, load_config
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
-from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 FAST = (
@@ -59,13 +58,6 @@ def test_commands_drive_a_fast_path_with_its_configuration(files):
     message = run("simulate", "--trajectory", "straight.yaml", code=2)
     assert "beyond the limit of 1.5 m/s; lower it, or state the configuration of the robot (--config)" in message
     assert "or --scale-to-robot" in run("simulate", "--trajectory", "s", "--set", "limits.v=0.3", code=2)
-
-
-def test_different_sample_times_of_controller_and_plant_are_refused_with_both_values():
-    controller, circle = Controller(load_config("sm", {"sample_time": 0.05})), load_trajectory("circle")
-    with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
-        simulate(controller, make_plant("model:sm"), circle)
-    assert simulate(controller, make_plant("model:sm", sample_time=0.05), circle).metrics.position_rmse_m < 0.02
 
 
 MAPPING_WITH_TRACK = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"

@@ -71,13 +71,6 @@ def test_update_keeps_the_weights_of_the_start(monkeypatch):
     assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
 
 
-def test_weights_are_computed_once_for_equal_settings():
-    weights({"margin.v": 0.28})
-    statistics = margin._increment_weights.cache_info()
-    assert weights({"margin.v": 0.28, "limits.v": 0.4}) != weights()
-    assert margin._increment_weights.cache_info().misses == statistics.misses
-
-
 def test_unreachable_margin_raises_config_error_and_default_margin_leaves_constants():
     assert weights({"horizon": 5})[1] == 4.0
     with pytest.raises(ConfigError, match=r"margin\.omega = 0\.6 s.*set a smaller margin"):

@@ -100,14 +100,6 @@ def test_only_the_command_is_limited_without_reentry():
     assert steps[-1].reference_delay == 0.0
 
 
-@pytest.mark.parametrize("limit", [0.0, -0.1, math.nan, math.inf])
-def test_invalid_speed_limit_raises_error(limit):
-    controller = Controller(CONFIG)
-    with pytest.raises(ValueError, match="give a positive number"):
-        controller.limit_speed(limit)
-    assert controller.speed_limit is None
-
-
 @given(value=st.floats(0.0, 1e6), percentage=st.booleans(), max_speed=st.floats(0.05, 5.0))
 def test_speed_limit_is_none_or_between_the_minimum_and_the_maximum_speed(value, percentage, max_speed):
     result = SpeedLimit(value, percentage).speed(max_speed)

@@ -10,12 +10,10 @@ from scipy.spatial import cKDTree
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
 
 from diffdrive_mpc import (
-    ConfigError,
     Trajectory,
     VelocityModel,
     integrate_pose,
     load_config,
-    load_model,
     load_trajectory,
 )
 from diffdrive_mpc.models.interface import FloatArray
@@ -267,10 +265,3 @@ def test_scaled_path_satisfies_limits_and_keeps_its_shape_for_any_robot(path, va
     np.testing.assert_allclose(end.pose[0, :2], scale * shipped.pose[0, :2], atol=1e-6 * scale)
     np.testing.assert_allclose(end.pose[0, 2], shipped.pose[0, 2], atol=1e-6)
     np.testing.assert_allclose(end.arc_length, scale * shipped.arc_length, rtol=1e-6)
-
-
-def test_scaling_of_waypoints_raises_error(tmp_path):
-    path = tmp_path / "drawn.yaml"
-    path.write_text("waypoints: [[0, 0], [1, 0], [2, 1]]\nspeed: 0.3\n")
-    with pytest.raises(ConfigError, match="segments"):
-        scaled_to_robot(path, load_config("sm"), load_model("sm"))
