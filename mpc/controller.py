@@ -688,9 +688,8 @@ class Controller:
             tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
             since_start = t - self._t0
         except TypeError as error:
-            given = (t, deadline, most_iterations)
-            names = "t, deadline, most_iterations"
-            raise wrong_type(names, "times [s] and an integer", given, "call step(t, Measurement(...))") from error
+            names, values = "t, deadline, most_iterations", (t, deadline, most_iterations)
+            raise wrong_type(names, "times [s] and an integer", values, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
         # The reference's clock advances once per tick, but not at a repeated call or at an invalid time.
         has_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))

@@ -94,8 +94,8 @@ def _read(path: Path) -> FloatArray:
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMN_NAMES if name not in header]
             if missing:
-                found = plain_line(",".join(header), 90)
-                remedy = f"the header must name {','.join(_COLUMN_NAMES)} with commas (found {found})"
+                names = plain_line(",".join(header), 90)
+                remedy = f"the header must name {','.join(_COLUMN_NAMES)} with commas (found {names})"
                 raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {remedy}")
             columns = [header.index(name) for name in _COLUMN_NAMES]
             lines, numbers = array("q"), array("d")
