@@ -123,8 +123,8 @@ def sensor_readings(config: ControllerConfig) -> dict[str, dict[str, Any]]:
     }
 
 
-_PLANT = ("sample_time", "time", "true_pose", "true_twist", "reset", "measure", "advance")
-"""Members of a plant, see `sim.plants.plant.Plant`."""
+_PLANT = ("sample_time", "reset", "measure", "advance")
+"""Members of a plant before its first reset, see `sim.plants.plant.Plant`."""
 
 
 def _check_names(arguments: Mapping[str, object]) -> None:
