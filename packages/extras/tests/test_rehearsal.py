@@ -405,7 +405,7 @@ def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     log = tmp_path / "run.mcap"
     arguments = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
     result = invoke(app, *arguments, "--log", log)
-    assert "learned from 1 laps" in result.output
+    assert "learned from 1 lap," in result.output
     assert "vary from lap to lap (lower bound)" in " ".join(result.output.split())
     assert (tmp_path / "out" / "figures" / "laps.png").exists()
     drive_log = read_drive_log(log, plans=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -132,6 +133,8 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
     def __init__(self, case: Case, laps: int, log: Path | None) -> None:
         if case.controller in PEERS:
             raise ConfigError(f"--controller {case.controller}: it does not learn from laps; mpc does")
+        if _ENABLED in dict(case.overrides):
+            raise ConfigError("--set expert.rehearsal.enabled: remove it; rehearse drives with and without rehearsal")
         self._case, self._laps, self._log = case, laps, log
 
     def plan(self) -> Case:
@@ -163,7 +166,10 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
         """Return the table of the laps, the error of each lap, and the last correction."""
         del seconds
         learned, plain = results
+        sentences = [f"Lap {lap}: {text}." for lap, run in enumerate(learned.runs, start=1) for text in _messages(run)]
+        successes = [text for text in sentences if ": learned from" in text]
         table = lap_table(learned, plain)
+        table = replace(table, note=" ".join((table.note, *successes)))
         return Report(
             size=f"{2 * self._laps} laps",
             meta={"case": self._case.labels, "laps": self._laps},
@@ -171,14 +177,13 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
             facts=[f"{self._case.labels['trajectory']}, {self._laps} laps with rehearsal and the same number without."],
             tables=[table],
             figures={"laps.png": lap_charts(learned, plain)},
-            shown=PageContents(
-                warnings=[
-                    PageWarning(f"Lap {lap}: {message}.", "")
-                    for lap, run in enumerate(learned.runs, start=1)
-                    for message in dict.fromkeys(filter(None, (*run.messages, run.ended)))
-                ]
-            ),
+            shown=PageContents(warnings=[PageWarning(text, "") for text in sentences if text not in successes]),
         )
+
+
+def _messages(run: Run) -> list[str]:
+    """Return the messages of a run and the reason for its end; of messages that differ in numbers only the last one."""
+    return list({re.sub(r"[\d.]+", "", text): text for text in (*run.messages, run.ended) if text}.values())
 
 
 def lap_table(learned: Laps, plain: Laps) -> Table:

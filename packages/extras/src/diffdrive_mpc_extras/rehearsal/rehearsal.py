@@ -147,7 +147,7 @@ class LapLearner:
         assert self._reference is not None
         error = self._error(self._reference, motion, np.array(lap.poses))
         gains, size = motion[:, 6:].mean(axis=0), float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        error_text = f"error {1e3 * size:.1f} mm in the last lap"
+        error_text = f"measured error {1e3 * size:.1f} mm in the last lap"
         if self.laps:
             change = float(np.abs(gains / self._gains - 1).max())
             if change > settings.floor_change:
@@ -167,7 +167,8 @@ class LapLearner:
         self._repeating = (1 - settings.forgetting) * (self._repeating + weight * innovation)
         self.correction = self._bounded_correction(-self._trust() * self._repeating, reference)
         max_correction = 1e3 * float(np.hypot(*self.correction.T[:2]).max())
-        self.message = f"learned from {self.laps} laps, {error_text}, correction up to {max_correction:.1f} mm"
+        count = "1 lap" if self.laps == 1 else f"{self.laps} laps"
+        self.message = f"learned from {count}, {error_text}, correction up to {max_correction:.1f} mm"
 
     def _trust(self) -> FloatArray:
         """Compute the reliable fraction (n, 2) of the repeating part, 0 to 1."""
