@@ -82,7 +82,8 @@ class ConfigurationSearch:
         if plan.adapt_to_robot and not is_shipped(config):
             self.skipped = [key for key, value in values.items() if isinstance(value, Mapping)]
             model, paths = load_model(start.model), self._runs.get("trajectory", ())
-            self._runs["trajectory"] = [scaled_to_robot(path, start, model) for path in paths]
+            names = (paths,) if isinstance(paths, str) else paths
+            self._runs["trajectory"] = [scaled_to_robot(name, start, model) for name in names]
         self.start: Values = {key: value for key, value in values.items() if key not in self.skipped}
         bounds = {key: plan.parameters[key].bounds(key, value) for key, value in self.start.items()}
         for side in range(2):
