@@ -26,7 +26,7 @@ def print_models() -> None:
         lags = [f"{1e3 * lag:.0f}" for lag in model.lag]
         rows.append((name, str(model.provenance.get("origin", "")), str(model.order), *gains, *lags))
     columns = ("model", "origin", "states", "gain v [-]", "gain omega [-]", "lag v [ms]", "lag omega [ms]")
-    note = "Lag: mean delay from command to output, including dead time. Details: diffdrive-mpc models show NAME"
+    note = "Gains at rest. Lag: mean delay of the output, with dead time. Details: diffdrive-mpc models show NAME"
     output_console().print(Table("Velocity models", columns, tuple(rows), text_columns=2, note=note).rich())
 
 
