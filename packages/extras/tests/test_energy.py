@@ -167,7 +167,8 @@ def test_robot_file_sets_motors_by_name_or_changes_the_default_motors(tmp_path: 
 
     default, bot = load_drive_constants(), load_drive_constants("fsu_bot")
     assert load_drive("") == default
-    assert load_drive("drive: fsu_bot") == load_drive("parts: {power: {drive: fsu_bot}}") == bot
-    assert load_drive("drive: {resistance: 2.0}") == default.model_copy(update={"resistance": 2.0})
+    assert load_drive("parts: {power: {drive: fsu_bot}}") == bot
+    changed = load_drive("parts: {power: {drive: {resistance: 2.0}}}")
+    assert changed == default.model_copy(update={"resistance": 2.0})
     with pytest.raises(ConfigError, match=r"r.yaml: .*drive.*did you mean 'fsu_bot'"):
-        load_drive("drive: fsu_bott")
+        load_drive("parts: {power: {drive: fsu_bott}}")

@@ -20,7 +20,6 @@ def lab(
     from diffdrive_mpc_lab.build import page_text  # noqa: PLC0415
 
     with whole_file(out) as draft:
-        echo("compiling the controller to WebAssembly, about 20 s")
         size = draft.write_text(page_text(), encoding="utf-8")
     echo(f"{out}: {size / 1e6:.2f} MB")
 
