@@ -99,7 +99,12 @@ def trajectory_file(name_or_path: str | Path) -> Path:
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
-    """Load the segments of a trajectory file without timing them.
+    """Load the segments of a trajectory file without timing them; raise ConfigError as `load_segment_file`."""
+    return tuple(load_segment_file(name_or_path).segments)
+
+
+def load_segment_file(name_or_path: str | Path) -> SegmentFile:
+    """Load a trajectory file of segments without timing them.
 
     Raises
     ------
@@ -113,7 +118,7 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
             f"{name_or_path}: --scale-to-robot and load_segments need a path of segments, such as circle; other paths "
             "are driven as they are, within the limits of the configuration"
         )
-    return tuple(check(SegmentFile, data, str(path)).segments)
+    return check(SegmentFile, data, str(path))
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:

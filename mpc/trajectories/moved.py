@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
@@ -20,7 +20,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.load import load_segments, trajectory_file
+from diffdrive_mpc.mpc.trajectories.load import load_segment_file
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.segments import Segment, time_segments
 
@@ -117,7 +117,8 @@ def scaled_to_robot(
     models.checked_yaml.ConfigError
         If the trajectory does not exist, does not consist of segments, or has a turn on the spot that a limit forbids.
     """
-    segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
+    file, settings, limits = load_segment_file(name_or_path), load_settings(), config.limits
+    segments = file.segments
     (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
     length = config.wheels.encoder_track / load_robot().track
     if limits.min_path_radius:
@@ -155,8 +156,8 @@ def scaled_to_robot(
             remaining_share * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
-    name = read_yaml(trajectory_file(name_or_path)).get("name") or Path(name_or_path).stem
-    path = time_segments(scaled, bounds, name=f"{name} scaled to the robot", where=str(name_or_path))
+    name = f"{file.name or Path(name_or_path).stem} scaled to the robot"
+    path = time_segments(scaled, bounds, name=name, where=str(name_or_path))
     durations = f"{sum(segment.duration for segment in segments):.1f} s in the file, driven in {path.duration:.1f} s"
     return replace(path, remark=f"trajectory '{path.name}': {length:.3g} times the lengths of the file; {durations}")
 
