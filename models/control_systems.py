@@ -159,9 +159,8 @@ def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, Fl
             f"{where}: pole at z = {negative[0].real:.4g}; no continuous system has a negative pole under a "
             "zero-order hold: identify the system again, with a lower order"
         )
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         # Results of an inaccurate logarithm are rejected below.
-        warnings.simplefilter("ignore", RuntimeWarning)
         continuous = np.real(logm(A)) / sampled.dt
     # Invert the zero-order hold.
     B = np.linalg.solve(A - np.eye(len(A)), continuous @ B)

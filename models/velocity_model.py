@@ -50,7 +50,7 @@ class VelocityModel:
     name
         Name for tables and messages.
     structure
-        "mbm", "sm" or "ssm".
+        Label of its structure, such as "mbm", "sm" or "ssm".
     A, B, C
         (n, n), (n, 2), (2, n).
     dead_time
@@ -153,8 +153,10 @@ class VelocityModel:
         return mean_delay(self.A, self.B, self.C, self.dead_time, (0, 1))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
-        """Return the model with its dead time increased by `extra` (2,) [s]."""
+        """Return the model with its dead time increased by `extra` [s], (2,) or one number for both, at least 0."""
         added = checked_array("extra dead time", extra, "numbers", "give v, omega in seconds, such as (0.02, 0.02)")
+        if (added < 0).any():
+            raise ModelError(f"model '{self.name}': extra dead time {added.tolist()} s; give 0 or more")
         return replace(self, dead_time=self.dead_time + added)
 
     def discretise(self, dt: float) -> DiscreteModel:

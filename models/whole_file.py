@@ -95,7 +95,7 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
             # The draft is in the folder of the target, because a rename is atomic only within one file system.
             draft = stack.enter_context(scratch_folder(target.parent)) / target.name
         except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
-            raise ConfigError(f"{path}: cannot be written to ({reason(error)})") from error
+            raise ConfigError(f"{path}: cannot be written to ({reason(error)}); choose another folder") from error
         with named_errors(path, draft.parent):
             yield draft
             if not rewrites:

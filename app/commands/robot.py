@@ -19,7 +19,7 @@ def identify(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV or MCAP files, or ROS 2 bags.")],
     structure: Annotated[
         str,
-        typer.Option(help="mbm, mbm_modes, sm, ssm; p2_experimental, p2_physical (drives); lstm, hybrid (networks)."),
+        typer.Option(help="mbm, mbm_modes, sm, ssm, two_delays, p2_experimental, p2_physical; networks lstm, hybrid."),
     ] = "sm",
     mapping: Mapping = None,
     out: Annotated[

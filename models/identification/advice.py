@@ -122,7 +122,7 @@ class Advice:
         """Describe the improvement and the command that uses the mapping file in `folder`."""
         path = str(folder / self.file)
         changes = ", ".join(map(str, self.changes))
-        fit, settings = _percent(self.after), identification_settings().advice
+        fit, settings = f"{_percent(self.after)} in a quick fit", identification_settings().advice
         if self.before is None:
             improvement = f"the held-out FIT is {fit}; without this mapping no model can be fitted"
         elif float((self.after.fit - self.before.fit).mean()) > settings.min_gain:

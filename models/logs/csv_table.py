@@ -311,7 +311,7 @@ def _parse_cells(
         numbered_rows.pop()
     for offset, row in numbered_rows:
         if len(row) < len(header) or any(row[len(header) :]):
-            hint = ""
+            hint = "; complete the row, or quote cells that contain the separator"
             if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
                 hint = "; if decimals have a comma, put semicolons between the cells"
             raise ConfigError(

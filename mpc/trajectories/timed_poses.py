@@ -157,7 +157,7 @@ def _check_speeds(
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
     slower = "stretch the time or lower the speed"
-    along = "let theta point along the direction of travel, or give more rows"
+    along = "let theta [rad] point along the direction of travel, or give more rows"
     for name, unit, speed, limit, excess, remedy in (
         ("v", "m/s", forward, limits.v if limits else np.inf, settings.speed_excess, slower),
         ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, slower),

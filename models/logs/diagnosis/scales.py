@@ -341,7 +341,7 @@ def _unit_finding(
     elif (name == ENCODERS or wheels) and ratio > settings.max_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
-        remedy = "no unit of its column explains this; check the units of all streams, and the lengths under 'wheels'"
+        remedy = "no unit of its column explains this; check all units, `sample_time`, and lengths under `wheels`"
     message = f"{_SIGNALS[name, channel]} is {ratio:.3g} times that of the {' and '.join(others)}; {remedy}"
     return Finding("wrong unit", "error", log, message, changes=changes)
 

@@ -81,7 +81,8 @@ def test_help_of_a_command_loads_only_this_command() -> None:
         ("export --out {out} --precision half", "--precision 'half': give double or float"),
         ("export --out {out} --set solver.method=osqp", "an exported controller has neither OSQP nor DAQP"),
         ("excite --out {out} --for model", "needs --inside"),
-        ("rehearse --out {out} --controller pursuit", "does not learn from laps"),
+        ("excite --out {out} --side -1", "--side -1.0: give a positive number"),
+        ("rehearse --out {out} --controller pursuit", "No such option: --controller"),
         ("repeat missing.yaml --out {out}", "missing.yaml"),
     ],
 )

@@ -72,7 +72,8 @@ def excite(
     if purpose == _SLIP:
         from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, write_slip_drive  # noqa: PLC0415
 
-        segments = slip_excitation(side or _SIDE, seconds or _SLIP_SECONDS, speed, yaw_rate)
+        side, seconds = _SIDE if side is None else side, _SLIP_SECONDS if seconds is None else seconds
+        segments = slip_excitation(side, seconds, speed, yaw_rate)
         echo(write_slip_drive(out, segments))
         return
     if inside is None:
@@ -80,7 +81,7 @@ def excite(
     from diffdrive_mpc_extras.excitation.excite import excite_into  # noqa: PLC0415
     from diffdrive_mpc_extras.excitation.model_excitation import Room  # noqa: PLC0415
 
-    motion = {"seconds": seconds or _SECONDS, "speed": speed, "yaw_rate": yaw_rate}
+    motion = {"seconds": _SECONDS if seconds is None else seconds, "speed": speed, "yaw_rate": yaw_rate}
     excite_into(config or "ssm", Room.read(inside), out, seed=seed, log=log, plant=plant, **motion)
 
 

@@ -53,7 +53,7 @@ def slip_excitation(
     ValueError
         If an argument is not positive, the duration is too long, or the square is too small to turn in.
     """
-    for name, value in (("side", side), ("time", seconds), ("speed", speed), ("yaw rate", yaw_rate)):
+    for name, value in (("--side", side), ("--seconds", seconds), ("--speed", speed), ("--yaw-rate", yaw_rate)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} {value}: give a positive number")
     longest = load_settings().max_excitation_duration

@@ -11,7 +11,7 @@ from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import ConfigFile, Scaled, Settings, with_dimensions
 
 
-@with_dimensions()
+@with_dimensions("model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed")
 def rehearse(
     *,
     laps: Annotated[int, typer.Option(min=2, max=1000, help="Number of laps.")] = 5,
@@ -29,6 +29,7 @@ def rehearse(
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from diffdrive_mpc_extras.rehearsal.laps import LapsStudy  # noqa: PLC0415
 
+    values["controller"] = "mpc"
     case = case_from_options(values, config=config, settings=settings or [], scaled=scale_to_robot)
     carry_out(LapsStudy(case, laps, log), out, jobs=1)
 

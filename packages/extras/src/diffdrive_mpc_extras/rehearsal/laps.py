@@ -14,7 +14,6 @@ from diffdrive_mpc.app.run_log import includes_plans, repeat_arguments, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, PageContents, PageWarning, Series
-from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
@@ -120,7 +119,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
     Parameters
     ----------
     case
-        Case to simulate; raises ConfigError if its controller is a peer.
+        Case to simulate with the MPC.
     laps
         Number of laps.
     log
@@ -131,8 +130,6 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
     title = "Laps with rehearsal"
 
     def __init__(self, case: Case, laps: int, log: Path | None) -> None:
-        if case.controller in PEERS:
-            raise ConfigError(f"--controller {case.controller}: it does not learn from laps; mpc does")
         if _ENABLED in dict(case.overrides):
             raise ConfigError("--set expert.rehearsal.enabled: remove it; rehearse drives with and without rehearsal")
         self._case, self._laps, self._log = case, laps, log
