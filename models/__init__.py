@@ -42,8 +42,4 @@ _HOMES = {
 
 if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
     __all__ = list(_HOMES)
-__getattr__ = on_first_use(__name__, _HOMES)
-
-
-def __dir__() -> list[str]:
-    return sorted(_HOMES)
+__getattr__, __dir__ = on_first_use(__name__, _HOMES)

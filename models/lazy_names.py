@@ -8,10 +8,10 @@ from importlib import import_module
 from typing import Any
 
 
-def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return a `__getattr__` for `package` that imports each name from its module in `homes` on first use.
+def on_first_use(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__`, which imports each name from its module in `homes` on first use, and `__dir__`.
 
-    The use of one module then does not load the others.
+    They are functions for the module `package`. The use of one name then does not load the modules of the others.
     """
 
     def look_up(name: str) -> Any:  # noqa: ANN401 - type checkers use the imports under TYPE_CHECKING
@@ -21,4 +21,4 @@ def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
             raise AttributeError(f"module '{package}' has no attribute '{name}'{hint}")
         return getattr(import_module(f".{homes[name]}", package), name)
 
-    return look_up
+    return look_up, lambda: sorted(homes)

@@ -46,8 +46,4 @@ _MODULES = {
 
 if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
     __all__ = list(_MODULES)
-__getattr__ = on_first_use(__name__, _MODULES)
-
-
-def __dir__() -> list[str]:
-    return sorted(_MODULES)
+__getattr__, __dir__ = on_first_use(__name__, _MODULES)

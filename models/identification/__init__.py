@@ -8,4 +8,4 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.identification.from_logs import Identification, identify
 
 __all__ = ["Identification", "identify"]
-__getattr__ = on_first_use(__name__, dict.fromkeys(__all__, "from_logs"))
+__getattr__, __dir__ = on_first_use(__name__, dict.fromkeys(__all__, "from_logs"))

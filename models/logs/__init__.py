@@ -9,4 +9,4 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.reading import read_log
 
 __all__ = ["Finding", "Log", "Record", "read_log"]
-__getattr__ = on_first_use(__name__, {"read_log": "reading"})
+__getattr__, _ = on_first_use(__name__, {"read_log": "reading"})

@@ -64,8 +64,4 @@ _HOMES = {
 
 if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
     __all__ = list(_HOMES)
-__getattr__ = on_first_use(__name__, _HOMES)
-
-
-def __dir__() -> list[str]:
-    return sorted(_HOMES)
+__getattr__, __dir__ = on_first_use(__name__, _HOMES)

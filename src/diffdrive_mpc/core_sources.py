@@ -70,7 +70,7 @@ _NAMES = {
     "mpc.problem.formulas": ("term", "term_symbols"),
     "mpc.problem.terms": ("all_terms", "parameter_places"),
 }
-__getattr__ = on_first_use(__package__, {name: home for home, names in _NAMES.items() for name in names})
+__getattr__, _ = on_first_use(__package__, {name: home for home, names in _NAMES.items() for name in names})
 
 
 def require(version: int) -> None:

@@ -9,4 +9,4 @@ if TYPE_CHECKING:
     from diffdrive_mpc_extras.planner.planner import plan_each as plan_each
 
 # Lazy import, because `diffdrive-mpc --help` imports this package.
-__getattr__ = on_first_use(__name__, {"plan": "planner", "plan_each": "planner"})
+__getattr__, __dir__ = on_first_use(__name__, {"plan": "planner", "plan_each": "planner"})

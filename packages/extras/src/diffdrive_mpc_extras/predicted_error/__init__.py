@@ -13,4 +13,4 @@ _MODULES = {"PredictedError": "predicted_error", "predict_error": "predicted_err
 if not TYPE_CHECKING:  # type checkers use the imports above
     __all__ = list(_MODULES)
 # Import lazily: `diffdrive-mpc --help` imports this package.
-__getattr__ = on_first_use(__name__, _MODULES)
+__getattr__, __dir__ = on_first_use(__name__, _MODULES)
