@@ -10,12 +10,13 @@ from pathlib import Path
 import yaml
 
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_MODEL, Case, label
-from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.drive import odometry_correction, sensor_readings
+from diffdrive_mpc.bench.html_report.origin import case_config
 from diffdrive_mpc.bench.machine import project_version
-from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.whole_file import reason, whole_file
+from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim import Run
 
 WriteLog = Callable[..., None]
@@ -55,7 +56,10 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
             if includes_plans(log):
                 from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
 
-                write_ticks(run, draft, _metadata(case, command or ["simulate", *repeat_arguments(case)]))
+                config = case_config(case)
+                metadata = _metadata(case, config, command or ["simulate", *repeat_arguments(case)])
+                correction = odometry_correction(sensor_readings(config)) if config else (1.0, 1.0)
+                write_ticks(run, draft, metadata, correction)
             else:
                 from diffdrive_mpc.sim.log_csv import write_rows  # noqa: PLC0415 - most runs write no log
 
@@ -82,13 +86,12 @@ def repeat_arguments(case: Case) -> list[str]:
     return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]
 
 
-def _metadata(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
-    """Return the metadata of a run by name of the metadata record."""
+def _metadata(case: Case, config: ControllerConfig | None, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
+    """Return the metadata of a run by name of the metadata record; `config` is None for a peer."""
     labels = {name: str(value) for name, value in case.labels.items()}
     version = {"version": project_version(), "repeat": shlex.join(["diffdrive-mpc", *command])}
     metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}
-    if case.controller not in PEERS:
-        config = controller_config(case.model, case.config, case.overrides)
+    if config is not None:
         values = config.model_dump(mode="json") | {"model": label(config.model)}
         metadata["configuration"] = {"yaml": yaml.safe_dump(values, sort_keys=False, allow_unicode=True)}
         metadata["model"] = {"yaml": model_path(config.model).read_text(encoding="utf-8")}

@@ -123,6 +123,11 @@ def sensor_readings(config: ControllerConfig) -> dict[str, dict[str, Any]]:
     }
 
 
+def odometry_correction(readings: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
+    """Return the ratios of the readings of wheels and gyro to the motion, from the values of `sensor_readings`."""
+    return readings["encoders"]["left"], readings["gyro"]["scale"]
+
+
 _PLANT = ("sample_time", "reset", "measure", "advance")
 """Members of a plant before its first reset, see `sim.plants.plant.Plant`."""
 

@@ -43,15 +43,17 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
         write_ticks(run, draft, metadata or {})
 
 
-def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
-    """Write a run directly to `path`."""
+def write_ticks(
+    run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]], correction: tuple[float, float] = (1.0, 1.0)
+) -> None:
+    """Write a run directly to `path`; its odometry divides the readings of wheels and gyro by `correction` [-]."""
     period = round(_NANO * run.sample_time)
     labels = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
     plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
     with drive_writer(path, {"run": labels, **metadata}) as writer:
         times = path_times(run.reference.duration)
         writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
-        odometry = Odometry(run.true_pose[0], 0, use_pose_sensor=False)
+        odometry = Odometry(run.true_pose[0], 0, use_pose_sensor=False, correction=correction)
         for row, plan, measurement in zip(_rows(run), plans, run.measurements, strict=True):
             planned = plan if len(plan) and math.isfinite(plan[0, 0]) else None
             pose = odometry.update(float(row["t_s"]), measurement).tolist()

@@ -73,7 +73,7 @@ def robot(
 
     from diffdrive_mpc.bench import controllers  # noqa: PLC0415 - --help needs neither this nor ROS
     from diffdrive_mpc.bench.case import Case  # noqa: PLC0415
-    from diffdrive_mpc.bench.drive import plant_settings  # noqa: PLC0415
+    from diffdrive_mpc.bench.drive import odometry_correction, plant_settings  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.simulated_base import load_base_settings  # noqa: PLC0415
@@ -102,7 +102,7 @@ def robot(
         controllers.load_reference(case).sample([0.0]).pose[0],
         settings,
         load_sensor_set(values["sensors"], readings),
-        correction=(readings["encoders"]["left"], readings["gyro"]["scale"]) if readings else (1.0, 1.0),
+        correction=odometry_correction(readings) if readings else (1.0, 1.0),
         lock_step=lock_step,
         duration=duration,
         record=record,
