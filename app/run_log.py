@@ -11,7 +11,7 @@ import yaml
 
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_MODEL, Case, label
 from diffdrive_mpc.bench.drive import odometry_correction, sensor_readings
-from diffdrive_mpc.bench.html_report.origin import case_config
+from diffdrive_mpc.bench.html_report.origin import mpc_config
 from diffdrive_mpc.bench.machine import project_version
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
@@ -56,7 +56,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
             if includes_plans(log):
                 from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
 
-                config = case_config(case)
+                config = mpc_config(case)
                 metadata = _metadata(case, config, command or ["simulate", *repeat_arguments(case)])
                 correction = odometry_correction(sensor_readings(config)) if config else (1.0, 1.0)
                 write_ticks(run, draft, metadata, correction)

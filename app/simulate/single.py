@@ -14,7 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.controllers import build, controller_config, other_robots, reference_remarks, select_model
+from diffdrive_mpc.bench.controllers import build, case_config, other_robots, reference_remarks, select_model
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -100,7 +100,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
     for table in tables(outcome) if details else ():
         console.print(table.rich())
     if outcome.case.controller not in PEERS:
-        config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
+        config = case_config(outcome.case)
         reference = outcome.run.reference
         shortfall = find_shortfall(reference, config, predicting_model(config, None))
         for remark in (shortfall, describe_tight_turns(reference, config.limits, config.sample_time)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
-from diffdrive_mpc.bench.html_report.origin import case_config, configuration, origin
+from diffdrive_mpc.bench.html_report.origin import configuration, mpc_config, origin
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, PageContents, RunViews
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
@@ -57,7 +57,7 @@ def sentences(case: Case, run: Run) -> list[str]:
 def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) -> Page:
     """Build the page of a run with `tables`; `seconds` is the wall-clock time of the run."""
     case, run = outcome.case, outcome.run
-    config = case_config(case)
+    config = mpc_config(case)
     series = run_series(run, driver_name(case), points=POINTS, config=config)
     shown = PageContents(
         summary=sentences(case, run),

@@ -10,7 +10,7 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, completed_groups, mpc_groups
 from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
-from diffdrive_mpc.bench.html_report.origin import case_config, configuration
+from diffdrive_mpc.bench.html_report.origin import configuration, mpc_config
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -140,7 +140,7 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
                     points=points,
                     labels={"controller": name, "path": path, "seed": seed},
                     style=styles.index(name),
-                    config=case_config(case),
+                    config=mpc_config(case),
                 )
             )
     return RunViews(series, f"{HOW_TO_READ}. {PEAKS}.")
@@ -225,7 +225,7 @@ def _warnings(drivers: Mapping[str, DataFrame]) -> list[PageWarning]:
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
-            for run_warning in run_warnings(run, case_config(case), place):
+            for run_warning in run_warnings(run, mpc_config(case), place):
                 groups.setdefault((name, run_warning.remedy), []).append(run_warning)
     warned = []
     for group in groups.values():

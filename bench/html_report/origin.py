@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diffdrive_mpc.bench.case import Case, label
-from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.controllers import case_config
 from diffdrive_mpc.bench.html_report.page import ConfigurationView, Origin
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.run_row import driver_name
@@ -43,9 +43,9 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
 # Configuration of a case, formatted for a page.
 
 
-def case_config(case: Case) -> ControllerConfig | None:
+def mpc_config(case: Case) -> ControllerConfig | None:
     """Return the configuration of a case's controller; None for a peer, which has no configuration."""
-    return None if case.controller in PEERS else controller_config(case.model, case.config, case.overrides)
+    return None if case.controller in PEERS else case_config(case)
 
 
 def configuration(case: Case, name: str = "") -> list[ConfigurationView]:
@@ -53,7 +53,7 @@ def configuration(case: Case, name: str = "") -> list[ConfigurationView]:
 
     `name` is the controller's name in the report, by default that of its model.
     """
-    config = case_config(case)
+    config = mpc_config(case)
     if config is None:
         return []
     without_folders = config.model_copy(update={"model": label(config.model)})

@@ -12,7 +12,7 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report import page as parts
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
-from diffdrive_mpc.bench.html_report.origin import case_config
+from diffdrive_mpc.bench.html_report.origin import mpc_config
 from diffdrive_mpc.bench.html_report.run_series import ERROR, rounded_list, run_series, select_ticks
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
@@ -112,11 +112,11 @@ def test_thinned_runs_preserve_peaks_and_series_preserve_values(outcome: RunOutc
 
 def test_normal_run_has_no_warnings(outcome: RunOutcome) -> None:
     run = outcome.run.with_step_time(np.full(len(outcome.run.time), 1e-3))
-    assert run_warnings(run, case_config(outcome.case)) == []
+    assert run_warnings(run, mpc_config(outcome.case)) == []
 
 
 def test_every_problem_of_a_run_gives_a_warning_with_a_remedy(outcome: RunOutcome) -> None:
-    run, config = outcome.run, case_config(outcome.case)
+    run, config = outcome.run, mpc_config(outcome.case)
     count = len(run.time)
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
     times = np.where(np.arange(count) == 7, 1.0, 1e-3)

@@ -102,12 +102,12 @@ def test_unshipped_trajectory_is_interpolated_with_a_note_and_exact_with_its_fil
 
 @pytest.fixture(scope="module")
 def mcap(tmp_path_factory):
-    """Return the log of a drive with deleted model and configuration files."""
+    """Return the log of a drive of a drawn robot with deleted model and configuration files."""
     folder = tmp_path_factory.mktemp("mcap")
     model, config, log = folder / "model.yaml", folder / "config.yaml", folder / "drive.mcap"
     model.write_text(model_path("sm").read_text())
     config.write_text("model: model.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
-    call("simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log)
+    call("simulate", "--config", config, "--trajectory", "cane", "--plant", "drawn:5", "--log", log)
     model.unlink()
     config.unlink()
     return log
