@@ -217,11 +217,12 @@ def emulation_table(facts: Mapping[str, Any]) -> Table:
 def size_table(sizes: Sequence[Size]) -> Table:
     """Return a table of the static sizes; the program allocates no further memory."""
     rows = [(size.target, size.compiler, f"{size.flash:,}", f"{size.ram:,}", f"{size.stack:,}") for size in sizes]
-    missing = [name for name in TARGETS if name not in [size.target for size in sizes]]
+    missing = {name: gcc for name, gcc in TARGETS.items() if name not in [size.target for size in sizes]}
+    notes = [f"{name}: {'exceeds memory' if shutil.which(gcc) else f'install {gcc}'}" for name, gcc in missing.items()]
     return Table(
         "Static sizes",
         ("program", "compiler", "flash [bytes]", "RAM with stack [bytes]", "stack [bytes]"),
         tuple(rows),
         text_columns=2,
-        note="; ".join(f"{name}: too large, or {TARGETS[name]} is not installed" for name in missing),
+        note="; ".join(notes),
     )
