@@ -171,6 +171,9 @@ class Record:
 Topics = Mapping[str, tuple[str, str]]
 """Topic and message type of each stream: "command", "odometry", "imu", "pose"."""
 
+_EXCHANGED = {"sides": "left and right", "axes": "x and y", "channels": "v and omega"}
+"""Columns that a change exchanges, by its key."""
+
 
 @dataclass(frozen=True)
 class MappingChange:
@@ -194,7 +197,9 @@ class MappingChange:
     value: float | str | bool
 
     def __str__(self) -> str:
-        """Format the change: "gyro `delay: +0.30`"."""
+        """Format the change: "gyro `delay: +0.30`", "pose: exchange x and y"."""
+        if self.key in _EXCHANGED:
+            return f"{self.stream}: exchange {_EXCHANGED[self.key]}"
         value = str(self.value).lower() if isinstance(self.value, bool) else str(self.value)
         return f"{self.stream} `{self.key}: {f'{self.value:+.2f}' if self.key == 'delay' else value}`"
 

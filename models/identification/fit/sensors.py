@@ -55,7 +55,7 @@ class SensorCorrections:
         delayed = {"gyro" if name == "yaw_rate" else name for name, v in self.inferred.items() if "delay" in v}
 
         def is_replaced(finding: Finding) -> bool:
-            return finding.kind == "time shift" and not delayed.isdisjoint(c.stream for c in finding.changes)
+            return finding.kind == "time shift" and delayed.issuperset(c.stream for c in finding.changes)
 
         return [*filterfalse(is_replaced, findings), *self.findings]
 

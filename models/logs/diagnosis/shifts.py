@@ -70,8 +70,13 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
         f"the {name} is {abs(delay):.2f} +- {1.96 * deviation:.2f} s {'later' if delay > 0 else 'earlier'} than the "
         f"{' and the '.join(others)}"
     )
-    streams.shift(name, -delay)
-    return [Finding("time shift", "warning", log, message, changes=(MappingChange(name, "delay", round(delay, 2)),))]
+    # No reading precedes the motion: a sensor that is early but follows its command shows that the others are late.
+    is_shifted = delay > 0 or _precedes_its_command(name, streams, settings)
+    corrections = {name: delay} if is_shifted else dict.fromkeys(others, -delay)
+    for sensor, correction in corrections.items():
+        streams.shift(sensor, -correction)
+    changes = tuple(MappingChange(sensor, "delay", round(value, 2)) for sensor, value in corrections.items())
+    return [Finding("time shift", "warning", log, message, changes=changes)]
 
 
 def _lag_finding(
@@ -130,9 +135,14 @@ def _shifted_sensor(
         return names[int(np.argmax(counts))]
     (first, second), (shift, _) = max(shifted.items(), key=lambda item: abs(item[1][0]))
     early, late = (first, second) if shift > 0 else (second, first)
+    return early if _precedes_its_command(early, streams, settings) else late
+
+
+def _precedes_its_command(name: str, streams: Streams, settings: CheckSettings) -> bool:
+    """Return True if a sensor clearly responds before its command, which only early stamps explain."""
     responses = _clear_responses(streams, settings)
-    dead_times = [response.dead_time for (name, _), response in responses.items() if name == early]
-    return early if dead_times and min(dead_times) < -settings.response_lead else late
+    dead_times = [response.dead_time for (sensor, _), response in responses.items() if sensor == name]
+    return min(dead_times, default=0.0) < -settings.response_lead
 
 
 def _check_command_times(

@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.agreement import change_location
-from diffdrive_mpc.models.logs.diagnosis.streams import Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import ENCODERS, Streams, fit_response
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 SIDES = ("left", "right")
@@ -105,6 +105,10 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
     if is_distinct and (np.abs(crossed) > 2 * np.abs(direct)).all():
         if (crossed < 0).all():
             return None  # sides are exchanged and reversed, as if the robot drove backwards; `check_signs` reports v
+        pairs = [streams.pair(ENCODERS, name, 1) for name in streams.sensors(1) if name != ENCODERS]
+        responses = [fit_response(streams, *pair, settings, both_measured=True) for pair in pairs]
+        if responses and all(r and r.signed_correlation > settings.clear_correlation for r in responses):
+            return None  # the body turns as the encoders, not as the command; `check_signs` reports the command
         streams.twist = streams.twist * [1.0, -1.0]
         message = (
             "each side of the encoders follows the command of the other side: exchange left and right of the encoders, "
