@@ -16,7 +16,7 @@ from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.two_sided import SIDES
-from diffdrive_mpc.mpc.config.former_keys import rename_former_keys
+from diffdrive_mpc.mpc.config.former_keys import convert_former_keys
 from diffdrive_mpc.mpc.config.rooms import merge_sections, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -117,7 +117,7 @@ def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object]) -
     result = dict(data)
     for key, value in overrides.items():
         result = _with_value(result, plain_key(str(key)).split("."), value, str(key))
-    return rename_former_keys(result)
+    return convert_former_keys(result)
 
 
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, dotted_key: str) -> dict[str, Any]:

@@ -1,13 +1,11 @@
-"""Conversion of configurations of earlier versions: renamed keys, and keys that are now constants or list entries."""
+"""Conversion of configurations of earlier versions: removed groups, and keys that are now constants or list entries."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any, get_origin
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.fixed_values import FILE, fixed_values
 from diffdrive_mpc.mpc.config.schema import Estimator
 
@@ -19,23 +17,15 @@ _REMOVED_GROUPS = {"online_dead_time": "the filter estimates unknown delays"}
 """Replacements of removed groups, by the name of the group."""
 
 
-@cache
-def former_keys() -> Mapping[str, str]:
-    """Return the current names of keys by their former names; keys that became constants are in `fixed_values`."""
-    data: dict[str, str] = read_yaml(Path(__file__).with_name("former_keys.yaml"))
-    return data
-
-
 def current_place(key: str) -> str:
     """Return the replacement of a former key, for a message; empty for a key that has not changed."""
-    current = former_keys().get(key, key)
-    if current in fixed_values():
-        return f"the constant {current} in {FILE}"
+    if key in fixed_values():
+        return f"the constant {key} in {FILE}"
     group, _, name = key.partition(".")
     for entry, ending in enumerate(_ENTRIES[1:], start=2):
         if group == "estimator" and name.removesuffix(ending) in CURVED_SLIPS and name.endswith(ending):
             return f"entry {entry} of expert.estimator.{name.removesuffix(ending)}"
-    return "" if current == key else current
+    return ""
 
 
 def removed_message(key: str) -> str:
@@ -53,8 +43,8 @@ def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def rename_former_keys(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
-    """Rename former keys of a merged configuration, and remove keys that became constants.
+def convert_former_keys(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
+    """Convert former keys of a merged configuration to list entries, and remove keys that became constants.
 
     Raises
     ------
@@ -67,19 +57,6 @@ def rename_former_keys(data: Mapping[str, Any], where: str = "configuration") ->
         key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group
         raise ConfigError(f"{where}: {removed_message(key)}")
     current = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
-    # The renaming precedes `_drop_constants`, since a constant may be given by its former name.
-    for old, new in former_keys().items():
-        group, name = old.split(".")
-        if isinstance(current.get(group), dict) and name in current[group]:
-            value = current[group].pop(name)
-            *groups, name = new.split(".")
-            level = current
-            for inner in groups:
-                level = level.setdefault(inner, {})
-            level.setdefault(name, value)
-    # The keys of this group have moved to another group, and the empty group would be an unknown key.
-    if current.get("drivable") == {}:
-        del current["drivable"]
     _drop_constants(current, where)
     if isinstance(current.get("estimator"), dict):
         _join_curved_slips(current["estimator"])

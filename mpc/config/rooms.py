@@ -13,7 +13,7 @@ from typing import Any
 from diffdrive_mpc.models.checked_yaml import ConfigError, merge_mappings
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc.config.feature_groups import is_feature
-from diffdrive_mpc.mpc.config.former_keys import current_place, former_keys, rename_former_keys
+from diffdrive_mpc.mpc.config.former_keys import convert_former_keys, current_place
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 EXPERT = "expert"
@@ -72,13 +72,12 @@ def shown_key(key: str) -> str:
 
 
 def plain_key(key: str) -> str:
-    """Convert a dotted key of either section, or a former name, to the key in `ControllerConfig`."""
-    inner = key.removeprefix(f"{EXPERT}.")
-    return former_keys().get(inner, inner)
+    """Convert a dotted key of either section to the key in `ControllerConfig`."""
+    return key.removeprefix(f"{EXPERT}.")
 
 
 def merge_sections(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Convert the values of a file, in two sections or in the former layout, to the layout of `ControllerConfig`.
+    """Convert the values of a file, in two sections or in one, to the layout of `ControllerConfig`.
 
     If `where` is the name of the file, each key in a former place causes a FormerNameWarning with its new place.
 
@@ -91,7 +90,7 @@ def merge_sections(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
         raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
     _check_sections(first, second, where or "configuration")
-    flat = rename_former_keys(merge_mappings(first, second), where or "configuration")
+    flat = convert_former_keys(merge_mappings(first, second), where or "configuration")
     if where:
         for key, place in _moved_keys(first, second).items():
             message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file in its present form"

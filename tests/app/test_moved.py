@@ -12,7 +12,6 @@ from diffdrive_mpc import Controller
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
-from diffdrive_mpc.mpc.config.former_keys import former_keys
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import Run
 from file_kinds import KINDS
@@ -81,11 +80,6 @@ def test_each_name_of_0_2_0_exists_or_is_listed():
         "kinds of files": {*NAMES["file_kinds"]} - {*KINDS} - LISTED,
     }
     assert {kind: names for kind, names in missing.items() if names} == {}
-
-
-def test_former_keys_are_listed_on_the_page():
-    missing = [key for key in former_keys() if key in NAMES["keys"] and not is_listed(key)]
-    assert missing == []
 
 
 def test_listed_parameters_of_node_parts_exist():

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
-from diffdrive_mpc.mpc.config.former_keys import current_place, former_keys
+from diffdrive_mpc.mpc.config.former_keys import current_place
 from diffdrive_mpc.mpc.config.rooms import USER, is_for_users, merge_sections, plain_key, shown_key
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS
 
@@ -42,25 +42,22 @@ def test_every_key_is_in_one_section_and_user_keys_come_first():
     )
 
 
-def test_former_names_map_to_keys_and_are_not_keys():
-    keys = {plain_key(row.key) for row in schema_rows()}
-    current = {key for key in former_keys().values() if key.partition(".")[0] in ControllerConfig.model_fields}
-    assert current <= keys | fixed_values().keys()
-    assert not (former_keys().keys() | fixed_values().keys()) & keys
+def test_constants_are_not_keys():
+    assert not fixed_values().keys() & {plain_key(row.key) for row in schema_rows()}
 
 
 def test_file_with_former_keys_is_read_with_one_warning_per_key(tmp_path):
     path = tmp_path / "old.yaml"
     path.write_text(
-        "model: sm\nestimator: {least_gain: 0.2, history: 0.5, crab_drift: 0.01}\nreentry: {look_ahead_max: 1.4}\n"
+        "model: sm\nestimator: {min_gain: 0.2, history: 0.5, crab_drift: 0.01}\nreentry: {max_look_ahead: 1.4}\n"
     )
     with pytest.warns(FormerNameWarning) as records:
         config = load_config(path)
     assert [str(warning.message).partition(": ")[2].partition(" now; ")[0] for warning in records] == [
-        "estimator.least_gain is the constant estimator.min_gain in mpc/config/fixed_values.yaml",
+        "estimator.min_gain is the constant estimator.min_gain in mpc/config/fixed_values.yaml",
         "estimator.history is expert.estimator.history",
         "estimator.crab_drift is entry 3 of expert.estimator.crab",
-        "reentry.look_ahead_max is expert.reentry.max_look_ahead",
+        "reentry.max_look_ahead is expert.reentry.max_look_ahead",
     ]
     assert (config.estimator.history, config.reentry.max_look_ahead) == (0.5, 1.4)
     assert config.estimator.crab == [0.0, 0.0, 0.01]
@@ -94,11 +91,9 @@ def test_former_keys_set_entries_of_the_list_of_curved_slip():
     )
 
 
-def test_keys_are_accepted_with_and_without_expert_and_by_former_names():
+def test_keys_are_accepted_with_and_without_expert():
     both_forms = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
     assert [load_config("ssm", overrides).estimator.history for overrides in both_forms] == [0.5, 0.5]
-    assert load_config("ssm", {"reentry.look_ahead_max": 1.4}).reentry.max_look_ahead == 1.4
-    assert load_config("ssm", {"reentry": {"look_ahead_max": 1.4}}).reentry.max_look_ahead == 1.4
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
 
 

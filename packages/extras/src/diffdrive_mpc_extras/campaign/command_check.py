@@ -201,10 +201,8 @@ def _moves_without_pose(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove the prefix "expert." from keys, and replace the former key of the minimum radius."""
-    plain = {key.removeprefix("expert."): value for key, value in values.items()}
-    former = "limits.least_commanded_radius"
-    return {"limits.min_commanded_radius" if key == former else key: value for key, value in plain.items()}
+    """Remove the prefix "expert." from keys."""
+    return {key.removeprefix("expert."): value for key, value in values.items()}
 
 
 def _flat(data: Any, prefix: str = "") -> dict[str, Any]:  # noqa: ANN401 - plain YAML
