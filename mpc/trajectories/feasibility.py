@@ -54,7 +54,8 @@ class Shortfall:
     duration, drivable
         Duration of the reference, and minimum feasible duration among the candidates [s]; infinite if none is feasible.
     start
-        Speed at which the reference starts although the robot is at rest, if this is the violation [m/s, rad/s].
+        Speed of the reference when the first command takes effect on the robot at rest, if this is the violation
+        [m/s, rad/s].
     """
 
     reference: str
@@ -75,7 +76,7 @@ class Shortfall:
         if math.isinf(self.drivable):
             remedy = "no slower timing helps: raise the limit"
         if self.start:
-            remedy = f"it starts at {self.start:.2g} {unit}/s and the robot at rest: let it start at rest"
+            remedy = f"it is at {self.start:.2g} {unit}/s when the first command acts: start at rest or set start_delay"
         return (
             f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {name} takes "
             f"{self.needed:.3g} {unit}/s{'^2' if 'slew' in name else ''}, {self.key} = {self.available:.3g}; "

@@ -93,7 +93,7 @@ def test_start_at_speed_is_reported():
     model = Controller(config).model
     shortfall = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
     assert shortfall.key == "limits.v_slew" and shortfall.time < 0.3
-    assert "it starts at 0.85 m/s and the robot at rest: let it start at rest" in str(shortfall)
+    assert "it is at 0.85 m/s when the first command acts: start at rest or set start_delay" in str(shortfall)
     steady = time_commands([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
     moving = PartOfReference(steady, 2.0)
     assert find_shortfall(moving, config, model) is not None
