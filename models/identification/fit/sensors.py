@@ -120,6 +120,8 @@ def find_corrections(
     mapping
         Mapping with which the log was read.
     """
+    loaded_mapping = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
+    stated = stated_corrections(loaded_mapping)
     inferred: dict[str, dict[str, float]] = {}
     findings: list[Finding] = []
     limits = identification_settings().sensors
@@ -137,8 +139,10 @@ def find_corrections(
         elif has_gyro:
             estimate = calibrate_delay(with_pose)
             delay, deviation = estimate.value("pose.delay"), estimate.deviation("pose.delay")
-            if abs(delay) > max(limits.min_delay, limits.significance * deviation):
-                readings, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
+            readings, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
+            # A sensor with a negative delay in the mapping is corrected in the log only, see `settings`.
+            minimum = max(limits.min_delay, -stated.get(key, {}).get("delay", 0.0))
+            if abs(delay) > max(minimum, limits.significance * deviation):
                 inferred[key] = {"delay": round(abs(delay), 3)}
                 text = f"{readings} are {abs(delay):.3f} +- {1.96 * deviation:.3f} s older than their stamps"
                 report("late sensor", text)
@@ -162,8 +166,7 @@ def find_corrections(
                 findings.append(_pose_scale_finding(name, scale, 1.96 * deviation, limits.min_slip))
     except ValueError:  # too few windows for an estimate
         pass
-    loaded_mapping = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
-    return SensorCorrections(stated_corrections(loaded_mapping), inferred, tuple(findings))
+    return SensorCorrections(stated, inferred, tuple(findings))
 
 
 def _pose_scale_finding(name: str, scale: float, interval: float, min_slip: float) -> Finding:
