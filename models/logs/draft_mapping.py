@@ -63,8 +63,9 @@ def _common_words(words: set[str], known: str) -> set[str]:
 
 _TWIST = ("v", "omega")
 _NANOSECONDS = re.compile("nano|nsec")
-_MAX_STEP_SPREAD = 0.5
-"""Maximum range of the steps of a column of times, as a share of their median."""
+_MAX_STEP_SPREAD, _MAX_SLOW_SPREAD, _MAX_GAPS = 0.5, 0.05, 0.05
+"""Maximum range of the steps of a column of times, as a share of their median; the same for steps that change slowly,
+like those of encoder counts; maximum share of larger steps."""
 _MIN_JUMP, _MAX_RESTARTS = 1.5, 0.1
 """Minimum ratio of a jump to the other steps of a pose [-], and maximum share of rows at which a column changes [-]."""
 _WHEELS = (*SIDES, *FOUR_WHEELS)
@@ -130,7 +131,7 @@ def _draft_from_table(log: Path) -> list[str]:
         reasons = [f"column '{parts[True].name}' holds the nanoseconds"]
         times = {"": replace(parts[False], unit="s", nanosec=parts[True].name, reasons=reasons)}
     used = _assign_roles([column for column in columns if column.quantity != "time"])
-    time = times.pop("", None) or (times.pop(next(iter(times))) if times else _evenly_spaced_column(table))
+    time = times.pop("", None) or (times.pop(next(iter(times))) if times else _clock_column(table))
     lines = [*_format_wheels(used), "columns:"]
     if time is None:
         lines.append("  sample_time:    # fill in the time between rows [s]: no increasing column is named as a time")
@@ -258,29 +259,37 @@ def _is_increasing(column: _Column) -> bool:
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
 
 
-def _evenly_spaced_column(table: CsvTable) -> _Column | None:
-    """Return the first column that increases in nearly equal steps, like times; None if there is no such column."""
-    sources = {"command", "encoders", "gyro", "pose"}
+def _clock_column(table: CsvTable) -> _Column | None:
+    """Return the most even column without a known quantity that increases like a clock; None if there is none."""
+    spreads = {}
     for name in table.header:
-        column = _column(table, name)
-        if column and (column.quantity in _WHEELS or column.source in sources):
-            continue
         try:
-            values = table.numbers(name)[0]
+            spreads[name] = _clock_spread(table.numbers(name)[0]) if _column(table, name) is None else np.inf
         except ConfigError:
             continue
-        steps = np.diff(values)
-        # Steps of exactly 1 indicate a row counter.
-        if (
-            bool((steps > 0).all())
-            and bool((steps != 1).any())
-            and np.ptp(steps) < _MAX_STEP_SPREAD * float(np.median(steps))
-        ):
-            unit = column.unit if column and column.quantity == "time" else ""
-            time = _Column(name, "time", "", unit, values, ["not named as a time, but it increases in equal steps"])
-            _guess_unit(time)
-            return time
-    return None
+    name = min(spreads, key=spreads.__getitem__, default="")
+    if not spreads.get(name, np.inf) < np.inf:
+        return None
+    reasons = ["not named as a time, but it increases like one"]
+    time = _Column(name, "time", "", "", table.numbers(name)[0], reasons)
+    _guess_unit(time)
+    return time
+
+
+def _clock_spread(values: FloatArray) -> float:
+    """Return the range of the steps of a clock without its gaps, as a share of their median; infinity for no clock."""
+    steps = np.diff(values)
+    step = float(np.median(steps))
+    # A typical step of exactly 1 indicates a row counter.
+    if not (steps > 0).all() or step == 1:
+        return np.inf
+    is_gap = steps > (1 + _MAX_STEP_SPREAD) * step
+    deviations = steps[~is_gap] - step
+    spread = float(np.ptp(deviations)) / step
+    # The steps of encoder counts and angles follow the speed and change slowly; the jitter of a clock changes fast.
+    is_slow = deviations[1:] @ deviations[:-1] > 0.5 * deviations @ deviations
+    is_uneven = is_gap.mean() > _MAX_GAPS or spread >= _MAX_STEP_SPREAD or (is_slow and spread > _MAX_SLOW_SPREAD)
+    return np.inf if is_uneven else spread
 
 
 def _assign_roles(columns: list[_Column]) -> _Assignment:

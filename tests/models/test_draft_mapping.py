@@ -42,9 +42,11 @@ def test_columns_and_units_are_guessed(tmp_path, names):
 
 
 @pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
-def test_unit_of_times_since_1970_is_guessed(tmp_path, stamp, unit):
-    log = write_csv(tmp_path / "log.csv", COLUMNS | {"t": stamp + COLUMNS["t"] * stamp / 1.7e9})
-    assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
+def test_unnamed_time_since_1970_with_a_gap_and_its_unit_are_guessed(tmp_path, stamp, unit):
+    time = COLUMNS["t"] + 14.2 * (COLUMNS["t"] > 4.0)
+    log = write_csv(tmp_path / "log.csv", {"zeit": stamp + time * stamp / 1.7e9, **COLUMNS, "t": 0.0 * time})
+    time = load_mapping(draft_of(log, tmp_path)).columns.time
+    assert (time.column, time.unit) == ("zeit", unit)
 
 
 def test_seconds_and_nanoseconds_become_one_time(tmp_path):
@@ -66,8 +68,9 @@ def test_column_that_changes_where_poses_restart_starts_new_stretches(tmp_path):
 
 
 def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
-    counts = np.round(1e4 * COLUMNS["t"])
+    counts, rows = np.round(1e4 * COLUMNS["t"]), np.arange(len(COLUMNS["t"]))
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
+    columns |= {"number": rows + 9 * (rows > 50), "angle": np.cumsum(0.02 + 0.004 * np.cos(0.03 * rows))}
     log = write_csv(tmp_path / "log.csv", columns)
     with pytest.raises(ConfigError, match=r"wheels\.track") as error:
         load_mapping(draft_of(log, tmp_path))
