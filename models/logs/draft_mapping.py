@@ -414,7 +414,8 @@ def _draft_from_bag(log: Path) -> list[str]:
         lines.append(
             f"  {role}: {_format_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{reason}{others}')}"
         )
-    lines.append("# wheels: {track: }    # in m, of the odometry: fill it in for `--structure mbm` and `--for`")
+    needed = "needed for limits and tracks in config.yaml, `--structure mbm` and `--for`"
+    lines.append(f"# wheels: {{track: }}    # in m, of the odometry: {needed}")
     return [*lines, *_format_unused(sorted(topic for topic, _ in counts if topic not in used))]
 
 

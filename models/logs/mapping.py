@@ -412,7 +412,7 @@ class MappedWheels(StrictModel):
     def _refuse_empty(cls, value: object) -> object:
         """Refuse a key without a value, as in a draft, which would be equal to a missing key."""
         if value is None:
-            raise ValueError("fill in a number, or remove the key")
+            raise ValueError("fill in a number, or remove the key if no column is a wheel speed or in ticks")
         return value
 
 
