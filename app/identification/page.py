@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
 from diffdrive_mpc.app.identification.figures import FOLDER, other_charts, simulation_charts
 from diffdrive_mpc.app.identification.trial_drives import TrialDrive, trial_doubts, trial_table
-from diffdrive_mpc.app.identification.verdict import TrialVerdict
+from diffdrive_mpc.app.identification.verdict import TrialVerdict, remedies
 from diffdrive_mpc.bench.html_report.document import picture
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
@@ -25,7 +24,6 @@ from diffdrive_mpc.bench.html_report.page import (
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.table import TextTable
@@ -34,13 +32,6 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 _FILES = {"config.yaml": "Written configuration", "model.yaml": "Written model"}
 _POINTS, _RUN_POINTS = 1500, 300
 _PICTURES = {"Correlation of residuals": "residuals.png", "Poles": "poles.png"}
-
-
-@cache
-def remedies() -> dict[str, str]:
-    """Load `remedies.yaml`: remedies by kind of warning."""
-    texts: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
-    return texts
 
 
 def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> Page:

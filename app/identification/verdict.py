@@ -7,6 +7,7 @@ import shlex
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_settings,
 )
 from diffdrive_mpc.app.identification.unexplained_motion import identified_robot
+from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.deliver.trust import Grade
@@ -162,7 +164,8 @@ class TrialVerdict:
         elif self.promise:
             next_step = "Read the warnings in report.md, then drive slowly, first in simulation:"
         else:
-            next_step = "Correct the causes of the warnings in report.md, or record slower drives."
+            remedy = _remedy(self.identification)
+            next_step = f"{remedy[0].upper()}{remedy[1:]}."
         return [f"{self.grade}{reasons}.", fast, quality, next_step]
 
     def headed_conclusions(self) -> list[str]:
@@ -178,6 +181,24 @@ class TrialVerdict:
         lines = [line for head, text in zip(_HEADS, conclusions, strict=True) for line in _wrap(head, text)]
         limits = [line for text in self.identification.report.limits for line in _wrap("Limits", text)]
         return [*limits, *lines, *(next_command(folder) if self.promise else ())]
+
+
+@cache
+def remedies() -> dict[str, str]:
+    """Load `remedies.yaml`: remedies by kind of warning."""
+    texts: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
+    return texts
+
+
+def _remedy(identification: Identification) -> str:
+    """Return the next step without a usable configuration as a clause; it names the warnings only if they help."""
+    report = identification.report
+    findings = [finding.kind for finding in report.data.findings if finding.severity != "note"]
+    kinds = {*findings, *(doubt.kind for doubt in report.doubts)}
+    speed = 0.5 * max(np.abs(record.command[:, 0]).max() for record in report.data.train)
+    slower = f"record slower drives, with v up to {speed:.2g} m/s"
+    is_curable = any(not remedies()[kind].startswith("no action") for kind in kinds)
+    return f"correct the causes of the warnings in report.md, or {slower}" if is_curable else slower
 
 
 def _errors(drives: Sequence[TrialDrive]) -> list[tuple[float, float]]:
@@ -265,7 +286,7 @@ def _with_unexplained(
     is_lost = result._lost > settings.lost_share * len(drives)
     distance = f"{UNEXPLAINED} leaves its path by {100 * share:.0f} % of a radius on average"
     # Lower limits hardly help: the part of the motion that does not depend on the speed has more time to act.
-    failure = f"{result._unexplained_reasons[0] if is_lost else distance}: correct the warnings or record slower drives"
+    failure = f"{result._unexplained_reasons[0] if is_lost else distance}: {_remedy(identification)}"
     return replace(result, failure=failure) if is_lost or share > settings.mean_share else result
 
 
