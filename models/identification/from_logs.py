@@ -337,6 +337,7 @@ def identify_data(
         data.train,
         fitted.geometry,
         report.slip,
+        validation=data.validation,
         mapping_track=data.stated_track,
         keep_sample_time=predictor is not None,
         sensors=data.sensors,

@@ -49,7 +49,7 @@ def model_with(slew=None, deviation=0.1, limits=None, effects=None):
 
 
 def written(result, geometry=GEOMETRY, train=TRAIN):
-    return configure("robot", result, train, geometry, slip_prior(train)).mapping()
+    return configure("robot", result, train[:1], geometry, slip_prior(train), validation=train[1:]).mapping()
 
 
 def limits(result, train=TRAIN):
@@ -74,7 +74,7 @@ def test_uncertain_slew_is_positive(slew, deviation):
 
 
 def test_limits_are_taken_from_the_log_or_from_the_base():
-    result = limits(model_with(limits={"omega": 0.8}))
+    result = limits(model_with(limits={"omega": 0.8}), [replace(TRAIN[0], command=0.4 * COMMANDS), *TRAIN])
     assert (result["v"], result["omega"]) == (0.5, 0.8)
     assert (result["predicted_v"], result["predicted_omega"]) == pytest.approx((0.55, 0.88))
 

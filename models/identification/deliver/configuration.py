@@ -308,6 +308,7 @@ def configure(
     geometry: WheelGeometry | None,
     slip: SlipPrior,
     *,
+    validation: Sequence[Record] = (),
     mapping_track: float | None = None,
     keep_sample_time: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
@@ -327,6 +328,8 @@ def configure(
         Wheel radius and track from the log; None if the log has no wheel speeds.
     slip
         Initial slip estimate of the filter.
+    validation
+        Held-out records, whose commands count for the limits of the commands.
     mapping_track
         Track stated by the mapping [m], for a log without wheel speeds.
     keep_sample_time
@@ -341,7 +344,7 @@ def configure(
     models.velocity_model.ModelError
         If the model cannot describe a robot.
     """
-    commands = np.concatenate([record.command for record in train])
+    commands = np.concatenate([record.command for record in (*train, *validation)])
     commanded = np.abs(commands)
     base = identified.base_effects.wheel_command
     gain = np.diag(identified.model.dc_gain)
@@ -385,6 +388,9 @@ def _speed_limits(
     settings, predictions = [], []
     for row, name in enumerate(CHANNELS):
         value, reason = limit[row], "maximum command of the log in both directions"
+        if (low := sides[row].min()) < 0.5 * limit[row]:
+            direction = _KINDS[name].names[sides[row].argmin()]
+            reason += f", but {direction} only up to {low:.3g}: drive slowly in this direction"
         if (base_limit := limits.get(name)) is not None:
             pairs = zip(sides_of(base_limit), sides[row].tolist(), strict=True)
             values = [(commanded or float(base_limit)) if side == np.inf else side for side, commanded in pairs]

@@ -125,7 +125,7 @@ class IdentificationReport:
     @property
     def limits(self) -> list[str]:
         """Limits of the base that the log reaches, and limits that it does not reach."""
-        return limit_lines(self.fitted.identified, self.data.train)
+        return limit_lines(self.fitted.identified, (*self.data.train, *self.data.validation))
 
     def summary_lines(self) -> list[str]:
         """Return the summary of findings and the grade of the model."""
