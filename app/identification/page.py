@@ -76,9 +76,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
         dead_time, lag = 1e3 * model.dead_time[i], 1e3 * (model.lag[i] - model.dead_time[i])
         parts = f"dead time {dead_time:.0f}, lag {lag:.0f} ms"
         figures.append(KeyFigure(f"delay of {channel}", f"{dead_time + lag:.0f} ms", parts))
-    all_verdicts = [doubt.verdict for doubt in report.doubts] + [
-        finding.verdict for finding in report.data.findings if finding.verdict
-    ]
+    all_verdicts = [item.verdict for item in report.objections]
     count = sum(verdict is not None and verdict.matters for verdict in all_verdicts)
     note = f"{count or 'none'} relevant for driving"
     figures.append(KeyFigure("warnings", str(len(all_verdicts)), note, "bad" if count else ""))
@@ -116,11 +114,9 @@ def _pictures(folder: Path) -> list[View]:
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[PageWarning]:
     """Return the warnings about log, estimate and drives; warnings that matter for driving come first."""
-    findings = [finding for finding in report.data.findings if finding.severity != "note"]
-    rows = [(finding.verdict, str(finding), finding.kind) for finding in findings]
-    rows += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]
-    rows.sort(key=lambda row: row[0] is None or not row[0].matters)
-    return [PageWarning(_sentence(text), remedies()[kind]) for _, text, kind in rows]
+    items = [*report.objections, *trial_doubts(drives)]
+    items.sort(key=lambda item: item.verdict is None or not item.verdict.matters)
+    return [PageWarning(_sentence(str(item)), remedies()[item.kind]) for item in items]
 
 
 def _sentence(text: str) -> str:

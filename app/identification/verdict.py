@@ -193,11 +193,9 @@ def remedies() -> dict[str, str]:
 def _remedy(identification: Identification) -> str:
     """Return the next step without a usable configuration as a clause; it names the warnings only if they help."""
     report = identification.report
-    findings = [finding.kind for finding in report.data.findings if finding.severity != "note"]
-    kinds = {*findings, *(doubt.kind for doubt in report.doubts)}
     speed = 0.5 * max(np.abs(record.command[:, 0]).max() for record in report.data.train)
     slower = f"record slower drives, with v up to {speed:.2g} m/s"
-    is_curable = any(not remedies()[kind].startswith("no action") for kind in kinds)
+    is_curable = any(not remedies()[item.kind].startswith("no action") for item in report.objections)
     return f"correct the causes of the warnings in report.md, or {slower}" if is_curable else slower
 
 

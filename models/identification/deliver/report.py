@@ -102,6 +102,11 @@ class IdentificationReport:
         return [*tables, *delays, parameter_table(title, identified.parameters, dead_times=not delays)]
 
     @property
+    def objections(self) -> tuple[Finding | Doubt, ...]:
+        """Findings in the logs that are more severe than notes, and `doubts`."""
+        return (*self._findings, *self.doubts)
+
+    @property
     def _findings(self) -> list[Finding]:
         return [finding for finding in self.data.findings if finding.severity != "note"]
 
