@@ -226,6 +226,6 @@ def check_timing(raw: RawLog, period: float, settings: CheckSettings) -> list[Fi
     max_time = float(starts[inside][np.argmax(deviation)])
     message = (
         f"steps of the clock deviate by up to {typical:.4f} s (95 %) from {period:.4g} s, with the maximum at "
-        f"{max_time:.1f} s; dead times are uncertain by this amount"
+        f"{max_time:.1f} s; dead times are uncertain by this amount: use a fixed rate (CSV: all values in one row)"
     )
     return [Finding("jitter", "warning", raw.name, message, (max_time, max_time))]

@@ -78,7 +78,7 @@ class IdentificationReport:
         predictor_doubts = self.fitted.predictor.doubts if self.fitted.predictor else ()
         doubts = [*self.data.warnings, *predictor_doubts, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
-            text = "omega: the log has no gyro, so omega is the yaw rate of the wheels; a skid-steered body turns less"
+            text = "omega: the log has no gyro; add one to a skid-steered robot, which turns less than its wheels"
             doubts.append(Doubt("no gyro", text))
         if self.fitted.geometry is None and self.data.stated_track is None and self.robot is None:
             text = (
@@ -255,7 +255,7 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
         if unexplained[column] > limits.unexplained:
             text = (
                 f"residuals follow past commands of {CHANNELS[column]} ({unexplained[column]:.1f} times the 95 % "
-                "bound): the model misses part of the dynamics"
+                "bound): the model misses part of the dynamics; try --structure ssm, a higher --order or --effects"
             )
             doubts.append(Doubt("missed dynamics", text).about(channel))
     return doubts
@@ -268,7 +268,7 @@ def mount_doubts(poses: PoseResults) -> list[Doubt]:
         return []
     text = (
         f"poses: the pose point is {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
-        "rotation: provide poses of the centre of rotation to the controller (models.base_effects.PoseMount)"
+        "rotation: correct the static transform from base_link to the sensor, so that base_link is this centre"
     )
     return [Doubt("pose point", text)]
 
