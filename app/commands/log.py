@@ -43,6 +43,6 @@ def check(
     echo("\n".join([*summary(content), *format_labelled_findings(corrections.merged(content.findings))]))
     sensor_settings = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
     otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
-    echo(sensor_settings.rstrip() if corrections.settings else otherwise)
+    echo(sensor_settings.rstrip() if corrections.settings and not content.errors else otherwise)
     if content.errors:
         raise typer.Exit(FAILED)

@@ -270,8 +270,7 @@ def _clock_column(table: CsvTable) -> _Column | None:
     name = min(spreads, key=spreads.__getitem__, default="")
     if not spreads.get(name, np.inf) < np.inf:
         return None
-    reasons = ["not named as a time, but it increases like one"]
-    time = _Column(name, "time", "", "", table.numbers(name)[0], reasons)
+    time = _Column(name, "time", "", "", table.numbers(name)[0], ["not named as a time, but it increases like one"])
     _guess_unit(time)
     return time
 

@@ -213,5 +213,5 @@ def test_findings_name_only_the_true_cause(case, tmp_path):
 def test_findings_name_the_fault_of_a_robot(case, tmp_path):
     paths, mapping = logs_of(case, tmp_path)
     log = read_log(paths[0], mapping)
-    findings = [*log.findings, *find_corrections(log.name, log.records, mapping).findings]
+    findings = find_corrections(log.name, log.records, mapping).merged(log.findings)
     assert verdict(case, findings) == "right", list(map(str, findings))

@@ -478,7 +478,7 @@ def _slew_limits(identified: IdentifiedModel) -> list[Setting]:
             # Subtract the uncertainty, so that the limit of the base remains inactive; keep a minimum share.
             reduced, minimum = value - settings.slew_margin * deviation, settings.min_slew * value
             sides.append(min(reduced if reduced > minimum else minimum, getattr(default, name)))
-        reason = f"{_UNITS[name]} per second, within the limits of the base"
+        reason = f"{_UNITS[name]} per second, below the estimated limits of the base"
         slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
     return slews
 

@@ -16,6 +16,9 @@ from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
+_DISTANCES = ("scaled sensor", "scaled poses", "slipping wheels")
+"""Kinds of findings from ratios of distances or rotations, which a dead or reversed sensor changes, too."""
+
 
 @dataclass(frozen=True)
 class SensorCorrections:
@@ -50,14 +53,18 @@ class SensorCorrections:
     def merged(self, findings: Sequence[Finding]) -> list[Finding]:
         """Return the findings of the log without time shifts that the inferred delays replace, and the inferred errors.
 
-        A comparison of speeds also takes the lag of a filter for a shift, so its delays are less accurate.
+        A comparison of speeds also takes the lag of a filter for a shift, so its delays are less accurate. Inferred
+        scales are left out if the log has errors.
         """
         delayed = {"gyro" if name == "yaw_rate" else name for name, v in self.inferred.items() if "delay" in v}
 
         def is_replaced(finding: Finding) -> bool:
             return finding.kind == "time shift" and delayed.issuperset(c.stream for c in finding.changes)
 
-        return [*filterfalse(is_replaced, findings), *self.findings]
+        # An error, such as a dead encoder, also changes distances.
+        has_error = any(finding.severity == "error" for finding in findings)
+        inferred = [finding for finding in self.findings if not (has_error and finding.kind in _DISTANCES)]
+        return [*filterfalse(is_replaced, findings), *inferred]
 
     def correct(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """Correct the records for the inferred errors."""
