@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,7 +13,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning, wrong_type
+from diffdrive_mpc.models.errors import DiffdriveMpcError, wrong_type
 
 # Failures of a study that are not user errors. Every message is a single line.
 
@@ -121,8 +120,6 @@ def _call_numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
-    # The parent process has already read the files and issued the warnings about former names.
-    warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 
 

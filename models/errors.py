@@ -54,10 +54,6 @@ class NoteWarning(UserWarning):
         super().__init__(_one_line(message))
 
 
-class FormerNameWarning(NoteWarning):
-    """Warning for a file that uses the name of an earlier version; the file is still read."""
-
-
 class UnusualValueWarning(NoteWarning):
     """Warning for a value that is valid but probably has another unit."""
 

@@ -6,14 +6,12 @@ merge the groups of both sections.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, merge_mappings
-from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc.config.feature_groups import is_feature
-from diffdrive_mpc.mpc.config.former_keys import convert_former_keys, current_place
+from diffdrive_mpc.mpc.config.former_keys import convert_former_keys
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 EXPERT = "expert"
@@ -76,10 +74,8 @@ def plain_key(key: str) -> str:
     return key.removeprefix(f"{EXPERT}.")
 
 
-def merge_sections(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+def merge_sections(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
     """Convert the values of a file, in two sections or in one, to the layout of `ControllerConfig`.
-
-    If `where` is the name of the file, each key in a former place causes a FormerNameWarning with its new place.
 
     Raises ConfigError if a value is given twice, a user key is under `expert`, a group is not a mapping, or the value
     of a former key differs from the constant that replaced the key.
@@ -87,27 +83,10 @@ def merge_sections(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     first = {key: value for key, value in data.items() if key != EXPERT}
     inner = data.get(EXPERT)
     if inner is not None and not isinstance(inner, Mapping):
-        raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
+        raise ConfigError(f"{where}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
-    _check_sections(first, second, where or "configuration")
-    flat = convert_former_keys(merge_mappings(first, second), where or "configuration")
-    if where:
-        for key, place in _moved_keys(first, second).items():
-            message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file in its present form"
-            warnings.warn(message, FormerNameWarning, stacklevel=3)
-    return flat
-
-
-def _moved_keys(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
-    """Return the current place of each key of a file that has moved, by its former place."""
-    moved: dict[str, str] = {}
-    for prefix, section in (("", first), (f"{EXPERT}.", second)):
-        for key, _ in _leaves(section):
-            place = current_place(key) or key
-            shown = shown_key(place) if place == plain_key(key) else place
-            if shown != f"{prefix}{key}" and not (prefix and shown == key):
-                moved[f"{prefix}{key}"] = shown
-    return moved
+    _check_sections(first, second, where)
+    return convert_former_keys(merge_mappings(first, second), where)
 
 
 def _check_sections(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
@@ -125,8 +104,6 @@ def _check_sections(first: Mapping[str, Any], second: Mapping[str, Any], where: 
             if prefix and is_for_users(plain):
                 raise ConfigError(f"{where}: {prefix}{key}: write it outside '{EXPERT}', as {plain}")
             places[plain] = f"{prefix}{key}"
-    if "solver.method" in places and places.keys() & {"solver.strategy", "solver.backend"}:
-        raise ConfigError(f"{where}: solver.method replaces strategy and backend; leave these out")
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -8,7 +8,7 @@ import yaml
 from log_parts import bag_topics, drive, write_bag, write_csv, write_mapping
 
 from diffdrive_mpc import Controller, ModelError, load_config, load_model, load_trajectory
-from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
+from diffdrive_mpc.models.errors import DiffdriveMpcError, NoteWarning
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Finding
@@ -33,8 +33,8 @@ def test_errors_show_escapes_of_names(name, tmp_path):
         cls for cls in _subclasses(DiffdriveMpcError) if "__init__" in vars(cls)
     }:
         assert str(error_type(f"odd{name}")).isprintable()
-    with pytest.warns(FormerNameWarning) as caught_warnings:
-        warnings.warn(FormerNameWarning(f"a{name}"), stacklevel=1)
+    with pytest.warns(NoteWarning) as caught_warnings:
+        warnings.warn(NoteWarning(f"a{name}"), stacklevel=1)
     assert str(caught_warnings[0].message).isprintable()
     assert str(Finding("gap", "note", f"a{name}", name)).isprintable()
     file = tmp_path / "file.yaml"
