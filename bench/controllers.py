@@ -89,13 +89,20 @@ def run_case(case: Case) -> Run:
     return simulate(*build(case))
 
 
-def check_cases(cases: Iterable[Case]) -> None:
-    """Build each distinct configuration once and load every trajectory; raise as `build` does."""
+def check_cases(cases: Iterable[Case], *, has_references: bool = False) -> None:
+    """Build each distinct configuration once and load every trajectory; raise as `build` does.
+
+    If `has_references` is True, the trajectories are objects, and those that the cases name are not loaded.
+    """
     case_list = list(cases)
     for case in {(case.trajectory, case.timing, case.scaled): case for case in case_list}.values():
-        load_reference(case)
+        if not has_references:
+            load_reference(case)
     for case in {replace(case, trajectory="", timing="", seed=0): case for case in case_list}.values():
-        build(case)
+        make_controller(case)
+        build_plant(case)
+        if not has_references:
+            load_reference(case)
 
 
 def load_reference(case: Case) -> Trajectory:

@@ -124,7 +124,9 @@ def sweep(
     check_count(math.prod(map(len, factors.values())))
     rows = [dict(zip(factors, combination, strict=True)) for combination in itertools.product(*factors.values())]
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
-    check_cases(task.case for task in tasks)
+    for has_reference in (False, True):
+        selected = (task.case for task in tasks if task.has_reference == has_reference)
+        check_cases(selected, has_references=has_reference)
     jobs = available_cores() if jobs is None else jobs
     calls = [partial(task.row, timed=jobs == 1) for task in tasks]
     if on_done is not None:
@@ -145,6 +147,7 @@ class _Task:
             dimensions[name] = _DEFAULTS[name] if replacement is not None else _name(name, values[name])
         overrides = tuple((name, value) for name, value in values.items() if name not in _DEFAULTS)
         self.case = Case(**dimensions, config=config, overrides=overrides)
+        self.has_reference = self._trajectory is not None
 
     def row(self, *, timed: bool) -> dict[str, object]:
         """Run the case and return its row."""

@@ -68,7 +68,7 @@ def test_parameter_without_effect_does_not_change_the_configuration(tmp_path: Pa
 
 def test_shipped_plan_adapts_paths_and_parameters_to_a_configuration_file(tmp_path: Path) -> None:
     config = tmp_path / "slow.yaml"
-    config.write_text("model: sm\nlimits: {omega: 0.7, omega_slew: {accelerate: 6.0, brake: 4.7}}\n", encoding="utf-8")
+    config.write_text("model: sm\nlimits: {v: 0.4, omega: 0.7, omega_slew: {accelerate: 6.0, brake: 4.7}}\n")
     plan = load_plan().model_copy(update={"runs": {"plant": ("model:sm",), "trajectory": ("square",)}})
     search = ConfigurationSearch(str(config), plan)
     assert search.skipped == ["limits.omega_slew"] and "limits.v_slew" in search.start
