@@ -15,11 +15,15 @@ from diffdrive_mpc.bench.html_report.origin import mpc_config
 from diffdrive_mpc.bench.machine import project_version
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC
+from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim import Run
 
 WriteLog = Callable[..., None]
+_STARTS = {".csv": b"t_s,v_ref_m_s,omega_ref_rad_s,", ".mcap": MCAP_MAGIC}
+"""First bytes of a log by suffix."""
 
 
 def includes_plans(log: Path | None) -> bool:
@@ -42,14 +46,18 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has another suffix or cannot be written; the message contains the name of the option. Raised on
-        entry or on exit.
+        If the file has another suffix, exists and is not a log, or cannot be written; the message contains the name
+        of the option. Raised on entry or on exit.
     """
     if log is None:
         yield lambda *_: None
         return
-    if log.suffix not in (".csv", ".mcap"):
+    if log.suffix not in _STARTS:
         raise ConfigError(f"--log {log}: give a file name that ends in .csv or .mcap")
+    if is_file(log):
+        with log.open("rb") as file:
+            if file.read(len(_STARTS[log.suffix])) not in (b"", _STARTS[log.suffix]):
+                raise ConfigError(f"--log {log}: exists and is not a log of simulate; give another name")
 
     def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
         try:
@@ -77,9 +85,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
 def repeat_arguments(case: Case) -> list[str]:
     """Return the arguments of `simulate` that repeat a case."""
-    stated = [
-        dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
-    ]
+    stated = [entry for entry in DIMENSIONS if getattr(case, entry.name) not in (entry.default, NO_MODEL)]
     words = [word for entry in stated for word in (entry.option, str(getattr(case, entry.name)))]
     words += ["--config", case.config] if case.config else []
     words += ["--scale-to-robot"] if case.scaled else []

@@ -61,6 +61,7 @@ def test_command_writes_the_slip_trajectory_and_prints_the_maximum_correlation(t
     assert "Maximum correlation of the terms v, omega and v omega: 0." in result.output
     assert yaml.safe_load(path.read_text())["timing"] == "smooth"
     invoke(app, "excite", "--for", "mass", "--out", tmp_path / "no.yaml", code=2)
+    assert "ends in .yaml or .yml" in invoke(app, "excite", "--out", tmp_path / "no.csv", code=2).stderr
     assert not (tmp_path / "no.yaml").exists()
 
 

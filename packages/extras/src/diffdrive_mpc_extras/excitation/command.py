@@ -65,6 +65,8 @@ def excite(
 
     if purpose not in (_SLIP, _MODEL):
         raise ConfigError(f"--for {purpose}: give {_SLIP} or {_MODEL}")
+    if out.suffix not in (".yaml", ".yml"):
+        raise ConfigError(f"--out {out}: give a file name that ends in .yaml or .yml")
     others = {"--side": side} if purpose == _MODEL else {"CONFIG": config, "--inside": inside, "--log": log}
     unsuitable = [name for name, value in others.items() if value is not None]
     if unsuitable:
