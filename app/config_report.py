@@ -31,11 +31,15 @@ _ROBOT_UNITS = {
 
 
 def robot_defaults(config: ControllerConfig) -> list[str]:
-    """List default values of the papers' robot in a configuration as `key value unit`; empty for a built-in model."""
-    if is_shipped(config.model):
+    """List default values of the papers' robot in a configuration as `key value unit`; empty for a built-in model.
+
+    A missing key `model` counts as a default value, too.
+    """
+    is_stated = "model" in config.model_fields_set
+    if is_stated and is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
-    defaults = []
+    defaults = [] if is_stated else [f"model {config.model}"]
     for key, unit in _ROBOT_UNITS.items():
         group, _, name = key.rpartition(".")
         if name not in groups[group].model_fields_set:

@@ -28,13 +28,14 @@ def test_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> N
 
 def test_config_check_names_the_violated_limit_and_a_feasible_timing(tmp_path: Path) -> None:
     config, path = tmp_path / "mine.yaml", tmp_path / "arcs.yaml"
-    config.write_text("{model: ssm, limits: {omega_slew: 0.8}}")
+    config.write_text("{limits: {omega_slew: 0.8}}")
     arcs = [{"v": 0.6, "omega": omega, "duration": 3.0} for omega in (1.0, -1.0)]
     path.write_text(yaml.safe_dump({"segments": arcs, "timing": "commanded"}))
     lines = invoke(app, "config", "check", config, "--trajectory", path).stdout.splitlines()
-    assert "6.0 s in the file, driven in" in lines[1] and "(timing: commanded)" in lines[1]
-    assert "'arcs': infeasible from" in lines[2] and "limits.omega_slew = 0.8" in lines[2]
-    assert "timing: smooth makes the reference feasible, in" in lines[3]
+    assert "note: default values of the papers' robot: model ssm, sample_time" in lines[1]
+    assert "6.0 s in the file, driven in" in lines[2] and "(timing: commanded)" in lines[2]
+    assert "'arcs': infeasible from" in lines[3] and "limits.omega_slew = 0.8" in lines[3]
+    assert "timing: smooth makes the reference feasible, in" in lines[4]
     assert "reference 'circle': feasible in" in invoke(app, "config", "check", config, "--trajectory", "circle").stdout
 
 
