@@ -136,6 +136,20 @@ def load_reference(case: Case) -> Trajectory:
         raise BeyondLimitError(f"{error}, or state the configuration of the robot (--config)") from error
 
 
+_NO_LIMIT = 1e3
+"""Speed [m/s] and yaw rate [rad/s] above those of every path, for a path that is not driven."""
+
+
+def start_pose(case: Case) -> FloatArray:
+    """Return the pose (3,) at the start of the trajectory of a case [m, m, rad]; its speeds are not checked.
+
+    Raise ConfigError if the trajectory cannot be loaded.
+    """
+    limits = replace(TrajectoryLimits.of_robot(), v=_NO_LIMIT, omega=_NO_LIMIT)
+    reference = _reference_of_plant(case) or load_trajectory(case.trajectory, limits)
+    return reference.sample([0.0]).pose[0]
+
+
 def _reference_of_plant(case: Case) -> Trajectory | None:
     """Return the reference that the plant of a case defines; None if it does not define a reference.
 

@@ -99,7 +99,7 @@ def robot(
     driver = shlex.join(["diffdrive-mpc", "node", *config_option, "--trajectory", case.trajectory, "--drive"])
     run_robot(
         plant,
-        controllers.load_reference(case).sample([0.0]).pose[0],
+        controllers.start_pose(case),
         settings,
         load_sensor_set(values["sensors"], readings),
         correction=odometry_correction(readings) if readings else (1.0, 1.0),

@@ -24,6 +24,8 @@ BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 """Names of the built-in trajectories."""
 _RANDOM = "spline-SEED"
 """Pattern of the names of random splines, for messages."""
+_SLOWER = "give a file with a slower path, such as first_circle.yaml of identify, or --scale-to-robot (simulate, bench)"
+"""Remedy for a built-in path that is too fast for the robot."""
 
 
 @checked_call()
@@ -76,11 +78,12 @@ def load_trajectory(
     try:
         trajectory = _read(path, limits or TrajectoryLimits.of_robot(), selected_timing)
     except BeyondLimitError as error:
-        remedy = ". This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
+        if path.parent == _FOLDER:  # the user cannot lower the speed in a built-in file
+            raise BeyondLimitError(f"{str(error).removesuffix('; lower it')}; {_SLOWER}") from error
         if limits is not None:
-            is_shipped = path.parent == _FOLDER
-            remedy = ", or pass a slower trajectory or --scale-to-robot (simulate, bench)" if is_shipped else ""
-        raise BeyondLimitError(f"{error}{remedy}") from error
+            raise
+        remedy = "This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
+        raise BeyondLimitError(f"{error}. {remedy}") from error
     max_duration = load_settings().max_duration
     if trajectory.duration > max_duration:
         raise ConfigError(

@@ -142,6 +142,9 @@ def make_plant(
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
         return _model_plant(setting, model, extra_dead_time, model_robot(sample_time, limits))
+    if is_file(name):
+        kinds = f"'model:{name}' (a model, or robot.yaml of identify) or 'mujoco:{name}' (a simulated robot or twin)"
+        raise ConfigError(f"plant '{name}': for a file give {kinds}")
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
         "file), 'drawn:SEED' (a robot of the market), 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "

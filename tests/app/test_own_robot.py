@@ -11,7 +11,7 @@ from diffdrive_mpc import ConfigError, identify, load_config
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference, other_robots
+from diffdrive_mpc.bench.controllers import load_reference, other_robots, start_pose
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim.plants.surface import load_surface
 
@@ -48,6 +48,7 @@ def test_trajectory_uses_the_limits_of_the_configuration(files, path, controller
     slow = Case(controller=controller, model="sm", trajectory=path, config="fast.yaml", overrides=(("limits.v", 2.0),))
     with pytest.raises(ConfigError, match="3 m/s is beyond the limit of 2 m/s"):
         load_reference(slow)
+    assert start_pose(slow).tolist() == reference.sample([0.0]).pose[0].tolist()
 
 
 def test_commands_drive_a_fast_path_with_its_configuration(files):
