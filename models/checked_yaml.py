@@ -21,7 +21,7 @@ from diffdrive_mpc.models.suggestions import similar_name, suggestion, unit_of
 from diffdrive_mpc.models.table import plain_line
 
 _KINDS = {
-    "structure": "a model; give it by --model, or as 'model' in a configuration",
+    "structure": "a model; give it as 'model' in a configuration, or by --model if the command has it",
     "variance": "the robot of a log; give it by --plant model:FILE",
     "segments": "a trajectory; give it by --trajectory",
     "waypoints": "a trajectory; give it by --trajectory",

@@ -94,6 +94,9 @@ def identify_into(
 def _identify_into(
     logs: Sequence[Path], out: Path, writers: Mapping[str, ParameterWriter], force: bool, options: Mapping[str, Any]
 ) -> None:
+    for log in logs:  # before `staged` creates the folder `out`, which may have the name of a missing log
+        if not log.exists():
+            raise ConfigError(f"{log}: there is no such file or folder")
     start = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, ROBOT_FILE, *(f"{package}.yaml" for package in writers), REPORT)
     table = None
@@ -246,7 +249,8 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         with target.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        raise ConfigError(f"{target}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
+        file = target if target.exists() else target.parent
+        raise ConfigError(f"{file}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
     echo(f"{target}: draft with reasons; check and correct it\n")

@@ -43,7 +43,7 @@ def read_recording(path: Path, configs: LoggedConfigs) -> Recording:
     Raises ConfigError if the log cannot be read, is too short, or names a file that is not trusted.
     """
     if not path.is_file():
-        raise ConfigError(f"{path}: there is no such file")
+        raise ConfigError(f"{path}: there is no such file; of a bag, give its .mcap file")
     records = _record_lines(path)
     recording = recorded_drive(path, *records, configs) if records[0] else _read_mcap(path, configs)
     if is_drive_log(path) and read_drive_log(path).cut:
