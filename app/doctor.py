@@ -72,11 +72,7 @@ def _python() -> Check:
 def _dependencies() -> Check:
     """Compare installed versions with the requirements of the package without its extras."""
     requirements = [Requirement(text) for text in requires("diffdrive-mpc") or []]
-    required = [
-        requirement
-        for requirement in requirements
-        if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
-    ]
+    required = [entry for entry in requirements if entry.marker is None or entry.marker.evaluate({"extra": ""})]
     problems = [problem for requirement in required if (problem := _problem(requirement))]
     versions = ", ".join(f"{name} {_installed_version(name)}" for name in _REPORTED_PACKAGES)
     remedy = "pip install --upgrade diffdrive-mpc"

@@ -103,9 +103,8 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         config = case_config(outcome.case)
         reference = outcome.run.reference
         shortfall = find_shortfall(reference, config, predicting_model(config, None))
-        for remark in (shortfall, describe_tight_turns(reference, config.limits, config.sample_time)):
-            if remark:
-                console.print(str(remark), markup=False, highlight=False)
+        for remark in filter(None, (shortfall, describe_tight_turns(reference, config.limits, config.sample_time))):
+            console.print(str(remark), markup=False, highlight=False)
     for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):
         console.print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     if details and outcome.run.ended:
@@ -165,9 +164,8 @@ def tables(outcome: RunOutcome) -> list[Table]:
     )
     from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
 
-    builders = [summary_table, error_table, path_table]
     rows = frame([outcome.row])
-    run_tables = [build_table(rows) for build_table in builders]
+    run_tables = [build_table(rows) for build_table in (summary_table, error_table, path_table)]
     if outcome.case.scenario != NO_SCENARIO:
         run_tables.append(scenario_table(rows))
     part_tables = (part.table(rows) for part in columns_of(outcome.run))

@@ -79,11 +79,8 @@ def _incomplete(run: Run) -> str:
 
 def _fallbacks(run: Run, modes: Sequence[str]) -> str:
     """Describe the number of counted ticks in each of the `modes`, and the time of the first of these ticks."""
-    entered = [
-        (mode, t)
-        for mode, t, counted in zip(run.modes, run.time, run.counted, strict=True)
-        if counted and mode in modes
-    ]
+    ticks = zip(run.modes, run.time, run.counted, strict=True)
+    entered = [(mode, t) for mode, t, counted in ticks if counted and mode in modes]
     if not entered:
         return ""
     counts = Counter(mode for mode, _ in entered)
