@@ -147,7 +147,7 @@ def start_pose(case: Case) -> FloatArray:
     """
     limits = replace(TrajectoryLimits.of_robot(), v=_NO_LIMIT, omega=_NO_LIMIT)
     reference = _reference_of_plant(case) or load_trajectory(case.trajectory, limits)
-    return reference.sample([0.0]).pose[0]
+    return np.asarray(reference.sample([0.0]).pose[0])
 
 
 def _reference_of_plant(case: Case) -> Trajectory | None:

@@ -249,8 +249,8 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         with target.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        file = target if target.exists() else target.parent
-        raise ConfigError(f"{file}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
+        place = target if target.exists() else target.parent
+        raise ConfigError(f"{place}: the file exists and is not replaced; move it, or pass --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
     echo(f"{target}: draft with reasons; check and correct it\n")
