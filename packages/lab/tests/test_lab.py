@@ -258,6 +258,7 @@ def test_pointer_touch_and_keyboard_act_as_documented(page_file: Path) -> None:
         page.touchscreen.tap(*centre_of(floor))
         assert len(choices(page)["ice"]) == 1
         assert "ice=" in page.evaluate("location.hash")
+        assert page.locator("#without-ice").is_visible()
         page.locator("#tool-draw").click()
         x, y = centre_of(floor)
         page.mouse.move(x, y)
@@ -322,6 +323,7 @@ def test_typed_number_is_used_or_replaced_by_the_nearest_valid_number_with_a_not
             page.keyboard.press("Enter")
             assert (choices(page)[name], page.locator(f"#number-{name}").input_value()) == (value, str(value))
             assert page.locator("#notice").is_visible() == (text != str(value))
+            assert page.locator(f"#number-{name}.replaced").count() == (text != str(value))
 
 
 @in_browser

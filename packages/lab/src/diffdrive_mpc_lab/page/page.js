@@ -154,6 +154,7 @@ class Laboratory {
     this.showExperiment();
     this.showChoices();
     element("command").textContent = commandOf(choices);
+    element("without-ice").hidden = !choices.ice.length;
     element("savepath").hidden = !needsPathFile(choices);
     this.evaluate(++this.evaluationId);
   }
@@ -269,18 +270,21 @@ class Laboratory {
     const maxIndex = choice.values.length - 1;
     const input = createNode("input", { type: "range", id: `choice-${name}`, min: 0, max: maxIndex, step: 1 });
     input.oninput = () => this.choose({ [name]: choice.values[Number(input.value)] });
-    const number = createNode("input", { type: "number", id: `number-${name}`, step: "any", ariaLabel: choice.label });
+    const number = createNode("input", {
+      type: "number", id: `number-${name}`, ariaLabel: choice.label, title: `Possible values: ${possibleValues(choice)}`,
+      min: choice.values[0], max: choice.values.at(-1), step: stepOf(choice),
+    });
     number.onchange = () => this.chooseNumber(name, choice, number.valueAsNumber);
     return [input, number];
   }
 
-  /* Choose a typed number, or the nearest possible value with a notice. */
+  /* Choose a typed number, or the nearest possible value with a mark and a notice. */
   chooseNumber(name, choice, number) {
     const value = Number.isNaN(number) ? this.choices[name] : nearest(choice, number);
     this.choose({ [name]: value });
     if (value === number || this.choices[name] !== value) return;
-    const range = choice.power ? `${choice.values[0]} to ${choice.values.at(-1)}` : choice.values.join(", ");
-    this.showNotice(`${choice.label}: ${value} is used; possible values: ${range}.`);
+    element(`number-${name}`).classList.add("replaced");
+    this.showNotice(`${choice.label}: ${value} is used; possible values: ${possibleValues(choice)}.`);
   }
 
   showChoices() {
@@ -289,6 +293,7 @@ class Laboratory {
       if (input.type === "range") {
         input.value = choice.values.indexOf(nearest({ values: choice.values }, value));
         input.ariaValueText = element(`number-${name}`).value = String(value);
+        element(`number-${name}`).classList.remove("replaced");
       } else input.value = name === "path" && this.choices.drawn.length ? "" : String(value);
     }
     this.showActions();

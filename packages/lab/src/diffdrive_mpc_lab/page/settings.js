@@ -63,6 +63,16 @@ function nearest({ power, values }, number) {
   return values.reduce((best, value) => (Math.abs(value - number) < Math.abs(best - number) ? value : best));
 }
 
+/* Describe the possible values of a choice. */
+function possibleValues({ power, values }) {
+  return power ? `${values[0]} to ${values.at(-1)}` : values.join(", ");
+}
+
+/* Return the step of a number field: the difference of the two largest values of a list; any number has no step. */
+function stepOf({ power, values }) {
+  return power ? "any" : Number((values.at(-1) - values.at(-2)).toFixed(6));
+}
+
 /* Describe the settings of a drive that differ from those of the drive that it is compared with. */
 function differences(choices, comparedChoices, index) {
   const parts = Object.entries(index.choices)
@@ -125,7 +135,7 @@ function configFile(choices, index, evaluation) {
   if (choices.ice.length) lines.push("# Painted ice is not included: simulate has the same surface everywhere.");
   if (evaluation) {
     const { rms, largest } = evaluation;
-    lines.push(`# Result in the page: position RMSE ${millimetres(rms)}, max ${millimetres(largest)}.`);
+    lines.push(`# Result in the page, undisturbed: position RMSE ${millimetres(rms)}, max ${millimetres(largest)}.`);
   }
   return `${[...lines, ...yamlLines(configurationOf(choices, index))].join("\n")}\n`;
 }
