@@ -28,7 +28,7 @@ _KINDS = {
     "columns": "the mapping of a log; give it by --mapping",
     "topics": "the mapping of a log; give it by --mapping",
     "firmware": "a simulated robot; give it by --plant mujoco:FILE",
-    "model": "a configuration; give it by --config",
+    "model": "a configuration; --config of simulate, bench and node reads it",
 }
 """Kinds of files with their options, by a key that no earlier kind has."""
 

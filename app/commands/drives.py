@@ -58,7 +58,7 @@ def bench(
         bool, typer.Option("--sweeps", help="Also sweep horizons, speeds, dead times and further seeds.")
     ] = False,
     jobs: Jobs = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One seed.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One seed unless --seeds is given.")] = False,
     scale_to_robot: Scaled = False,
     spec: Annotated[
         Path | None,

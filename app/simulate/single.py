@@ -10,8 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import build, case_config, other_robots, reference_remarks, select_model
@@ -119,12 +117,12 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
     """Yield six lines, and one further line for a scenario and for each plug-in column of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
-    last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
         driver = driver_name(outcome.case)
-        yield f"completed: {driver} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
+        yield f"completed: {driver} along {run.reference.name} on {labels['plant']}, {run.reference.duration:.1f} s"
     else:
-        message = f"{run.errors.position[last]:.3f} m from the reference at its end; {driven_share(run):.0%} driven"
+        distance = run.errors.position[run.counted][-1]
+        message = f"{distance:.3f} m from the reference at its end; {driven_share(run):.0%} driven"
         yield f"not completed: {run.ended or message}"
     yield "errors: " + "; ".join(
         f"{quantity} RMSE {1e3 * rmse:.1f} mm, max {1e3 * maximum:.1f} mm"

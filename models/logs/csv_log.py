@@ -251,10 +251,11 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
 def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(SIMULATION_MAPPING), read_header(path)
     assert mapping.columns is not None
-    missing = sorted(mapping.columns.without_absent_sensors(header).column_names() - set(header))
+    required = mapping.columns.without_absent_sensors(header).column_names()
+    missing = sorted(required - set(header))
     if header and missing:
         shown = f"{', '.join(header[:8])}{', ...' if len(header) > 8 else ''}"
-        near = f" ({', '.join(missing)} of a log of simulate is missing)" if len(missing) == 1 else ""
+        near = f" (a log of simulate also has {', '.join(missing)})" if len(missing) < len(required) - 1 else ""
         remedy = f"Give a mapping file, {draft_command(path)}"
         raise ConfigError(f"{path}: the columns {shown} are unknown without a mapping{near}. {remedy}")
     return mapping

@@ -38,7 +38,7 @@ def parse_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
     plain_keys = [plain_key(key) for key, _ in parsed]
     for key, values in parsed:
         if plain_keys.count(plain_key(key)) > 1:
-            raise ConfigError(f"--set {key}: given twice; list the values in one setting: {key}=V1,V2")
+            raise ConfigError(f"--set {key}: given twice; give one value, or with bench a list: {key}=V1,V2")
         if len(set(values)) < len(values):
             raise ConfigError(f"--set {key}: a value is listed twice")
     return parsed

@@ -65,7 +65,7 @@ def load_trajectory(
         raise wrong_type("limits", "the limits of a robot", limits, "the timing is a keyword: timing='smooth'")
     selected_timing = next((known for known in TIMINGS if known == timing), None)
     if timing is not None and selected_timing is None:
-        raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}; default: of the file")
+        raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS)}; default: that of the file (--timing file)")
     if isinstance(limits, ControllerConfig):
         loaded = load_trajectory(name_or_path, TrajectoryLimits.of_controller(limits.limits), timing)
         assert isinstance(loaded, TableTrajectory)

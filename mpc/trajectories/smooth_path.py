@@ -14,6 +14,8 @@ from diffdrive_mpc.mpc.trajectories.near_polyline import deviations, spline_near
 
 _MIN_CHORD = 1e-9
 """Minimum distance between consecutive waypoints [m]."""
+_REVERSAL = -0.96
+"""Cosine of a turn below which no deviation rounds it: 164 degrees."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -88,6 +90,10 @@ def smooth_path(
     if mean_curvature[index] * settings.min_turn_radius > 1:
         leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
         alternative = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
+        legs = np.diff(waypoints, axis=0)
+        turns = (legs[:-1] * legs[1:]).sum(axis=1) / (chords[:-1] * chords[1:])
+        if (turns[max(leg - 1, 0) : leg + 1] < _REVERSAL).any():
+            alternative = ", or split the path there, because it turns back"
         raise ConfigError(
             f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."
             f"{leg} and waypoints.{leg + 1}; add or move waypoints to round the turn{alternative}"

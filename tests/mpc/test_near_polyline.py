@@ -103,7 +103,7 @@ def test_deviation_from_a_file_is_used_and_errors_for_hairpins_name_its_key(tmp_
         f"trajectory 'square': its path is up to {distance:.3f} m from the polyline of its waypoints; "
         "errors refer to its path"
     )
-    with pytest.raises(ConfigError, match=r"between waypoints.1 and waypoints.2; .* or raise max_deviation = 0.05$"):
+    with pytest.raises(ConfigError, match=r"waypoints.1 and waypoints.2; .* or split the path there, .* turns back$"):
         time_waypoints([(0, 0), (4, 0), (0, 0.1)], LIMITS, name="hairpin")
     with pytest.raises(ConfigError, match="max_deviation = 0 m; give a positive number"):
         Trajectory.from_waypoints(SQUARE, max_deviation=0)
