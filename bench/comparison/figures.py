@@ -47,7 +47,7 @@ def report_figures(results: ComparisonResults) -> dict[str, Draw | Charts]:
 
 
 def _error_charts(main: DataFrame) -> list[Chart]:
-    """Return a chart of position error over time for each trajectory, with the best MPC and peer and equal y ranges."""
+    """Return a chart of position error over time for each trajectory, with the best MPC and peer."""
     compared = by(main, COMPARED)
     styles, groups = list(compared), mpc_groups(compared)
     peers = {name: rows for name, rows in compared.items() if name not in groups}
@@ -55,7 +55,6 @@ def _error_charts(main: DataFrame) -> list[Chart]:
     rows = {name: by(compared[name], "trajectory") for name in best}
     runs = {path: {name: rows[name][path]["run"].iloc[0] for name in best} for path in rows[best[0]]}
     errors = {path: {name: 1e3 * run.errors.position for name, run in part.items()} for path, part in runs.items()}
-    top = 1.05 * max(float(np.percentile(error, 99)) for part in errors.values() for error in part.values())
     error_charts = []
     for path, part in errors.items():
         series = [
@@ -65,6 +64,7 @@ def _error_charts(main: DataFrame) -> list[Chart]:
         means = [f"{name} {1e3 * mean(rows[name][path], 'position_rmse_m'):.1f}" for name in best]
         stopped = [f"{name} did not complete" for name, run in runs[path].items() if run.ended]
         title = f"{path}: {', '.join([*means, *stopped])}"
+        top = 1.05 * max(float(np.max(error)) for error in part.values())
         axes = Axis("time [s]"), Axis("position error [mm]", range=(0.0, top))
         error_charts.append(Chart(title, *axes, series))
     return error_charts

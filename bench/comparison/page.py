@@ -33,6 +33,8 @@ _TICKS = 28_000
 """Maximum total number of ticks of all runs on the page, which limits its size."""
 _TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
+_MAX_LINEAR_RATIO = 20
+"""Ratio of the largest error to the median above which the axis of errors is logarithmic [-]."""
 
 
 def page_contents(results: ComparisonResults) -> PageContents:
@@ -157,7 +159,9 @@ def error_chart(main: DataFrame) -> Chart:
             for path in paths
         ]
         series.append(Series(name, paths, errors, i, "bars", labels={"controller": name}))
-    return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
+    is_wide = main["position_rmse_m"].max() > _MAX_LINEAR_RATIO * main["position_rmse_m"].median()
+    axes = Axis("path", "category"), Axis("position RMSE [mm]", "log" if is_wide else "linear")
+    return Chart("Error by path", *axes, series, "Means over seeds.")
 
 
 def step_time_chart(main: DataFrame) -> Chart:
