@@ -54,10 +54,6 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
         return
     if log.suffix not in _STARTS:
         raise ConfigError(f"--log {log}: give a file name that ends in .csv or .mcap")
-    if is_file(log):
-        with log.open("rb") as file:
-            if file.read(len(_STARTS[log.suffix])) not in (b"", _STARTS[log.suffix]):
-                raise ConfigError(f"--log {log}: exists and is not a log of simulate; give another name")
 
     def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
         try:
@@ -78,6 +74,10 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     with ExitStack() as stack:
         try:
             draft = stack.enter_context(whole_file(log))
+            if is_file(log):
+                with log.open("rb") as file:
+                    if file.read(len(_STARTS[log.suffix])) not in (b"", _STARTS[log.suffix]):
+                        raise ConfigError(f"{log}: exists and is not a log of simulate; give another name")
         except ConfigError as error:
             raise ConfigError(f"--log {error}") from error
         yield write

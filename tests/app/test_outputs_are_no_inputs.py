@@ -15,6 +15,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.input_file import read_input, record_inputs
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC
 from diffdrive_mpc.models.typed_command import named_inputs
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim import log_mcap
@@ -86,9 +87,9 @@ def test_full_disk_gives_one_line_and_leaves_the_old_file(tmp_path, monkeypatch)
 
     monkeypatch.setattr(log_mcap, "write_ticks", fail_on_full_disk)
     log = tmp_path / "run.mcap"
-    log.write_bytes(b"old")
+    log.write_bytes(MCAP_MAGIC + b"old")
     assert (
         run_simulate("--log", log, code=2).stderr.splitlines()[-1]
         == f"error: --log {log}: cannot be written (No space left on device)"
     )
-    assert log.read_bytes() == b"old" and list(tmp_path.iterdir()) == [log]
+    assert log.read_bytes() == MCAP_MAGIC + b"old" and list(tmp_path.iterdir()) == [log]
