@@ -47,7 +47,8 @@ def simulate(
     Parameters
     ----------
     controller
-        Object with the methods `start` and `step`, a configuration, or an argument of `load_config`, such as "ssm".
+        Object with the methods `start` and `step`, a configuration, or an argument of `load_config`, such as "ssm". A
+        controller of an earlier drive keeps only what its features learned, which `controller.reset()` clears.
     plant
         Simulated robot, which is reset first, or an argument of `make_plant`, such as "mujoco" or a velocity model. A
         plant created from such an argument has the sample time, limits and sensors of the controller's configuration.
@@ -75,16 +76,17 @@ def simulate(
     _check_names({"controller": controller, "plant": plant, "trajectory": reference})
     if isinstance(controller, (ControllerConfig, str, Path, Mapping)):
         controller = Controller(controller)
-    _check(controller, ("start", "step"), "controller", "a Controller")
+    _check(controller, ("start", "step"), "controller", "a Controller", "Controller('ssm', model=model) takes a model")
     config = getattr(controller, "config", None)
     config = config if isinstance(config, ControllerConfig) else None
     if not _has(plant, _PLANT):
         if not isinstance(plant, (str, Path)) and not hasattr(plant, "with_extra_dead_time"):
-            _check(plant, _PLANT, "plant", "a plant or its name")
+            _check(plant, _PLANT + loop.PLANT_STATE, "plant", "a plant or its name")
         plant = make_plant(plant, **(plant_settings(config) if config else {}))  # type: ignore[arg-type]
     if isinstance(reference, (str, Path)):
         reference = load_trajectory(reference, config)
-    _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
+    remedy = "create one with Trajectory.from_arrays(t, x, y)"
+    _check(reference, ("sample", "duration"), "reference", "a trajectory or its name", remedy)
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
         warnings.warn(escape(str(shortfall)), stacklevel=3)
     # The arguments are checked above.
@@ -144,8 +146,9 @@ def _has(value: object, names: tuple[str, ...]) -> bool:
     return not isinstance(value, type) and all(hasattr(value, name) for name in names)
 
 
-def _check(value: object, names: tuple[str, ...], argument: str, expected: str) -> None:
-    """Raise ArgumentError if `value` lacks an attribute in `names`."""
+def _check(value: object, names: tuple[str, ...], argument: str, expected: str, remedy: str = "") -> None:
+    """Raise ArgumentError with the `remedy` if `value` lacks an attribute in `names`."""
     if not _has(value, names):
         missing = ", ".join(name for name in names if not hasattr(value, name))
-        raise wrong_type(argument, expected, value, f"it lacks {missing}; {_ORDER}" if missing else _ORDER)
+        remedies = (missing and f"it lacks {missing}", remedy, _ORDER)
+        raise wrong_type(argument, expected, value, "; ".join(filter(None, remedies)))

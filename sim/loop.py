@@ -19,8 +19,16 @@ from diffdrive_mpc.sim.run import Run
 if TYPE_CHECKING:
     from diffdrive_mpc.sim.compiled_loop import CompiledLoop
 
+PLANT_STATE = ("time", "true_pose", "true_twist")
+"""Members of a plant from its first reset on, see `sim.plants.plant.Plant`."""
+_STEP = ("command", "mode", "message", "solver", "solve_time", "step_time")
+"""Members of the result of a step that each run reads, see `models.interface.ControlStep`."""
 _SAME_PERIOD = 1e-3
 """Relative difference below which two sample times count as equal [-]."""
+_MAX_EXTRA_TIME = 86400.0
+"""Maximum additional time [s], a day, as for a trajectory."""
+_ZERO_COMMANDS = np.zeros((1000, 2))
+"""Commands before a drive, for more samples than any dead time."""
 
 
 def simulate(
@@ -40,7 +48,8 @@ def simulate(
     Parameters
     ----------
     controller
-        Controller; it receives only measurements, not the true state.
+        Controller; it receives only measurements, not the true state. Before the start its last commands become zero,
+        because the robot is at rest. Features keep what they learned in earlier drives; `controller.reset()` clears it.
     plant
         Simulated robot; it is reset at the start.
     reference
@@ -65,11 +74,15 @@ def simulate(
     Raises
     ------
     ValueError
-        If `extra_time` is negative or not finite, the sample times of controller and plant differ, or a command does
+        If `extra_time` is negative or more than a day, the sample times of controller and plant differ, or a command does
         not consist of two finite numbers.
     """
     _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
+    if not _has(plant, PLANT_STATE):
+        raise wrong_type("plant", "a plant", plant, f"it needs {', '.join(PLANT_STATE)} after reset")
+    if hasattr(controller, "set_applied_commands"):
+        controller.set_applied_commands(_ZERO_COMMANDS)
     controller.start(reference, plant.time)
     surrounded = plant if isinstance(plant, Surrounded) else None
     end, goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
@@ -94,8 +107,8 @@ def simulate(
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement) if measurement is not None else step
-        if step is None or not hasattr(step, "command"):
-            raise wrong_type("controller.step()", "a result like StepResult", step, "return command, mode and message")
+        if step is None or not _has(step, _STEP):
+            raise wrong_type("controller.step()", "a result like StepResult", step, f"return {', '.join(_STEP)}")
         command = _check_command(step.command, plant.time)
         record.record_step(step, command)
         try:
@@ -121,10 +134,14 @@ def _compiled_loop(controller: TrackingController, plant: Plant, record: Recorde
     return None
 
 
+def _has(value: object, names: tuple[str, ...]) -> bool:
+    return all(hasattr(value, name) for name in names)
+
+
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
     """Raise ValueError for an invalid `extra_time` or different sample times of controller and plant."""
-    if not 0 <= checked_number("extra_time", extra_time, "give a time in seconds") < np.inf:
-        raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
+    if not 0 <= checked_number("extra_time", extra_time, "give a time in seconds") <= _MAX_EXTRA_TIME:
+        raise ValueError(f"extra_time = {extra_time}: give a time in seconds, 0 to {_MAX_EXTRA_TIME:g}")
     period = getattr(controller, "sample_time", None)
     if period is not None and not math.isclose(period, plant.sample_time, rel_tol=_SAME_PERIOD):
         raise ValueError(
