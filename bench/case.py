@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +16,7 @@ from typing import Annotated, Any
 from annotated_types import Ge
 
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.names import BUILT_IN, split_plant
 
 Overrides = tuple[tuple[str, object], ...]
@@ -55,6 +56,14 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
         repeated = next(name for name in names if name in previous or previous.add(name))  # type: ignore[func-returns-value]
         raise ValueError(f"{option} '{text}': '{repeated}' is given twice")
     return names
+
+
+def check_different(where: str, values: Sequence[object]) -> None:
+    """Raise ConfigError if there are no values, or if a value is given twice."""
+    if not values:
+        raise ConfigError(f"{where} has no value; state at least one")
+    if repeated := [value for index, value in enumerate(values) if value in values[:index]]:
+        raise ConfigError(f"{where}: {str(repeated[0])!r} is given twice; state different values")
 
 
 def check_count(count: int, limit: int = MAX_CASES) -> None:

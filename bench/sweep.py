@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.bench.case import DIMENSIONS, MAX_SEEDS, Case, Overrides, check_count
+from diffdrive_mpc.bench.case import DIMENSIONS, MAX_SEEDS, Case, Overrides, check_count, check_different
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
@@ -101,9 +101,8 @@ def sweep(
     """
     pandas = load_pandas("sweep")
     if not isinstance(config, (str, Path, type(None))):
-        raise wrong_type(
-            "sweep: config", "a name or path", config, "for objects, use drive_many of diffdrive-mpc-extras"
-        )
+        remedy = "for objects, use drive_many of diffdrive-mpc-extras"
+        raise wrong_type("sweep: config", "a name or path", config, remedy)
     factors = {
         "model": _as_list(model),
         "trajectory": _as_list(trajectory),
@@ -115,8 +114,6 @@ def sweep(
         similar = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
         if similar and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
             raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{similar[0]}'?")
-        if not options:
-            raise ConfigError(f"sweep: {name} has no value; state at least one")
         if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in options):
             raise ConfigError(
                 f"sweep: {name}: use numbers or words; the values of a group have dotted keys, such as 'weights.across'"
@@ -124,6 +121,8 @@ def sweep(
     check_count(math.prod(map(len, factors.values())))
     rows = [dict(zip(factors, combination, strict=True)) for combination in itertools.product(*factors.values())]
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
+    for name, options in factors.items():
+        check_different(f"sweep: {name}", options)
     for has_reference in (False, True):
         selected = (task.case for task in tasks if task.has_reference == has_reference)
         check_cases(selected, has_references=has_reference)

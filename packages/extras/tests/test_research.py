@@ -85,8 +85,9 @@ def test_episode_terminates_beyond_the_maximum_error():
 
 def test_invalid_arguments_and_commands_raise_errors():
     pytest.importorskip("gymnasium")
-    with pytest.raises(ValueError, match="preview = -1"):
-        make_env(preview=-1)
+    for preview in (-1, 1.5):
+        with pytest.raises(ValueError, match=f"preview = {preview}"):
+            make_env(preview=preview)
     env = make_env(plant="model:ssm")
     with pytest.raises(RuntimeError, match="call reset"):
         env.step([0.0, 0.0])
@@ -123,10 +124,10 @@ def test_rows_of_many_drives_equal_single_runs(jobs):
 
 def test_invalid_arguments_of_many_drives_raise_config_error_before_the_first_drive():
     finished_drives = []
-    for change in ({"configs": ["ssm", "smm"]}, {"trajectories": "cirle"}, {"plant": "mujco"}):
-        with pytest.raises(ConfigError, match="unknown|did you mean"):
+    for change in ({"configs": ["ssm", "smm"]}, {"trajectories": "cirle"}, {"plant": "mujco"}, {"trajectories": []}):
+        with pytest.raises(ConfigError, match="unknown|did you mean|has no value"):
             drive_many(**{"seeds": [0], "on_done": lambda: finished_drives.append(1), **change})
     assert not finished_drives
-    for seeds in ([], [0.5]):
-        with pytest.raises(ArgumentError, match="seeds: expected at least one whole number"):
+    for seeds in ([], [0.5], [0, 0]):
+        with pytest.raises((ArgumentError, ConfigError), match="seeds: (expected at least one|'0' is given twice)"):
             drive_many("ssm", "circle", seeds, plant="model:ssm")

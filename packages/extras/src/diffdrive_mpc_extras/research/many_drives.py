@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffdrive_mpc.bench.case import check_count
+from diffdrive_mpc.bench.case import check_count, check_different
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
@@ -69,23 +69,23 @@ def drive_many(
     pandas = load_pandas("drive_many")
     if not hasattr(seeds, "__iter__"):
         raise wrong_type("seeds", "several seeds", seeds, "give range(5), or a list")
-    by_name = (
-        dict(configs)
-        if isinstance(configs, Mapping)
-        else {_name(index, config): config for index, config in enumerate(_as_list(configs))}
-    )
-    loaded = {name: load_config(config) for name, config in by_name.items()}
-    drawn = list(seeds)
+    if isinstance(configs, Mapping):
+        named = list(configs.items())
+    else:
+        named = [(_name(index, config), config) for index, config in enumerate(_as_list(configs))]
+    drawn, paths = list(seeds), _as_list(trajectories)
+    loaded = [(name, load_config(config)) for name, config in named]
     if not drawn or any(seed != int(seed) for seed in drawn):
         raise wrong_type("seeds", "at least one whole number", drawn, "give range(5), or a list")
     seeds = [int(seed) for seed in drawn]
-    paths = _as_list(trajectories)
     check_count(len(loaded) * len(paths) * len(seeds))
     tasks = []
-    for (name, config), path in itertools.product(loaded.items(), paths):
+    for (name, config), path in itertools.product(loaded, paths):
         reference = path if isinstance(path, Trajectory) else load_trajectory(path, config)
         make_plant(plant, **plant_settings(config))
         tasks += [partial(_drive, name, config, reference, plant, seed) for seed in seeds]
+    for name, values in {"configs": [name for name, _ in named], "trajectories": paths, "seeds": seeds}.items():
+        check_different(f"drive_many: {name}", values)
     jobs = available_cores() if jobs is None else jobs
     if on_done is not None:
         return pandas.DataFrame(run_tasks(tasks, jobs, on_done))

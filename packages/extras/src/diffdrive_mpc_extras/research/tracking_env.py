@@ -13,6 +13,7 @@ import numpy as np
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.run_row import statistics_of
+from diffdrive_mpc.models.errors import checked_number
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.two_sided import sides_of
@@ -46,9 +47,10 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         preview: int,
         max_error: float,
     ) -> None:
-        if not (0 <= preview <= 200 and 0.0 < max_error < math.inf):
+        limit = checked_number("max_error", max_error, "give m")
+        if not (preview in range(201) and isinstance(preview, (int, np.integer)) and 0.0 < limit < math.inf):
             raise ValueError(
-                f"make_env: preview = {preview}, max_error = {max_error}: give 0 to 200 ticks, and more than 0 m"
+                f"make_env: preview = {preview!r}, max_error = {max_error}: give 0 to 200 ticks, and more than 0 m"
             )
         self.reference = trajectory if isinstance(trajectory, Trajectory) else load_trajectory(trajectory, config)
         self._plant_options = {**plant_options, **plant_settings(config)}
