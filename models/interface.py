@@ -22,13 +22,15 @@ AnyArray = NDArray[Any]
 def checked_array(argument: str, value: ArrayLike, expected: str, remedy: str) -> FloatArray:
     """Return `value` as an array of floats; raise ArgumentError if it does not consist of numbers."""
     try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise wrong_type(argument, expected, value, remedy) from error
+        if not np.iscomplexobj(value):
+            return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        pass
+    raise wrong_type(argument, expected, value, remedy)
 
 
 @checked_methods
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Stamped:
     """Measured value with the time of its measurement.
 
@@ -86,9 +88,8 @@ class Measurement:
 
     def _refuse(self, value: object) -> NoReturn:
         name = next(name for name in self.__slots__ if getattr(self, name) is value)
-        raise wrong_type(
-            f"Measurement({name}=...)", "a value with its time", value, f"write {name}=Stamped(value, time in s)"
-        )
+        remedy = f"write {name}=Stamped(value, time in s)"
+        raise wrong_type(f"Measurement({name}=...)", "a value with its time", value, remedy)
 
 
 class ReferenceSample(NamedTuple):

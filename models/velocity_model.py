@@ -39,7 +39,7 @@ def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArra
 
 
 @checked_methods
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VelocityModel:
     """Linear dynamics from commanded to true body twist, x' = A x + B u(t - dead_time), y = C x.
 
@@ -79,7 +79,7 @@ class VelocityModel:
             if not isinstance(getattr(self, name), str):
                 raise wrong_type(name, "a text", getattr(self, name), _REMEDY)
         for name in ("A", "B", "C", "dead_time"):
-            value = checked_array(name, getattr(self, name), "numbers", _REMEDY)
+            value = checked_array(name, getattr(self, name), "real numbers", _REMEDY)
             object.__setattr__(self, name, value.copy())
         self._check()
 
@@ -181,7 +181,9 @@ class VelocityModel:
 
     def _check(self) -> None:
         where = f"model '{self.name}'"
-        n = len(self.A) if self.A.ndim else 0
+        if not self.A.ndim:
+            raise ModelError(f"{where}: A has shape (), expected (n, n)")
+        n = len(self.A)
         shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "dead_time": (2,)}
         for name, shape in shapes.items():
             value = getattr(self, name)

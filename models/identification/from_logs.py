@@ -165,7 +165,7 @@ def identify(
     effects: bool = False,
     *,
     robot: str | Path | None = None,
-    validate: Sequence[str | Path | DataFrame] = (),
+    validate: str | Path | DataFrame | Sequence[str | Path | DataFrame] = (),
     fit_share: float | None = None,
     order: int | str = AUTOMATIC,
     name: str | None = None,
@@ -219,12 +219,8 @@ def identify(
     """
     selected_structure, predictor = _choose_structure(structure, effects=effects)
     checked_order = _check_order(selected_structure, order)
-    if validate and fit_share is not None:
-        raise OptionError(
-            "fit_share", ": with --validate, all rows of the other logs are training data; pass only one of the options"
-        )
-    if name is not None and not name.strip():
-        raise OptionError("name", ": the name is empty; pass a name, or omit the option")
+    if name is not None and not (isinstance(name, str) and name.strip()):
+        raise OptionError("name", f": {name!r} is not a name; pass a text, or omit the option")
     share = identification_settings().fit_share if fit_share is None else fit_share
     stated_robot = None if robot is None else load_stated_robot(robot)
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, _frames_by_name(folder):
@@ -239,6 +235,9 @@ def identify(
             stated_robot.mapping() if stated_robot is not None and mapping is None and is_robot_bag else mapping
         )
         validation_paths = _paths(validate, Path(folder), "validation data frame")
+        if validation_paths and fit_share is not None:
+            rest = ": with --validate, all rows of the other logs are training data; pass only one of the options"
+            raise OptionError("fit_share", rest)
         selection = LogSelection(tuple(paths), tuple(validation_paths), effective_mapping, share)
         log_findings: list[Finding] = []
         report = on_findings or (lambda _: None)

@@ -59,7 +59,7 @@ def test_configuration_without_its_model_is_refused(identification, tmp_path, mo
 
 def test_data_frames_give_the_model_of_their_files(folder, identification):
     logs = [pd.read_csv(folder / f"{name}.csv") for name in ("one", "two")]
-    model = identify(logs[0], folder / "map.yaml", "sm", validate=logs[1:]).model
+    model = identify(logs[0], folder / "map.yaml", "sm", validate=logs[1]).model
     assert model.name == "SM from data frame 0"
     assert model.A.tolist() == identification.model.A.tolist()
 
