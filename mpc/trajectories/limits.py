@@ -105,6 +105,7 @@ class TrajectorySettings(StrictModel):
     reach_share: float = Field(gt=0, lt=1, description="speed of a scaled path as a share of the reachable speed [-]")
     slew_share: float = Field(gt=0, lt=1, description="acceleration of a scaled path as a share of the slew [-]")
     max_duration: float = Field(gt=0, description="maximum duration of a trajectory [s]")
+    max_speed: float = Field(gt=0, description="maximum speed of a trajectory from arrays [m/s]")
     max_excitation_duration: float = Field(gt=0, description="maximum duration of an excitation drive [s]")
     full_pieces: int = Field(ge=1, description="number of pieces of a path above which each point has fewer pieces")
     min_pieces_per_row: int = Field(ge=1, description="minimum number of pieces between two timed poses")

@@ -184,6 +184,8 @@ _MAX_SINE, _MAX_RADIAN_SINE = 0.3, 0.1
 
 def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -> SplineTrajectory:
     """Create a trajectory from arrays by column name, see `Trajectory.from_arrays`."""
+    if not (isinstance(name, str) and name):
+        raise wrong_type("name", "a text", name, "give a name such as 'arrays'")
     where = f"trajectory '{name}'"
     arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
@@ -266,21 +268,28 @@ def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[
             f"{where}: t[{unsorted[0] + 1}] = {times[unsorted[0] + 1]:g} s is not after the previous time; "
             "sort the rows and remove duplicates"
         )
-    max_duration = load_settings().max_duration
-    if times[-1] - times[0] > max_duration:
+    settings = load_settings()
+    if times[-1] - times[0] > settings.max_duration:
         raise ConfigError(
-            f"{where}: the duration is {times[-1] - times[0]:.3g} s, at most {max_duration:g} s; are times in s?"
+            f"{where}: duration {times[-1] - times[0]:.3g} s, at most {settings.max_duration:g} s; are times in s?"
+        )
+    fastest = np.max(np.hypot(np.diff(arrays["x"]), np.diff(arrays["y"])) / np.diff(times))
+    if fastest > settings.max_speed:
+        raise ConfigError(
+            f"{where}: the speed is {fastest:.3g} m/s, at most {settings.max_speed:g} m/s; are x, y in m and t in s?"
         )
     return arrays
 
 
 def _parse_array(where: str, name: str, values: ArrayLike | None) -> FloatArray:
     try:
-        is_date = np.asarray(values).dtype.kind in "mM"
-        array = np.asarray(values, dtype=float)
+        kind = np.asarray(values).dtype.kind
+        array = np.asarray(values, dtype=None if kind == "c" else float)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{where}: {name}: expected numbers, got {describe_type(values)}") from error
-    if is_date:
+    if kind == "c":
+        raise ConfigError(f"{where}: {name}: expected real numbers, got complex numbers")
+    if kind in "mM":
         raise ConfigError(f"{where}: {name}: got dates; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
     invalid = np.argwhere(~np.isfinite(array))
     if invalid.size:

@@ -64,7 +64,7 @@ class Trajectory(ABC):
     ) -> Trajectory:
         """Create a trajectory through timed poses by cubic splines in time.
 
-        The speeds are not checked; `Controller.start` compares them with the limits of its configuration.
+        Speeds are accepted up to 50 m/s; `Controller.start` compares them with the limits of its configuration.
 
         Parameters
         ----------
@@ -83,6 +83,8 @@ class Trajectory(ABC):
         ------
         ConfigError
             If shapes differ, a value is not finite, times do not increase, or the columns contradict each other.
+        ArgumentError
+            If `name` is not a text, or empty.
         """
         # SciPy is imported only here, since its import is slow.
         from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_arrays  # noqa: PLC0415
