@@ -133,7 +133,8 @@ def casadi_problem(
 ) -> CasadiProblem:
     """Build the nonlinear problem of a tick from the arguments of `Controller`.
 
-    `Controller.problem_inputs` returns the input values of a tick.
+    `Controller.problem_inputs` returns the input values of a tick. For a network model, give IPOPT
+    `{"ipopt.hessian_approximation": "limited-memory"}`, since the exact Hessian takes minutes to form.
 
     Raises
     ------
