@@ -79,7 +79,7 @@ def simulate(
     _check(controller, ("start", "step"), "controller", "a Controller", "Controller('ssm', model=model) takes a model")
     config = getattr(controller, "config", None)
     config = config if isinstance(config, ControllerConfig) else None
-    if not _has(plant, _PLANT):
+    if not loop.has_members(plant, _PLANT):
         if not isinstance(plant, (str, Path)) and not hasattr(plant, "with_extra_dead_time"):
             _check(plant, _PLANT + loop.PLANT_STATE, "plant", "a plant or its name")
         plant = make_plant(plant, **(plant_settings(config) if config else {}))  # type: ignore[arg-type]
@@ -142,13 +142,9 @@ def _check_names(arguments: Mapping[str, object]) -> None:
                 raise ArgumentError(f"simulate: '{value}' is the name of a {kind}, given as the {argument}; {_ORDER}")
 
 
-def _has(value: object, names: tuple[str, ...]) -> bool:
-    return not isinstance(value, type) and all(hasattr(value, name) for name in names)
-
-
 def _check(value: object, names: tuple[str, ...], argument: str, expected: str, remedy: str = "") -> None:
     """Raise ArgumentError with the `remedy` if `value` lacks an attribute in `names`."""
-    if not _has(value, names):
+    if not loop.has_members(value, names):
         missing = ", ".join(name for name in names if not hasattr(value, name))
         remedies = (missing and f"it lacks {missing}", remedy, _ORDER)
         raise wrong_type(argument, expected, value, "; ".join(filter(None, remedies)))

@@ -431,12 +431,8 @@ class Controller:
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):
-            raise wrong_type(
-                "reference",
-                "a trajectory",
-                reference,
-                "create one with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)",
-            )
+            remedy = "create one with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)"
+            raise wrong_type("reference", "a trajectory", reference, remedy)
         t0 = checked_number("start time t0", t0, "give seconds on the clock of step, such as 0.0")
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
@@ -670,12 +666,8 @@ class Controller:
         try:
             tick.input.fill(measurement)
         except AttributeError as error:
-            raise wrong_type(
-                "measurement",
-                "a Measurement",
-                measurement,
-                "call step(t, Measurement(...)), or step(t, Measurement()) if there are no new data",
-            ) from error
+            remedy = "call step(t, Measurement(...)), or step(t, Measurement()) if there are no new data"
+            raise wrong_type("measurement", "a Measurement", measurement, remedy) from error
         if not (hold is None or isinstance(hold, Hold)):
             raise wrong_type("hold", "a Hold or None", hold, "write hold=Hold(reason)")
         for feature in self._features.values():
@@ -688,8 +680,10 @@ class Controller:
             tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
             since_start = t - self._t0
         except TypeError as error:
-            names, values = "t, deadline, most_iterations", (t, deadline, most_iterations)
-            raise wrong_type(names, "times [s] and an integer", values, "call step(t, Measurement(...))") from error
+            remedy = "call step(t, Measurement(...))"
+            for name, value in (("t", t), ("deadline", deadline or 0.0)):
+                checked_number(name, value, remedy)
+            raise wrong_type("most_iterations", "an integer", most_iterations, remedy) from error
         on_time = pursuit.on_time and since_start >= 0.0
         # The reference's clock advances once per tick, but not at a repeated call or at an invalid time.
         has_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))

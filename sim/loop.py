@@ -74,12 +74,12 @@ def simulate(
     Raises
     ------
     ValueError
-        If `extra_time` is negative or more than a day, the sample times of controller and plant differ, or a command does
-        not consist of two finite numbers.
+        If `extra_time` is negative or more than a day, the sample times of controller and plant differ, or a command
+        does not consist of two finite numbers.
     """
     _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
-    if not _has(plant, PLANT_STATE):
+    if not has_members(plant, PLANT_STATE):
         raise wrong_type("plant", "a plant", plant, f"it needs {', '.join(PLANT_STATE)} after reset")
     if hasattr(controller, "set_applied_commands"):
         controller.set_applied_commands(_ZERO_COMMANDS)
@@ -98,16 +98,14 @@ def simulate(
             break
         measurement = plant.measure() if step is None else None
         if step is None and not isinstance(measurement, Measurement):
-            raise wrong_type(
-                "plant.measure()", "a Measurement", measurement, "return Measurement() if there are no data"
-            )
+            raise wrong_type("plant.measure()", "a Measurement", measurement, "return Measurement() if it has no data")
         record.record_state(plant, measurement)
         is_over = False
         if surrounded is not None:
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement) if measurement is not None else step
-        if step is None or not _has(step, _STEP):
+        if step is None or not has_members(step, _STEP):
             raise wrong_type("controller.step()", "a result like StepResult", step, f"return {', '.join(_STEP)}")
         command = _check_command(step.command, plant.time)
         record.record_step(step, command)
@@ -134,8 +132,9 @@ def _compiled_loop(controller: TrackingController, plant: Plant, record: Recorde
     return None
 
 
-def _has(value: object, names: tuple[str, ...]) -> bool:
-    return all(hasattr(value, name) for name in names)
+def has_members(value: object, names: tuple[str, ...]) -> bool:
+    """Return True if `value` has all attributes in `names`, and is not a class."""
+    return not isinstance(value, type) and all(hasattr(value, name) for name in names)
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
@@ -154,7 +153,5 @@ def _check_command(command: FloatArray, t: float) -> FloatArray:
     """Return the command as an array; raise ValueError if it does not consist of two finite numbers."""
     command = np.asarray(command, dtype=float)
     if command.shape != (2,) or not all(map(math.isfinite, command.tolist())):
-        raise ValueError(
-            f"t = {t:.3f} s: the controller's command must be two finite numbers (found {command.tolist()})"
-        )
+        raise ValueError(f"t = {t:.3f} s: the controller's command must be two finite numbers, not {command.tolist()}")
     return command

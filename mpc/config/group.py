@@ -21,7 +21,8 @@ class Group(StrictModel, strict=True):
 
     def __setattr__(self, name: str, value: object) -> None:
         """Raise ConfigError, because configurations are immutable."""
-        raise ConfigError(f"{type(self).__name__}.{name}: write load_config(config, {{'{name}': value}}) for a new one")
+        remedy = "write load_config(config, {KEY: value}) for a new one, with a dotted key such as 'weights.across'"
+        raise ConfigError(f"{type(self).__name__}.{name}: {remedy}")
 
     @field_validator("*", mode="after")
     @classmethod

@@ -105,6 +105,8 @@ def make_plant(
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
+    if not isinstance(limits, (TwistBounds, type(None))):
+        raise wrong_type("limits", "TwistBounds or None", limits, "give models.robot.TwistBounds(v=1.5, omega=2.0)")
     if sample_time is not None and not 0.0 < checked_number("sample_time", sample_time, "give seconds") <= _MAX_PERIOD:
         raise ConfigError(f"sample_time {sample_time!r} s: give a time above 0, at most {_MAX_PERIOD:g} s")
     model = None if isinstance(name, (str, Path)) else _checked_model(name)
@@ -262,7 +264,7 @@ def _checked_model(model: object) -> VelocityModel | NonlinearModel:
     from diffdrive_mpc.models.velocity_model import VelocityModel  # noqa: PLC0415
 
     if not isinstance(model, (VelocityModel, NonlinearModel)):
-        raise wrong_type("plant", "a name or a velocity model", model, "build it with make_plant('mujoco')")
+        raise wrong_type("plant", "a name or a velocity model", model, "give a name such as 'mujoco'")
     return model
 
 
