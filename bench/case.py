@@ -16,7 +16,6 @@ from typing import Annotated, Any
 from annotated_types import Ge
 
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.names import BUILT_IN, split_plant
 
 Overrides = tuple[tuple[str, object], ...]
@@ -60,6 +59,8 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
 
 def check_different(where: str, values: Sequence[object]) -> None:
     """Raise ConfigError if there are no values, or if a value is given twice."""
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415 - --help does not need it
+
     if not values:
         raise ConfigError(f"{where} has no value; state at least one")
     if repeated := [value for index, value in enumerate(values) if value in values[:index]]:
