@@ -127,9 +127,7 @@ def _realise(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArra
             inputs.append(np.outer(np.eye(n)[0], np.eye(system.ninputs)[j]))
             outputs.append(rows)
     if not blocks:
-        raise ModelError(
-            f"{where}: all transfer functions of '{system.name}' are constant, but the speed of a robot has a lag"
-        )
+        raise ModelError(f"{where}: the transfer functions of '{system.name}' are constant; the speed of a robot lags")
     return block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D
 
 

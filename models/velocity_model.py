@@ -181,9 +181,7 @@ class VelocityModel:
 
     def _check(self) -> None:
         where = f"model '{self.name}'"
-        if not self.A.ndim:
-            raise ModelError(f"{where}: A has shape (), expected (n, n)")
-        n = len(self.A)
+        n = len(np.atleast_1d(self.A))
         shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "dead_time": (2,)}
         for name, shape in shapes.items():
             value = getattr(self, name)

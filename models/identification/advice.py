@@ -193,8 +193,10 @@ def advise(
         proposal, _, best, score, rows = accepted
         proposals.remove(proposal)
         if start is None:
-            proposals = best.proposals()
+            proposals = _proposals(best.findings())
     if best is None or not best.changes or score is None or rows is None:
+        return None
+    if _has_no_remedy(findings) and _has_no_remedy(best.findings()):
         return None
     if start and _is_cut(best.changes):
         before = start.score(start.rows().with_held_out(rows))
@@ -225,6 +227,11 @@ def _score_trial(
 
 def _is_cut(changes: Changes) -> bool:
     return any(change.key == "times" for change in changes)
+
+
+def _has_no_remedy(findings: Iterable[Finding]) -> bool:
+    """Return True if no change of the mapping corrects an error, for instance of a dead encoder."""
+    return any(finding.severity == "error" and not finding.changes for finding in findings)
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
@@ -266,10 +273,9 @@ class _Trial:
             return None
         return cls(selection, mapping, changes, tuple(logs))
 
-    def proposals(self) -> list[Changes]:
-        """List the proposals of the findings in logs read with this mapping."""
-        logs = [read_log(path, self.mapping) for path in self.selection.logs]
-        return _proposals(finding for log in logs for finding in log.findings)
+    def findings(self) -> list[Finding]:
+        """List the findings of the training logs read with this mapping."""
+        return [finding for path in self.selection.logs for finding in read_log(path, self.mapping).findings]
 
     def has_valid_clock(self) -> bool:
         """Return False if the mapping changes the clock and no poses confirm its rate and direction."""

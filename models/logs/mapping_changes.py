@@ -110,6 +110,9 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
     """Change the sign or unit of columns of one stream, or exchange its columns."""
     if change.key in _EXCHANGES:
         _exchange(stream, _EXCHANGES[change.key])
+        if change.key == "sides" and "omega" in stream:
+            stream["omega"] = _expand_name(stream["omega"], "column")
+            _invert_sign(stream["omega"])
         return
     name, _, key = change.key.rpartition(".")
     names = [name] if name in stream else []

@@ -34,15 +34,6 @@ def removed_message(key: str) -> str:
     return f"{key} was removed: {replacement}; remove the key" if replacement else ""
 
 
-def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the configuration without removed groups that are disabled."""
-    return {
-        name: values
-        for name, values in data.items()
-        if not (name in _REMOVED_GROUPS and isinstance(values, Mapping) and values.get("enabled") is False)
-    }
-
-
 def convert_former_keys(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
     """Convert former keys of a merged configuration to list entries, and remove keys that became constants.
 
@@ -51,12 +42,16 @@ def convert_former_keys(data: Mapping[str, Any], where: str = "configuration") -
     ConfigError
         If the value of a former key differs from the constant that replaced the key, or a removed group is enabled.
     """
-    data = without_unused_groups(data)
-    for group in _REMOVED_GROUPS.keys() & data.keys():
-        values = data[group]
+    # A removed group that is disabled has no effect.
+    current = {
+        name: dict(values) if isinstance(values, Mapping) else values
+        for name, values in data.items()
+        if not (name in _REMOVED_GROUPS and isinstance(values, Mapping) and values.get("enabled") is False)
+    }
+    for group in _REMOVED_GROUPS.keys() & current.keys():
+        values = current[group]
         key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group
         raise ConfigError(f"{where}: {removed_message(key)}")
-    current = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
     _drop_constants(current, where)
     if isinstance(current.get("estimator"), dict):
         _join_curved_slips(current["estimator"])
