@@ -74,13 +74,17 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     with ExitStack() as stack:
         try:
             draft = stack.enter_context(whole_file(log))
-            if is_file(log):
-                with log.open("rb") as file:
-                    if file.read(len(_STARTS[log.suffix])) not in (b"", _STARTS[log.suffix]):
-                        raise ConfigError(f"{log}: exists and is not a log of simulate; give another name")
+            if is_file(log) and not _starts_like_log(log):
+                raise ConfigError(f"{log}: exists and is not a log of simulate; give another name")
         except ConfigError as error:
             raise ConfigError(f"--log {error}") from error
         yield write
+
+
+def _starts_like_log(path: Path) -> bool:
+    """Return True if a file is empty or starts with the first bytes of a log of its suffix."""
+    with path.open("rb") as file:
+        return file.read(len(_STARTS[path.suffix])) in (b"", _STARTS[path.suffix])
 
 
 def repeat_arguments(case: Case) -> list[str]:

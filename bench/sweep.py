@@ -114,6 +114,7 @@ def sweep(
         similar = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
         if similar and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
             raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{similar[0]}'?")
+        check_different(f"sweep: {name}", options)
         if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in options):
             raise ConfigError(
                 f"sweep: {name}: use numbers or words; the values of a group have dotted keys, such as 'weights.across'"
@@ -121,8 +122,6 @@ def sweep(
     check_count(math.prod(map(len, factors.values())))
     rows = [dict(zip(factors, combination, strict=True)) for combination in itertools.product(*factors.values())]
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
-    for name, options in factors.items():
-        check_different(f"sweep: {name}", options)
     for has_reference in (False, True):
         selected = (task.case for task in tasks if task.has_reference == has_reference)
         check_cases(selected, has_references=has_reference)

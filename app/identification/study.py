@@ -94,9 +94,9 @@ def identify_into(
 def _identify_into(
     logs: Sequence[Path], out: Path, writers: Mapping[str, ParameterWriter], force: bool, options: Mapping[str, Any]
 ) -> None:
-    for log in logs:  # before `staged` creates the folder `out`, which may have the name of a missing log
-        if not log.exists():
-            raise ConfigError(f"{log}: there is no such file or folder")
+    # `staged` creates the folder `out`, which may have the name of a missing log.
+    if missing := [log for log in logs if not log.exists()]:
+        raise ConfigError(f"{missing[0]}: there is no such file or folder")
     start = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, ROBOT_FILE, *(f"{package}.yaml" for package in writers), REPORT)
     table = None
