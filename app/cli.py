@@ -19,12 +19,11 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_named_options, leave_on_sigterm
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.app.command_line.options import PluggedCommand
-
     app: typer.Typer
 
 _HOME = "diffdrive_mpc.app.commands"
@@ -107,7 +106,7 @@ def _add_plug_in(app: typer.Typer, entry_name: str, name: str) -> None:
     try:
         plugged: PluggedCommand = plug_in("commands", entry_name)
     except ImportError as error:
-        reason = str(error)
+        reason = f"{error}; install the package of this command again"
 
         def raise_missing() -> None:
             raise MissingPackageError(reason)

@@ -50,6 +50,13 @@ def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, argu
     assert (result.returncode, result.stderr) == (1, line)
 
 
+def test_command_of_a_damaged_package_gives_one_line_with_the_remedy(tmp_path):
+    program = PROGRAM.replace("metadata.entry_points = lambda **chosen: ()\n", "").replace("WORDS", "['plan']")
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path, check=False)
+    line = "error: No module named 'diffdrive_mpc_extras'; install the package of this command again\n"
+    assert (result.returncode, result.stderr) == (1, line)
+
+
 @pytest.mark.system
 def test_root_package_drives_and_identifies(tmp_path):
     drive = run(tmp_path, "simulate", "--trajectory", "s", "--log", "s.csv")
