@@ -16,13 +16,13 @@ from diffdrive_mpc.bench.machine import project_version
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC
-from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.log_csv import FIRST_COLUMNS
 
 WriteLog = Callable[..., None]
-_STARTS = {".csv": b"t_s,v_ref_m_s,omega_ref_rad_s,", ".mcap": MCAP_MAGIC}
+_STARTS = {".csv": FIRST_COLUMNS, ".mcap": MCAP_MAGIC}
 """First bytes of a log by suffix."""
 
 
@@ -73,18 +73,10 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
     with ExitStack() as stack:
         try:
-            draft = stack.enter_context(whole_file(log))
-            if is_file(log) and not _starts_like_log(log):
-                raise ConfigError(f"{log}: exists and is not a log of simulate; give another name")
+            draft = stack.enter_context(whole_file(log, begins=_STARTS[log.suffix]))
         except ConfigError as error:
             raise ConfigError(f"--log {error}") from error
         yield write
-
-
-def _starts_like_log(path: Path) -> bool:
-    """Return True if a file is empty or starts with the first bytes of a log of its suffix."""
-    with path.open("rb") as file:
-        return file.read(len(_STARTS[path.suffix])) in (b"", _STARTS[path.suffix])
 
 
 def repeat_arguments(case: Case) -> list[str]:

@@ -67,7 +67,7 @@ _MIN_AGE = 60.0
 
 
 @contextmanager
-def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
+def whole_file(path: str | Path, *, rewrites: bool = False, begins: bytes = b"") -> Iterator[Path]:
     """Yield a temporary path for writing; on success the file replaces `path`, on failure `path` is unchanged.
 
     Links are resolved, and their target is replaced. A new file has the permissions of the file that it replaces.
@@ -78,12 +78,14 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
         Path of the file.
     rewrites
         True if `path` may be an input of the same command.
+    begins
+        First bytes that an existing file must have unless it is empty, so that no foreign file is replaced.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        With a message that starts with `path`: on entry if `path` is not a regular file, is not writable, or was read
-        by the same command; on exit if it was read in the context.
+        With a message that starts with `path`: on entry if `path` is not a regular file, is not writable, was read by
+        the same command, or does not begin with `begins`; on exit if it was read in the context.
     """
     with ExitStack() as stack:
         try:
@@ -91,6 +93,8 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
             _check_replaceable(target, path)
             if not rewrites:
                 check_not_read(target, path)
+            if begins and target.exists():
+                _check_beginning(target, path, begins)
             stack.enter_context(new_folder(target.parent))
             # The draft is in the folder of the target, because a rename is atomic only within one file system.
             draft = stack.enter_context(scratch_folder(target.parent)) / target.name
@@ -182,3 +186,9 @@ def _check_replaceable(target: Path, path: str | Path) -> None:
         raise ConfigError(f"{path}: not a regular file; give the name of a file")
     if not os.access(target, os.W_OK):
         raise ConfigError(f"{path}: the file is read-only; give another one")
+
+
+def _check_beginning(target: Path, path: str | Path, begins: bytes) -> None:
+    with target.open("rb") as file:
+        if file.read(len(begins)) not in (b"", begins):
+            raise ConfigError(f"{path}: the file exists and is of another kind; give another name")

@@ -16,6 +16,9 @@ from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
 
+FIRST_COLUMNS = b"t_s,v_ref_m_s,omega_ref_rad_s,"
+"""First bytes of the file."""
+
 
 @checked_call()
 def write_log(run: Run, path: str | Path) -> None:
@@ -26,9 +29,9 @@ def write_log(run: Run, path: str | Path) -> None:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `path` is not a regular file or not writable.
+        If `path` is not a regular file, not writable, or a file of another kind.
     """
-    with whole_file(path) as draft:
+    with whole_file(path, begins=FIRST_COLUMNS) as draft:
         write_rows(run, draft)
 
 

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
 from diffdrive_mpc.models.logs.drive_log.topics import path_times
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
+from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.odometry import Odometry
@@ -37,9 +38,9 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `path` is not a regular file or not writable.
+        If `path` is not a regular file, not writable, or a file of another kind.
     """
-    with whole_file(path) as draft:
+    with whole_file(path, begins=MCAP_MAGIC) as draft:
         write_ticks(run, draft, metadata or {})
 
 

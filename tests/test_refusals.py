@@ -1,5 +1,7 @@
 """Bad input to every interface gives one line that names the place and the remedy: the rows of refusals.yaml."""
 
+import copy
+import pickle
 import re
 import shlex
 from pathlib import Path
@@ -65,7 +67,7 @@ CALLS += (parse_single_settings, started_controller, sweep_settings)
 NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__}
 NAMES |= {function.__name__: function for function in CALLS} | {"SM": SM, "SSM": SSM, "T": TIMES, "np": np, "pd": pd}
 NAMES |= {"X": np.sin(0.5 * TIMES), "Y": 1.0 - np.cos(0.5 * TIMES), "SYSTEM": control.tf([1.0], [0.1, 1.0])}
-NAMES |= {"diffdrive_mpc": diffdrive_mpc, "tf": control.tf}
+NAMES |= {"diffdrive_mpc": diffdrive_mpc, "tf": control.tf, "copy": copy, "pickle": pickle}
 """Names in the expressions of refusals.yaml."""
 
 

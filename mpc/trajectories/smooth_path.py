@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +90,12 @@ def smooth_path(
     index = int(np.argmax(mean_curvature))
     if mean_curvature[index] * settings.min_turn_radius > 1:
         leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
-        alternative = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
+        alternative = ""
+        if max_deviation is not None:
+            # Without rounding, the path is that of an unlimited deviation.
+            with suppress(ConfigError):
+                smooth_path(waypoints, where)
+                alternative = f", or raise max_deviation = {max_deviation:g}"
         legs = np.diff(waypoints, axis=0)
         turns = (legs[:-1] * legs[1:]).sum(axis=1) / (chords[:-1] * chords[1:])
         if (turns[max(leg - 1, 0) : leg + 1] < _REVERSAL).any():

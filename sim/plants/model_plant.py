@@ -19,6 +19,7 @@ from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.core.library import address, load_twin, view
 from diffdrive_mpc.sim.plants.drivetrain import checked_pose, clip_command
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
+from diffdrive_mpc.sim.plants.plant import NativePlant
 from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
@@ -28,7 +29,7 @@ _NO_LIMIT = 1e6
 
 
 @checked_methods
-class ModelPlant:
+class ModelPlant(NativePlant):
     """Plant with velocity model, extra dead time, slip, and simulated sensors; see `sim.plants.plant.Plant`.
 
     The model predicts v of the encoders and omega of the gyro on the surface of the identification. The twist of a

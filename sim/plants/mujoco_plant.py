@@ -17,6 +17,7 @@ from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, clip_command
+from diffdrive_mpc.sim.plants.plant import NativePlant
 from diffdrive_mpc.sim.plants.plug_ins import Scene, SimulatorPart
 from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
@@ -28,7 +29,7 @@ _ENCODER_PHASE_KEY = 1_000
 
 
 @checked_methods
-class MujocoPlant:
+class MujocoPlant(NativePlant):
     """Digital twin of the papers' robot or of another robot, see `sim.plants.plant.Plant`.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from numpy.typing import ArrayLike
 
@@ -63,6 +63,14 @@ class Plant(Protocol):
             If the robot tips over or its motion diverges.
         """
         ...
+
+
+class NativePlant:
+    """Base class of plants whose state is in C."""
+
+    def __getstate__(self) -> NoReturn:
+        """Refuse pickling and copying, which would lose or share the state."""
+        raise TypeError("a plant cannot be pickled or copied: call make_plant again with the same arguments")
 
 
 class PlantAround:

@@ -107,3 +107,16 @@ def test_deviation_from_a_file_is_used_and_errors_for_hairpins_name_its_key(tmp_
         time_waypoints([(0, 0), (4, 0), (0, 0.1)], LIMITS, name="hairpin")
     with pytest.raises(ConfigError, match="max_deviation = 0 m; give a positive number"):
         Trajectory.from_waypoints(SQUARE, max_deviation=0)
+
+
+@pytest.mark.parametrize(("leg", "degrees"), [(0.5, 140), (0.5, 144), (1, 148), (1, 156), (3, 152)])
+def test_errors_for_tight_turns_offer_a_larger_deviation_only_if_it_is_sufficient(leg: float, degrees: float):
+    turn = np.radians(degrees)
+    points = np.array([(0, 0), (leg, 0), (leg + leg * np.cos(turn), leg * np.sin(turn))])
+    with pytest.raises(ConfigError, match="turns with a radius below") as error:
+        smooth_path(points, "turn", max_deviation=0.02)
+    if "or raise max_deviation = 0.02" in str(error.value):
+        smooth_path(points, "turn", max_deviation=10.0)
+    else:
+        with pytest.raises(ConfigError, match="to round the turn$"):
+            smooth_path(points, "turn", max_deviation=10.0)

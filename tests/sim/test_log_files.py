@@ -183,11 +183,20 @@ def test_columns_of_a_csv_log_are_equal_bit_for_bit(sparse_run: Run, tmp_path: P
 
 def test_log_replaces_a_file_and_preserves_its_permissions(sparse_run: Run, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    path.write_text("old")
+    log_csv.write_log(sparse_run, path)
     path.chmod(0o640)
     log_csv.write_log(sparse_run, path)
     assert read_columns(path)["t_s"].size == sparse_run.time.size
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("write", [log_csv.write_log, log_mcap.write_log])
+def test_file_of_another_kind_is_not_replaced(sparse_run: Run, tmp_path: Path, write: Callable[..., None]) -> None:
+    path = tmp_path / "run"
+    path.write_text("other")
+    with pytest.raises(ConfigError, match=r"run: the file exists and is of another kind; give another name"):
+        write(sparse_run, path)
+    assert path.read_text() == "other"
 
 
 @pytest.mark.parametrize("create", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/dev/null")])

@@ -86,8 +86,10 @@ def test_episode_terminates_beyond_the_maximum_error():
 def test_invalid_arguments_and_commands_raise_errors():
     pytest.importorskip("gymnasium")
     for preview in (-1, 1.5):
-        with pytest.raises(ValueError, match=f"preview = {preview}"):
+        with pytest.raises(ValueError, match=f"^make_env: preview = {preview}: give 0 to 200 ticks$"):
             make_env(preview=preview)
+    with pytest.raises(ValueError, match="^make_env: max_error = 0.0: give more than 0 m$"):
+        make_env(max_error=0.0)
     env = make_env(plant="model:ssm")
     with pytest.raises(RuntimeError, match="call reset"):
         env.step([0.0, 0.0])

@@ -47,11 +47,10 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         preview: int,
         max_error: float,
     ) -> None:
-        limit = checked_number("max_error", max_error, "give m")
-        if not (preview in range(201) and isinstance(preview, (int, np.integer)) and 0.0 < limit < math.inf):
-            raise ValueError(
-                f"make_env: preview = {preview!r}, max_error = {max_error}: give 0 to 200 ticks, and more than 0 m"
-            )
+        if not (isinstance(preview, (int, np.integer)) and preview in range(201)):
+            raise ValueError(f"make_env: preview = {preview!r}: give 0 to 200 ticks")
+        if not 0.0 < checked_number("max_error", max_error, "give m") < math.inf:
+            raise ValueError(f"make_env: max_error = {max_error}: give more than 0 m")
         self.reference = trajectory if isinstance(trajectory, Trajectory) else load_trajectory(trajectory, config)
         self._plant_options = {**plant_options, **plant_settings(config)}
         self._preview, self._max_error = np.arange(preview + 1) * config.sample_time, max_error
