@@ -19,7 +19,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
 SpeedUnit = Literal["m/s", "cm/s", "mm/s", "km/h"]
-RateUnit = Literal["rad/s", "deg/s", "rpm", "rev/s"]
+RateUnit = Literal["rad/s", "deg/s", "mrad/s", "rpm", "rev/s"]
 VoltageUnit = Literal["V", "mV"]
 CurrentUnit = Literal["A", "mA"]
 WheelUnit = Literal["rad/s", "deg/s", "rpm", "rev/s", "ticks/s", "ticks", "m/s"]
@@ -40,6 +40,7 @@ FACTORS: dict[str, float] = {
     "km/h": 1.0 / 3.6,
     "rad/s": 1.0,
     "deg/s": math.pi / 180.0,
+    "mrad/s": 1e-3,
     "rpm": 2.0 * math.pi / 60.0,
     "rev/s": 2.0 * math.pi,
     "V": 1.0,

@@ -92,8 +92,7 @@ def read_log(
         records, notes = with_headings(raw.name, records)
         findings += notes
     streams = streams_of(records, settings)
-    if loaded and loaded.columns and loaded.columns.pose:
-        streams.heading_offset = loaded.columns.pose.heading_offset
+    streams.columns = loaded.columns if loaded else None
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
         # Resampling hides short zeros and dead zones, so these two checks use the raw log.

@@ -4,6 +4,7 @@ The base logs are simulated drives and slices of the logs of a Husky and two War
 """
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -375,6 +376,12 @@ def twist_columns(columns, base):
 
 def put(old, new):
     return lambda text: text.replace(old, new)
+
+
+def declared(unit, *columns):
+    """Return a function that declares a unit of columns in a mapping."""
+    names = "|".join(columns)
+    return lambda text: re.sub(rf": ({names})([,}}])", rf": {{column: \1, unit: {unit}}}\2", text)
 
 
 def write_columns(path, columns):

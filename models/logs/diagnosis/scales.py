@@ -17,15 +17,15 @@ from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS: dict[tuple[str, int], tuple[str, ...]] = {
-    (COMMAND, 0): ("mm/s", "cm/s", "km/h"),
-    (COMMAND, 1): ("deg/s", "rpm", "rev/s"),
-    (ENCODERS, 0): ("rpm", "deg/s", "rev/s", "mm/s", "cm/s", "km/h"),
-    (ENCODERS, 1): ("deg/s", "rpm", "rev/s"),
-    (GYRO, 1): ("deg/s", "rpm", "rev/s"),
-    (POSE, 0): ("mm", "cm"),
-    (POSE, 1): ("deg",),
+    (COMMAND, 0): ("m/s", "mm/s", "cm/s", "km/h"),
+    (COMMAND, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
+    (ENCODERS, 0): ("m/s", "mm/s", "cm/s", "km/h"),
+    (ENCODERS, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
+    (GYRO, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
+    (POSE, 0): ("m", "mm", "cm"),
+    (POSE, 1): ("rad", "deg"),
 }
-"""Possible units of the columns of a stream, by stream and channel."""
+"""Possible units of the columns of a stream, the SI unit first, by stream and channel."""
 _SAME_FACTOR = 0.1
 """Maximum log ratio of indistinguishable units: for a wheel radius of 0.16 m, m/s and rev/s have equal factors."""
 _SIGNALS = {
@@ -313,28 +313,25 @@ def _unit_finding(
     streams: Streams,
     settings: CheckSettings,
 ) -> Finding:
-    factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
+    columns = _columns(name, channel, streams)
+    si_unit, *other_units = _UNITS[name, channel]
+    factors = {unit: 1 / FACTORS[unit] for unit in other_units}
     radius = _wheel_radius(streams)
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
-        factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
-    deviation = {unit: abs(math.log(ratio / (skid * factor))) for unit, factor in factors.items()}
-    # Data in SI units that are declared in another unit have the inverse ratio.
-    deviation |= {
-        f"{_si_unit(unit)} (and not {unit})": abs(math.log(ratio * factor / skid))
-        for unit, factor in factors.items()
-        if unit != "rev/s"
-    }
+        si_unit, factors = "rad/s", {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
+    factors[si_unit] = 1.0
+    stated = streams.stated_unit(name, columns[0]) or si_unit
+    ratios = {unit: skid * factor / factors.get(stated, 1.0) for unit, factor in factors.items() if unit != stated}
+    deviation = {unit: abs(math.log(ratio / expected)) for unit, expected in ratios.items()}
     unit = min(deviation, key=deviation.__getitem__)
     candidates = [name for name in deviation if deviation[name] < deviation[unit] + _SAME_FACTOR]
     changes: tuple[MappingChange, ...] = ()
     tolerance = settings.unit_tolerance * (1 + channel if skid == 1.0 else 3)
     if deviation[unit] < tolerance:
-        remedy = f"its column is in {unit}"
+        remedy = f"its column is in {unit}, not in {stated}"
         if len(candidates) == 1:
-            changes = tuple(
-                MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
-            )
+            changes = tuple(MappingChange(name, f"{column}.unit", unit) for column in columns)
         else:
             units = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
             remedy = f"its column has {units}; the log does not distinguish them"
@@ -368,12 +365,6 @@ def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingCha
     if columns == ("x", "y") and abs(streams.heading_offset) > math.pi / 2:
         return (_turned_by(math.pi, streams),)
     return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
-
-
-def _si_unit(unit: str) -> str:
-    return {"mm": "m", "cm": "m", "deg": "rad", "mm/s": "m/s", "cm/s": "m/s", "km/h": "m/s", "m/s": "rad/s"}.get(
-        unit, "rad/s"
-    )
 
 
 def _wheel_radius(streams: Streams) -> float | None:

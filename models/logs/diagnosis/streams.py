@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.mapping import Columns
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
@@ -47,8 +48,8 @@ class Streams:
         Half of the window for the differentiation of poses [samples].
     commands_wheels
         True if the log commands wheel speeds, so that v and omega share their columns.
-    heading_offset
-        Heading offset of the pose in the mapping [rad].
+    columns
+        Columns in the mapping; None if the log has no mapping of columns.
     """
 
     dt: float
@@ -61,7 +62,16 @@ class Streams:
     slices: tuple[slice, ...]
     half_window: int
     commands_wheels: bool = False
-    heading_offset: float = 0.0
+    columns: Columns | None = None
+
+    @property
+    def heading_offset(self) -> float:
+        """Heading offset of the pose in the mapping [rad]."""
+        return self.columns.pose.heading_offset if self.columns and self.columns.pose else 0.0
+
+    def stated_unit(self, name: str, column: str) -> str:
+        """Return the unit of a column of a stream in the mapping; "" if the log has no mapping of columns."""
+        return str(getattr(getattr(getattr(self.columns, name, None), column, None), "unit", ""))
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """Return v (channel 0) or omega (1) of a stream (N,), averaged over the window for poses; None if missing."""
