@@ -261,6 +261,10 @@ def most_informative(records: Sequence[Record], max_rows: int) -> list[Record]:
     return [records[i].part(start, min(start + span, len(records[i].command))) for i, start in sorted(selected)]
 
 
+_SENSORS = {"twist": "encoders or poses", "yaw_rate": "a gyro"}
+"""Sensors that measure a signal of a record, in messages."""
+
+
 def select_usable(records: Sequence[Record], names: Sequence[str], use: str, doubts: list[Doubt]) -> tuple[Record, ...]:
     """Select the records with enough readings of the signals `names`; append a doubt to `doubts` for each other record.
 
@@ -277,10 +281,13 @@ def select_usable(records: Sequence[Record], names: Sequence[str], use: str, dou
         if missing is None:
             selected.append(record)
             continue
-        reason = f"{record.name}: {_count_readings(record, missing)} readings of {missing}, fewer than {min_readings}"
+        count, sensor = _count_readings(record, missing), _SENSORS.get(missing, missing)
+        reason = f"{record.name}: {count} readings of {sensor}, fewer than {min_readings}"
         doubts.append(Doubt("stretch left out", f"{reason}; the stretch is not used {use}"))
     if not selected:
-        raise ConfigError(f"no data {use}: {reason or 'no rows remain'}; log this signal, or record a longer log")
+        raise ConfigError(
+            f"no data {use}: {reason or 'no rows remain'}; add the sensor to the mapping, or record longer"
+        )
     return tuple(selected)
 
 

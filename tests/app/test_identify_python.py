@@ -124,5 +124,5 @@ def test_stretch_without_the_gyro_is_skipped_with_a_warning(tmp_path):
     assert data.yaw == "gyro"
     assert max(record.end for record in (*data.train, *data.validation)) < 10.0
     assert tuple(doubt.message for doubt in data.warnings) == (
-        "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 5; the stretch is not used for validation",
+        "drive.csv, 14.0 to 20.0 s: 0 readings of a gyro, fewer than 5; the stretch is not used for validation",
     )

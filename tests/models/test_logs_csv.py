@@ -298,11 +298,7 @@ def test_truncated_last_row_is_omitted(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        (
-            "yaw_rate: gyro",
-            "yaw_rate: {column: gyro, unit: deg}",
-            "unit: Input should be 'rad/s', 'deg/s', 'mrad/s', 'rpm' or",
-        ),
+        ("yaw_rate: gyro", "yaw_rate: {column: gyro, unit: deg}", "should be 'rad/s', 'deg/s', 'mrad/s', 'rpm' or"),
         ("yaw_rate: gyro", "yaw_rate: {column: gyro, sing: -1}", "did you mean 'columns.gyro.yaw_rate.sign'?"),
         ("v: v_ref, omega: omega_ref", "v: v_ref", "columns.command: 'v' also needs 'omega'"),
         ("columns:", "time: t\ncolumns:", "unknown key 'time'; did you mean 'columns.time' or 'times'?"),

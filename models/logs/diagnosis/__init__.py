@@ -130,4 +130,5 @@ def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -
         # With such an interval, the delay is arbitrary as well.
         times = times if interval < 0.5 * abs(response.size) else "not determined"
         lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
-    return "command -> " + "; ".join(lines) if lines else "no sensor"
+    needed = "encoders or poses" if channel == 0 else "encoders, gyro or poses"
+    return "command -> " + "; ".join(lines) if lines else f"no sensor; identify needs {needed}"
