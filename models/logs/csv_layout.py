@@ -75,7 +75,7 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
             )
         names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        remedy = "" if isinstance(error, OSError) else "; save it as UTF-8 text"
+        remedy = "" if isinstance(error, OSError) else "; unpack it if it is compressed, or save it as UTF-8 text"
         problem = getattr(error, "strerror", None) or error
         raise ConfigError(f"{path}: cannot be read as CSV ({problem}){remedy}") from error
     while names and not names[-1]:

@@ -127,8 +127,10 @@ class CsvTable:
         if is_invalid.any():
             index = int(np.argmax(is_invalid))
             cell = next(word for word, number in self.words.items() if number == values[index])
-            remedy = "leave the cell empty if a reading is missing"
-            if _DECIMAL_COMMA.fullmatch(cell):
+            remedy = "write a number such as 1000.5, or leave the cell empty if a reading is missing"
+            if ":" in cell:
+                remedy = "give seconds, or dates with times such as 2026-01-31T12:30:00"
+            elif _DECIMAL_COMMA.fullmatch(cell):
                 remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
             elif len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
                 remedy = "no cell of this line is one: delete the line, such as a second header or a row of units"
@@ -142,6 +144,11 @@ class CsvTable:
         """Return the cells (n,) of a column with words as numbers; raise ConfigError if the column is missing."""
         require_columns(self.path, self.header, [name])
         return self.values[name]
+
+    def require_numbers(self) -> None:
+        """Raise ConfigError if each column contains a word, for instance in a row of units."""
+        if all((cells <= _FIRST_WORD).any() for cells in self.values.values()):
+            self.numbers(self.header[0])
 
     def cell(self, text: str | float) -> float:
         """Return the value by which `cells` represents a number or word; NaN if no cell contains the word."""
@@ -312,7 +319,9 @@ def _parse_cells(
     for offset, row in numbered_rows:
         if len(row) < len(header) or any(row[len(header) :]):
             hint = "; complete the row, or quote cells that contain the separator"
-            if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
+            if "".join(header).startswith("#"):
+                hint = "; the first line is not the header: delete the lines before the header"
+            elif separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
                 hint = "; if decimals have a comma, put semicolons between the cells"
             raise ConfigError(
                 f"{path}, line {line + offset}: {len(row)} cells, expected {len(header)} as in the header{hint}"

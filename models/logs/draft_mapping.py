@@ -122,6 +122,7 @@ def _format_flow(value: object) -> str:
 
 def _draft_from_table(log: Path) -> list[str]:
     table = read_table(log, read_header(log))
+    table.require_numbers()
     columns = [column for name in table.header if (column := _column(table, name)) is not None]
     times = {
         column.source: column for column in reversed(columns) if column.quantity == "time" and _is_increasing(column)
@@ -254,8 +255,9 @@ def _are_counts(values: FloatArray) -> bool:
 
 
 def _is_increasing(column: _Column) -> bool:
-    """Return True if the values never decrease and increase frequently, like times."""
+    """Return True if the values never decrease and increase frequently, like times, or if they do so in reverse."""
     steps = np.diff(column.values[np.isfinite(column.values)])
+    steps = steps * np.sign(steps.sum())
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
 
 
