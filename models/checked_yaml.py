@@ -182,8 +182,9 @@ _MAX_SHOWN_LENGTH = 100
 """Maximum number of characters of a value or a key in a message."""
 _MESSAGES = {
     "invalid_key": "a key is text; write a decimal with a point, as in 1.5",
-    "model_type": "expected keys and values",
+    "model_type": "expected keys and values, such as KEY: VALUE",
     "list_type": "expected a list; write [A, B], or one item per line after a dash",
+    "tuple_type": "expected a list of numbers; write [A, B]",
 }
 """Messages by kind of mistake, where those of Pydantic name no remedy."""
 _MAX_BITS = 1024

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, describe_kind, read_yaml
 from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -150,6 +150,8 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
             max_deviation=route.max_deviation,
         )
         return _with_remark(trajectory, "the polyline of its waypoints")
+    if isinstance(data, Mapping) and "segments" not in data and describe_kind(data) is None:
+        raise ConfigError(f"{where}: has neither 'segments' nor 'waypoints'; write waypoints: [[X, Y], [X, Y]]")
     sequence = check(SegmentFile, data, where)
     segments, start, selected_timing = sequence.segments, sequence.start, timing or sequence.timing
     name, caps = sequence.name or path.stem, _load_caps(sequence.speed_passport, selected_timing, path)
