@@ -89,7 +89,7 @@ class OneLineErrors(FullHelp):
             if type(error).__name__ == "NoArgsIsHelpError":
                 echo(error.format_message())
             else:
-                parser_error = error.format_message().rstrip(".")
+                parser_error = error.format_message().rstrip(".").replace(" (Possible options: --help)", "")
                 _print_error(f"{parser_error}; {_remedy(parser_error, error)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
