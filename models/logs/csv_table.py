@@ -147,7 +147,7 @@ class CsvTable:
 
     def require_numbers(self) -> None:
         """Raise ConfigError if each column contains a word, for instance in a row of units."""
-        if all((cells <= _FIRST_WORD).any() for cells in self.values.values()):
+        if self.values and all((cells <= _FIRST_WORD).any() for cells in self.values.values()):
             self.numbers(self.header[0])
 
     def cell(self, text: str | float) -> float:
