@@ -106,7 +106,7 @@ def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes tha
         key = unknown[1].replace("-", "_")
         return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
     if re.match(r"No such option: -\w$", parser_error):
-        return "a name of several letters follows two dashes, as in --model; "
+        return "a name of several letters follows two dashes, as in --help; "
     if "extra argument" not in parser_error or not options & {"--model", "--models"}:
         return ""
     from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it

@@ -51,7 +51,7 @@ def parse_single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...
     """
     parsed = parse_settings(texts)
     if any(len(values) > 1 for _, values in parsed):
-        raise ConfigError("--set: give one value per key; to compare several values use 'bench'")
+        raise ConfigError("--set: one value per key, decimals with a point; to compare several values use 'bench'")
     return tuple((key, values[0]) for key, values in parsed)
 
 
