@@ -314,16 +314,14 @@ def _unit_finding(
     settings: CheckSettings,
 ) -> Finding:
     columns = _columns(name, channel, streams)
-    si_unit, *other_units = _UNITS[name, channel]
-    factors = {unit: 1 / FACTORS[unit] for unit in other_units}
+    factors = {unit: FACTORS[unit] for unit in _UNITS[name, channel]}
     radius = _wheel_radius(streams)
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
-        si_unit, factors = "rad/s", {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
-    factors[si_unit] = 1.0
-    stated = streams.stated_unit(name, columns[0]) or si_unit
-    ratios = {unit: skid * factor / factors.get(stated, 1.0) for unit, factor in factors.items() if unit != stated}
-    deviation = {unit: abs(math.log(ratio / expected)) for unit, expected in ratios.items()}
+        factors = {unit: FACTORS[unit] for unit in ("rad/s", "rpm", "deg/s", "rev/s")} | {"m/s": 1 / radius}
+    stated = streams.stated_unit(name, columns[0]) or next(iter(factors))
+    expected = skid * factors.get(stated, 1.0)
+    deviation = {unit: abs(math.log(ratio * factor / expected)) for unit, factor in factors.items() if unit != stated}
     unit = min(deviation, key=deviation.__getitem__)
     candidates = [name for name in deviation if deviation[name] < deviation[unit] + _SAME_FACTOR]
     changes: tuple[MappingChange, ...] = ()
