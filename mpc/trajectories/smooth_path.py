@@ -91,15 +91,15 @@ def smooth_path(
     if mean_curvature[index] * settings.min_turn_radius > 1:
         leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
         alternative = ""
-        if max_deviation is not None:
-            # Without rounding, the path is that of an unlimited deviation.
-            with suppress(ConfigError):
-                smooth_path(waypoints, where)
-                alternative = f", or raise max_deviation = {max_deviation:g}"
         legs = np.diff(waypoints, axis=0)
         turns = (legs[:-1] * legs[1:]).sum(axis=1) / (chords[:-1] * chords[1:])
         if (turns[max(leg - 1, 0) : leg + 1] < _REVERSAL).any():
             alternative = ", or split the path there, because it turns back"
+        elif max_deviation is not None:
+            # Without rounding, the path is that of an unlimited deviation.
+            with suppress(ConfigError):
+                smooth_path(waypoints, where)
+                alternative = f", or raise max_deviation = {max_deviation:g}"
         raise ConfigError(
             f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."
             f"{leg} and waypoints.{leg + 1}; add or move waypoints to round the turn{alternative}"
