@@ -142,7 +142,7 @@ class Controller:
         )
         self._pending: _PendingUpdate | None = None
         self._reference: Reference | None = None
-        self._t0 = 0.0
+        self._t0, self._first_step = 0.0, math.nan
         self._blocked_for = 0.0
         defaults = [value for term in self._terms for value in term.defaults]
         self._tick.parameters[:] = np.array(defaults, dtype=float)
@@ -446,8 +446,14 @@ class Controller:
         native, tracked = self._prepare_reference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # The native reference must stay alive, since the core reads its memory.
-        self._tick.reference, self._reference, self._t0, self._host.t0 = native, reference, t0, t0
+        self._tick.reference, self._reference = native, reference
+        self._set_start_time(t0)
         self._pursuit.start(tracked, native=native.complete)
+
+    def _set_start_time(self, t0: float) -> None:
+        self._t0 = self._host.t0 = t0
+        # Time of the first step since then, for the message about a clock that differs from that of `t0`.
+        self._first_step = math.nan
 
     def _prepare_reference(self, reference: Reference) -> tuple[NativeReference, Reference]:
         """Apply the features to a reference; return the reference in the form of the core and as a Python object."""
@@ -490,7 +496,8 @@ class Controller:
             self.start(reference, self._t0 if t0 is None else t0)
             return
         native, tracked = self._prepare_reference(reference)
-        self._t0 = self._host.t0 = self._t0 if t0 is None else t0
+        if t0 is not None:
+            self._set_start_time(t0)
         self._tick.lib.ddmpc_switch_reference(self._c, native.struct, self._t0)
         # The native reference must stay alive, since the core reads its memory.
         self._tick.reference, self._reference = native, reference
@@ -684,6 +691,8 @@ class Controller:
             for name, value in (("t", t), ("deadline", deadline or 0.0)):
                 checked_number(name, value, remedy)
             raise wrong_type("most_iterations", "an integer", most_iterations, remedy) from error
+        if math.isnan(self._first_step):
+            self._first_step = since_start
         on_time = pursuit.on_time and since_start >= 0.0
         # The reference's clock advances once per tick, but not at a repeated call or at an invalid time.
         has_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
@@ -728,7 +737,20 @@ class Controller:
             backend_start = time.perf_counter()
             is_refused = self._solve_with_backend(deadline)
             solve_time += time.perf_counter() - backend_start
+        message = message or self._describe_start(since_start)
         return self._build(hold, message, (start, solve_time), is_refused=is_refused)
+
+    def _describe_start(self, since_start: float) -> str:
+        """Return a message if the reference begins after this step or ended before the first step, else ""."""
+        # At an invalid time the clock itself is reported.
+        if since_start < 0.0 and not self._c_result.reasons & self._messages.not_a_new_tick:
+            return (
+                f"the reference begins in {-since_start:.4g} s, at the t0 of start: start and step need the same clock"
+            )
+        overdue = self._first_step - (self._reference.duration if self._reference else math.inf)
+        if overdue > 0.0 and self._c_result.mode == self._tick.lib.DDMPC_FINISHED:
+            return f"the reference ended {overdue:.4g} s before the first step: give start a t0 on the clock of step"
+        return ""
 
     def _record_on_time(self, since_start: float, *, tracked: bool) -> None:
         self._blocked_for = 0.0
@@ -737,6 +759,8 @@ class Controller:
     def compiled_tick(self) -> CompiledTick:
         """Return the C tick for a simulation, see `models.interface.CompiledTick`; call `start` first."""
         layout, lib, pursuit, steps = self._tick.layout, self._tick.lib, self._pursuit, {}
+        # A simulation starts at its first step.
+        self._first_step = 0.0
         command, estimate = layout.take(layout.live, "command"), Estimate(layout, layout.live, 0.0)
         for method in (lib.DDMPC_UNLIMITED, lib.DDMPC_ACTIVE_SET):
             report = SolverReport(SolverStatus.SOLVED, self._messages.method(method), 0, 0.0, 0.0)

@@ -76,7 +76,7 @@ class MessageFormatter:
         """Return the message of the last tick; `target` is its part about the tracked target."""
         c, lib = self._result, self._lib
         reasons = c.reasons
-        parts = [describe(c) for bit, describe in self._time_messages(lib) if reasons & bit]
+        parts = [describe(c) for bit, describe in self._time_messages() if reasons & bit]
         if reasons & lib.DDMPC_SENT_REJECTED:
             parts.append("sent command rejected: it is not two finite numbers, or exceeds the command limits")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
@@ -98,12 +98,22 @@ class MessageFormatter:
             self.cause = ""
         return "; ".join(parts)
 
-    @staticmethod
-    def _time_messages(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
+    def _time_messages(self) -> list[tuple[int, Callable[[Any], str]]]:
+        lib, dt = self._lib, self._config.sample_time
+
+        def describe_leap(c: Any) -> str:  # noqa: ANN401 - cffi has no types
+            is_in_ms = abs(c.gap / dt - 1000.0) < 100.0
+            return f"no tick for {c.gap:.2f} s" + (
+                ", 1000 sample times: give step its t in seconds" if is_in_ms else ""
+            )
+
         return [
             (lib.DDMPC_TIME_FAULTY, _describe_invalid_time),
-            (lib.DDMPC_TIME_REPEATED, _describe_repeated_tick),
-            (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
+            (
+                lib.DDMPC_TIME_REPEATED,
+                lambda c: f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated",
+            ),
+            (lib.DDMPC_TIME_LEAPT, describe_leap),
             (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate restarts"),
         ]
 
@@ -223,10 +233,6 @@ def _describe_mounting_error(name: str, c: Any, *, is_impossible: bool) -> str: 
         heading = f"set sensors.pose.heading: {-c.direction:.2f} if the angle is the same everywhere"
         return f"; their course differs from their heading by {angle:.0f} deg: {heading}, or mirror their frame"
     return ""
-
-
-def _describe_repeated_tick(c: Any) -> str:  # noqa: ANN401
-    return f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"
 
 
 def _describe_invalid_time(c: Any) -> str:  # noqa: ANN401

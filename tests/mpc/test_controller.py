@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from ideal_robot import PROMPT, IdealRobot, drive
 
-from diffdrive_mpc import ConfigError, Trajectory, load_model
+from diffdrive_mpc import ConfigError, Measurement, Stamped, Trajectory, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
@@ -139,6 +139,22 @@ def test_start_time_of_the_clock_does_not_change_commands():
     assert np.array([r.command for r in shifted_results]) == pytest.approx(
         np.array([r.command for r in at_zero]), abs=1e-7
     )
+
+
+@pytest.mark.parametrize(
+    ("t0", "step_times", "message"),
+    [
+        (1.7e9, [0.0], "the reference begins in 1.7e+09 s, at the t0 of start: start and step need the same clock"),
+        (0.0, [1.7e9], "the reference ended 1.7e+09 s before the first step: give start a t0 on the clock of step"),
+        (0.0, [0.0, 1e3 * DT], "1000 sample times: give step its t in seconds"),
+    ],
+)
+def test_robot_that_does_not_drive_because_of_two_clocks_says_so(t0, step_times, message):
+    driver, reference = controller(), load_trajectory("circle")
+    driver.start(reference, t0)
+    results = [driver.step(t, Measurement(Stamped(reference.sample([0.0]).pose[0], t))) for t in step_times]
+    assert message in results[-1].message
+    assert (results[-1].command == 0.0).all()
 
 
 def test_repeated_runs_and_runs_after_reset_are_bit_identical():
