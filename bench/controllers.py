@@ -22,6 +22,7 @@ from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.models.plug_ins import known_packages, missing_part
 from diffdrive_mpc.models.suggestions import format_unknown_name
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc.config.config_file import model_of
 from diffdrive_mpc.mpc.features.registry import prepare_config
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
@@ -282,7 +283,7 @@ def select_model(model: str | None, config: Path | None) -> str:
     Raise ConfigError if the name is empty or the file cannot be used.
     """
     if model is None:
-        return Case().model if config is None else load_config(config).model
+        return Case().model if config is None else model_of(load_config(config))
     if not model.strip():
         raise ConfigError("--model: empty name; give mbm, sm, ssm, two_delays, kinematic or the path of a model file")
     return model

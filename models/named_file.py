@@ -53,8 +53,8 @@ def named_file(
     check_trusted(name)
     if is_file(name):
         return Path(name)
-    hint = similar_name(text, known)
-    missing = "there is no such file; " if Path(text).suffix or os.sep in text else ""
+    hint = similar_name(Path(text).stem, known)
+    missing = "there is no such file; " if looks_like_path(text) else ""
     if Path(text).is_dir():
         files = ", ".join(sorted(path.name for path in Path(text).glob("*.yaml")))
         missing = f"a folder {f'with {files}' if files else 'without YAML files'}; " if text.strip() else "empty; "
@@ -118,6 +118,11 @@ def _entries(path: Path) -> Mapping[str, Any]:
 def is_file(path: str | Path) -> bool:
     """Return True if `path` is a file; return False for a name that is too long, where `Path.is_file` would raise."""
     return os.path.isfile(path)  # noqa: PTH113
+
+
+def looks_like_path(name: str) -> bool:
+    """Return True if `name` has a suffix or a folder, so that it is no short name."""
+    return bool(Path(name).suffix) or os.sep in name
 
 
 def shipped_names(folder: Path) -> tuple[str, ...]:

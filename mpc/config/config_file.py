@@ -12,8 +12,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import UnusualValueWarning, checked_call, wrong_type
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.load import is_shipped
-from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
+from diffdrive_mpc.models.named_file import is_file, looks_like_path, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.two_sided import SIDES
 from diffdrive_mpc.mpc.config.former_keys import convert_former_keys
@@ -73,13 +72,23 @@ def load_config(
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     where = path.stem if path.stem == str(source) else str(path)
     config = _check_config(_apply_overrides(merge_sections(data, where), overrides), where)
-    local = path.parent / config.model
-    if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(local):
-        config = config.model_copy(update={"model": str(local)})
+    # The working directory may have another robot's model of the same name, so it is not searched.
+    if "model" not in overrides and looks_like_path(config.model):
+        config = config.model_copy(update={"model": str(path.parent / config.model)})
     features = {name: group.relative_to(path.parent) for name, group in config.features.items()}
     config = config.model_copy(update={"features": features})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
+
+
+def model_of(config: ControllerConfig) -> str:
+    """Return the name or path of the model; raise ConfigError if there is no file at the path."""
+    if looks_like_path(config.model) and not is_file(config.model):
+        raise ConfigError(
+            f"key 'model' of the configuration: there is no file '{config.model}'; copy the model there, or give it as "
+            "--model FILE, in Python as model=result.model"
+        )
+    return config.model
 
 
 def config_path(name: str | Path) -> Path:

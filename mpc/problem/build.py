@@ -15,6 +15,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.config_file import model_of
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
@@ -37,7 +38,7 @@ def chosen_model(
     extra = config.extra_dead_time
     model: VelocityModel | NonlinearModel
     if given_model is None:
-        model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+        model = load_model(model_of(config)).with_extra_dead_time([extra.v, extra.omega])
     elif isinstance(given_model, (str, Path)):
         model = load_model(given_model)
     elif isinstance(given_model, (VelocityModel, NonlinearModel)):

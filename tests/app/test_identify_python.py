@@ -53,8 +53,8 @@ def test_written_files_equal_the_identification(identification, tmp_path):
 
 def test_configuration_without_its_model_is_refused(identification, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"model 'model\.yaml'"):
-        Controller(load_config(identification.config))
+    with pytest.raises(ConfigError, match=r"no file 'model\.yaml'.*model=result\.model"):
+        Controller(identification.config)
 
 
 def test_data_frames_give_the_model_of_their_files(folder, identification):
