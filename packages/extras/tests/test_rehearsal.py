@@ -401,6 +401,13 @@ def test_laps_have_different_noise_and_are_reproducible(plain):
     assert not np.array_equal(first[1].command, plain[1].command)
 
 
+@pytest.mark.parametrize("response", [{"sensors.pose.delay": 0.1}, {"sensors.pose.heading": 0.3}])
+def test_stated_delay_and_heading_of_the_pose_sensor_are_not_learned_as_an_error(response):
+    case = replace(PLAIN, plant="model:ssm", trajectory="s", overrides=tuple(response.items()))
+    runs = drive_laps(case.with_override("expert.rehearsal.enabled", value=True), 3).runs
+    assert runs[2].metrics.position_rmse_m < 0.75 * runs[0].metrics.position_rmse_m
+
+
 def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     log = tmp_path / "run.mcap"
     arguments = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]

@@ -46,7 +46,7 @@ class _Lap:
     motion: list[FloatArray] = field(default_factory=list)
     """(8,) time [s], estimated pose x, y [m], theta [rad], estimated twist [m/s, rad/s], both slip gains."""
     poses: list[FloatArray] = field(default_factory=list)
-    """(4,) time stamp [s], measured pose x, y [m], theta [rad]."""
+    """(4,) time [s], measured pose x, y [m], theta [rad], without the stated delay and heading of the sensor."""
     fault: str = ""
     """Reason why the lap is not used for learning; empty if it is used."""
 
@@ -74,7 +74,7 @@ class LapLearner:
 
     def __init__(self, config: ControllerConfig) -> None:
         self._settings, self._dt = rehearsal_of(config), config.sample_time
-        self._max_jump = config.estimator.max_position_jump
+        self._max_jump, self._response = config.estimator.max_position_jump, config.sensors.pose
         self.forget()
 
     def forget(self) -> None:
@@ -129,7 +129,9 @@ class LapLearner:
                 pose = measurement.pose
                 stamp, value = (None, None) if pose is None else (numbers(pose.time, 1), numbers(pose.value, 3))
                 if stamp is not None and value is not None and self._is_near(estimate.pose, value):
-                    lap.poses.append(np.array([*(stamp - self._t0), *value]))
+                    # Time and heading as the estimator corrects them, so that the error is that of the robot.
+                    time, (x, y, theta) = stamp[0] - self._t0 - self._response.delay, value
+                    lap.poses.append(np.array([time, x, y, theta - self._response.heading]))
         return replace(result, message="; ".join(filter(None, (result.message, note)))) if note else result
 
     def _is_near(self, estimated: FloatArray, measured: FloatArray) -> bool:
