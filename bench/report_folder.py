@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -32,16 +33,14 @@ _MAX_CONTENTS_BYTES = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]
-"""Entry of each file by its path in the folder: command that wrote the file, size [bytes], time of last change [ns]."""
+"""Entry of each file by its path in the folder: command that wrote the file, and hash of its content."""
 
 
 def _contents(folder: Path) -> Entries:
     """Return the entries of the existing files of a folder; empty if the record cannot be read."""
     try:
         record: Any = parse_json(read_input(folder / CONTENTS, _MAX_CONTENTS_BYTES))
-        entries = {
-            str(name): _entry(str(entry["by"]), entry["bytes"], entry["changed_ns"]) for name, entry in record.items()
-        }
+        entries = {str(name): _entry(str(entry["by"]), str(entry["sha256"])) for name, entry in record.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
     place = folder.resolve()
@@ -50,13 +49,19 @@ def _contents(folder: Path) -> Entries:
     }
 
 
-def _entry(owner: str, size: int, changed: int) -> dict[str, Any]:
-    return {"by": owner, "bytes": int(size), "changed_ns": int(changed)}
+def page_in(folder: Path, owner: str) -> Path:
+    """Return the page that the command `owner` wrote to `folder`, see `staged`."""
+    renamed = f"{owner}.html"
+    return folder / (renamed if renamed in _contents(folder) else REPORT)
+
+
+def _entry(owner: str, sha256: str) -> dict[str, Any]:
+    return {"by": owner, "sha256": sha256}
 
 
 def _entry_of(path: Path, owner: str) -> dict[str, Any]:
-    status = path.stat()
-    return _entry(owner, status.st_size, status.st_mtime_ns)
+    # The time of the last change would not do: a copied folder has new times.
+    return _entry(owner, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def _other_owner(entries: Entries, name: str, owner: str) -> str:
@@ -134,9 +139,9 @@ def staged(
     ------
     models.checked_yaml.ConfigError
         On entry, if `target` is a file or cannot be written to, if another process writes to `target`, or if one of
-        `files` is a folder in `target`, belongs to another command, or is an input of this command, or if one of
-        `folders` is a file in `target`. On exit, if a file of the results has the name of a folder in `target`, or a
-        folder that of a file; nothing is replaced in this case.
+        `files` is a folder in `target`, belongs to another command, was added or changed by hand, or is an input of
+        this command, or if one of `folders` is a file in `target`. On exit, if a file of the results has the name of a
+        folder in `target`, or a folder that of a file; nothing is replaced in this case.
     """
     with ExitStack() as stack:
         try:
@@ -175,13 +180,17 @@ def staged(
 
 
 def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -> None:
-    """Raise ConfigError if `files` would replace a file of another command, except the page, which can be renamed."""
+    """Raise ConfigError if `files` would replace a file of the user or of another command, whose page may remain."""
     recorded = _contents(place)
     for name in files if owner else ():
         former = _other_owner(recorded, name, owner)
         if former and name != REPORT:
             raise ConfigError(f"--out {target}: '{name}' is a result of `{former}`; choose another folder")
         check_not_read(place / name, f"--out {target / name}")
+        if not former and (place / name).exists() and recorded.get(name) != _entry_of(place / name, owner):
+            raise ConfigError(
+                f"--out {target}: '{name}' was added or changed by hand; move it or choose another folder"
+            )
 
 
 def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:

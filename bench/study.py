@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.html_report.page import NO_CONTENTS, Chart, EmbeddedPic
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.report_folder import REPORT, staged
+from diffdrive_mpc.bench.report_folder import REPORT, page_in, staged
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -157,11 +157,11 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         report = study.report(results, run["wall_time_s"])
         bar.start_stage("drawing figures", len(report.drawings))
         write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
-    print_report(report, run["wall_time_s"], out)
+    print_report(report, run["wall_time_s"], page_in(out, study.name))
     return results
 
 
-def print_report(report: Report, seconds: float, out: Path) -> None:
+def print_report(report: Report, seconds: float, page: Path) -> None:
     """Print the warnings, the tables and the path of a report; `seconds` is the duration of the runs."""
     console = output_console()
     for warning in report.shown.warnings:
@@ -169,7 +169,7 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
         console.print(f"warning: {warning.text}{remedy}", highlight=False)
     for table in report.screen or report.tables:
         console.print(table.rich())
-    console.print(f"{report.size} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
+    console.print(f"{report.size} in {seconds:g} s; report: {page}", highlight=False, soft_wrap=True)
 
 
 def write_report(

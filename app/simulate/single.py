@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import build, case_config, other_robots, reference_remarks, select_model
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.report_folder import REPORT, staged
+from diffdrive_mpc.bench.report_folder import REPORT, page_in, staged
 from diffdrive_mpc.bench.run_row import RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -69,7 +69,7 @@ def simulate_one(
     controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
+        folder = None if out is None else stack.enter_context(staged(out, (REPORT,), owner="simulate"))
         keep_plans = folder is not None or includes_plans(log)
         start = time.perf_counter()
         with ProgressBar("simulating") as bar:
@@ -77,7 +77,7 @@ def simulate_one(
         write_log(run, case)
         if folder is not None:
             draw(RunOutcome(case, run), folder, time.perf_counter() - start)
-    report(RunOutcome(case, run), out, details=details)
+    report(RunOutcome(case, run), out and page_in(out, "simulate"), details=details)
 
 
 def case_from_options(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
@@ -90,10 +90,10 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
     return Case(**{**values, "model": model}, config=file, overrides=parse_single_settings(settings), scaled=scaled)
 
 
-def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:
-    """Print a summary or the tables of a run, and the controller's messages; `out` is the folder of the report."""
+def report(outcome: RunOutcome, page: Path | None, *, details: bool = False) -> None:
+    """Print a summary or the tables of a run, and the controller's messages; `page` is the report."""
     console = output_console()
-    for line in _summary(outcome, out) if not details else ():
+    for line in _summary(outcome, page) if not details else ():
         console.print(line, markup=False, highlight=False)
     for table in tables(outcome) if details else ():
         console.print(table.rich())
@@ -114,7 +114,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         console.print(f"and {len(messages) - _MESSAGES_SHOWN} other messages", highlight=False)
 
 
-def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
+def _summary(outcome: RunOutcome, page: Path | None) -> Iterator[str]:
     """Yield six lines, and one further line for a scenario and for each plug-in column of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     if metrics.completed:
@@ -146,10 +146,10 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
         recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
     yield from filter(None, (part.summary(run) for part in columns_of(run)))
-    if out is None:
+    if page is None:
         yield "next: --details prints the tables, --out FOLDER writes a report with figures"
     else:
-        yield f"report: {out / REPORT}; --details prints the tables"
+        yield f"report: {page}; --details prints the tables"
 
 
 def tables(outcome: RunOutcome) -> list[Table]:

@@ -1,9 +1,11 @@
 """Files of a report: exact fields, no partial results, and no paths of the machine."""
 
+import hashlib
 import json
 import math
 import multiprocessing
 import os
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -187,6 +189,22 @@ def test_results_of_the_same_command_are_replaced_completely(tmp_path: Path) -> 
     assert not (tmp_path / "old").exists()
 
 
+def test_command_that_would_replace_a_file_of_the_user_is_refused(tmp_path: Path) -> None:
+    """A copied folder, whose files have new times, is not changed by hand."""
+    _write(tmp_path / "first", "bench", "bench.md", "report.html")
+    out = shutil.copytree(tmp_path / "first", tmp_path / "copy")
+    with staged(out, files=("bench.md",), owner="bench"):
+        pass
+    for name in ("bench.md", "report.html"):
+        (out / name).write_text("mine", encoding="utf-8")
+        with (
+            pytest.raises(ConfigError, match=f"'{name}' was added or changed by hand; move it or choose another"),
+            staged(out, files=("bench.md", "report.html"), owner="bench"),
+        ):
+            raise AssertionError("the command must be refused")
+        (out / name).unlink()
+
+
 def test_results_of_two_commands_do_not_replace_each_other(tmp_path: Path) -> None:
     """The page of the second command has a different name, also in later runs; files of the first command stay."""
     _write(tmp_path, "bench", "bench.md", "report.html")
@@ -235,8 +253,7 @@ def test_file_outside_the_folder_is_never_stale(tmp_path: Path) -> None:
     out, user_file = tmp_path / "out", tmp_path / "mine"
     user_file.write_text("mine", encoding="utf-8")
     _write(out, "bench", "a")
-    status = user_file.stat()
-    contents = f'{{"../mine": {{"by": "bench", "bytes": {status.st_size}, "changed_ns": {status.st_mtime_ns}}}}}'
+    contents = f'{{"../mine": {{"by": "bench", "sha256": "{hashlib.sha256(user_file.read_bytes()).hexdigest()}"}}}}'
     (out / CONTENTS).write_text(contents, encoding="utf-8")
     _write(out, "bench", "b")
     assert user_file.read_text(encoding="utf-8") == "mine"

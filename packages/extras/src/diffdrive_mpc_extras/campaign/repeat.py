@@ -13,7 +13,7 @@ from pydantic import Field
 from diffdrive_mpc.app.run_log import includes_plans, run_log
 from diffdrive_mpc.app.simulate.single import draw, report
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.report_folder import staged
+from diffdrive_mpc.bench.report_folder import REPORT, page_in, staged
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.trust import only_trusted
@@ -112,7 +112,7 @@ def _repeat_run(file: Path, out: Path | None, log: Path | None, details: bool) -
     definition = stored.definition
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        folder = None if out is None else stack.enter_context(staged(out, owner="repeat"))
+        folder = None if out is None else stack.enter_context(staged(out, (REPORT,), owner="repeat"))
         start = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run, row = drive_run(definition, bar.show, keep_plans=folder is not None or includes_plans(log))
@@ -122,7 +122,7 @@ def _repeat_run(file: Path, out: Path | None, log: Path | None, details: bool) -
             draw(RunOutcome(definition.case, run), folder, time.perf_counter() - start)
     console = output_console()
     if run is not None:
-        report(RunOutcome(definition.case, run), out, details=details)
+        report(RunOutcome(definition.case, run), out and page_in(out, "repeat"), details=details)
     else:
         console.print(f"not completed: {row['error']}", markup=False, highlight=False)
     is_equal, sentence = compare(stored, row)
