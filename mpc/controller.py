@@ -186,7 +186,13 @@ class Controller:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Return configuration, model, terms and reference for a process pool; the state of the drive is omitted."""
+        """Return configuration, model, terms and reference for a process pool; the state of the drive is omitted.
+
+        A warning is issued during a drive.
+        """
+        if self._reference and not math.isnan(self._first_step) and self._pursuit.time < self._reference.duration:
+            lost = "its estimate, plan and commands are not copied"
+            warnings.warn(f"a copy of a controller starts its drive anew: {lost}", stacklevel=2)
         return {
             "config": self._pending.config if self._pending else self._config,
             "arguments": self._arguments,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +31,10 @@ _MAX_EXTRA_TIME = 86400.0
 """Maximum additional time [s], a day, as for a trajectory."""
 _ZERO_COMMANDS = np.zeros((1000, 2))
 """Commands before a drive, for more samples than any dead time."""
+
+
+_RESERVED: set[int] = set()
+_RESERVING = threading.Lock()
 
 
 def simulate(
@@ -76,8 +82,38 @@ def simulate(
     ValueError
         If `extra_time` is negative or more than a day, the sample times of controller and plant differ, or a command
         does not consist of two finite numbers.
+    RuntimeError
+        If another drive, for instance in another thread, uses the controller or the plant.
     """
     _check_arguments(controller, plant, extra_time)
+    with _reserved(controller, "controller"), _reserved(plant, "plant"):
+        return _drive(controller, plant, reference, extra_time, on_tick, keep_plans=keep_plans, lean=lean)
+
+
+@contextmanager
+def _reserved(part: object, name: str) -> Iterator[None]:
+    """Reserve a controller or a plant, which has the state of one drive, for this thread."""
+    with _RESERVING:
+        if id(part) in _RESERVED:
+            raise RuntimeError(f"another drive uses this {name}: make a {name} for each thread")
+        _RESERVED.add(id(part))
+    try:
+        yield
+    finally:
+        _RESERVED.remove(id(part))
+
+
+def _drive(
+    controller: TrackingController,
+    plant: Plant,
+    reference: Reference,
+    extra_time: float,
+    on_tick: Callable[[int, int], None] | None,
+    *,
+    keep_plans: bool,
+    lean: bool,
+) -> Run:
+    """Drive as `simulate` describes, with checked arguments."""
     plant.reset(reference.sample([0.0]).pose[0])
     if not has_members(plant, PLANT_STATE):
         raise wrong_type("plant", "a plant", plant, f"it needs {', '.join(PLANT_STATE)} after reset")

@@ -7,10 +7,12 @@ import logging
 import platform
 import shutil
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache, wraps
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import cffi
 
@@ -20,6 +22,26 @@ from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_diges
 BASELINE = "baseline"
 """Architecture level that every processor of a machine type supports."""
 _log = logging.getLogger(__name__)
+
+
+_Load = TypeVar("_Load", bound=Callable[..., Any])
+_LOADING = threading.RLock()
+
+
+def loaded_once(load: _Load) -> _Load:
+    """Cache the result of a loading function, also for threads that call it at the same time.
+
+    Each call of cffi's parser gives types of its own, which functions of another call do not accept.
+    """
+    cached = cache(load)
+
+    @wraps(load)
+    def load_or_wait(*arguments: Any) -> Any:  # noqa: ANN401 - as `load`
+        with _LOADING:
+            return cached(*arguments)
+
+    load_or_wait.cache_clear = cached.cache_clear  # type: ignore[attr-defined]
+    return cast("_Load", load_or_wait)
 
 
 class Level(NamedTuple):

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.compiled.cache import load_cached
 from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_digest, build_library
-from diffdrive_mpc.models.compiled.packaged import Packaged, load_library
+from diffdrive_mpc.models.compiled.packaged import Packaged, load_library, loaded_once
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
 from diffdrive_mpc.mpc.core.sources import (
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
 
 
-@cache
+@loaded_once
 def load_core() -> tuple[cffi.FFI, Any]:
     """Load the core; return cffi's declarations of `mpc/core/core.h`, and the library.
 
@@ -59,7 +59,7 @@ def load_core() -> tuple[cffi.FFI, Any]:
     return load_library("ddmpc_core", core_declarations(), packaged_libraries(), build_inputs, build, message)
 
 
-@cache
+@loaded_once
 def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no type for a library
     """Load the library of generated functions, which are attributes of the result and use the types of the core.
 

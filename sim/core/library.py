@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import cffi
 import numpy as np
 
 from diffdrive_mpc.models.compiled.compiler import digest_of
-from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
+from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged, loaded_once
 from diffdrive_mpc.models.interface import FloatArray
 
 CORE = Path(__file__).parent
@@ -23,7 +22,7 @@ _NAMES = ("twin", "velocity_plant", "sensors", "closed_loop", "polyline")
 _STEP = "void mj_step(const void *model, void *data);"
 
 
-@cache
+@loaded_once
 def load_twin() -> tuple[cffi.FFI, Any]:
     """Load the library; return the FFI with the declarations of the headers, and the library.
 
@@ -59,7 +58,7 @@ def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
     return np.frombuffer(load_twin()[0].buffer(numbers), dtype=float)
 
 
-@cache
+@loaded_once
 def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
     """Return the C function `mj_step` of the library in MuJoCo's Python package; None if it is not found.
 

@@ -1,5 +1,6 @@
 """The controller on a robot that equals its model: accuracy, slip, clock offsets, updates and reproducibility."""
 
+import copy
 import os
 import subprocess
 import sys
@@ -255,6 +256,17 @@ def test_updates_take_effect_between_two_ticks():
     assert (commands[100:, 0] <= upper + 1e-9).all()
     assert commands[-1, 0] == pytest.approx(0.2, abs=1e-3)
     assert driver.config.limits.v == 0.2
+
+
+def test_copy_during_a_drive_warns_that_it_starts_anew():
+    driver = controller()
+    driver.start("circle", 0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        copy.copy(driver)
+    driver.step(0.0, Measurement())
+    with pytest.warns(UserWarning, match="a copy of a controller starts its drive anew"):
+        copy.deepcopy(driver)
 
 
 def test_update_warns_only_if_the_rest_of_the_reference_exceeds_the_limits():

@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -99,6 +100,12 @@ def compile_into_cache():
     library.load_core.cache_clear()
 
 
+def test_threads_that_load_at_the_same_time_get_the_same_library(core):
+    with ThreadPoolExecutor(4) as pool:
+        loads = list(pool.map(lambda _: library.load_core(), range(4)))
+    assert all(load is loads[0] for load in loads)
+
+
 def only_entry(folder):
     (path,) = folder.iterdir()
     return path
@@ -175,6 +182,7 @@ def test_damaged_or_foreign_library_is_compiled_again(folder, compilations, dama
 
 LOAD_SCRIPT = """
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from diffdrive_mpc.mpc.core import library, packaged, sources
 sources.CORE = packaged.CORE = Path(sys.argv[1])

@@ -26,6 +26,14 @@ def test_perfect_plant_with_feed_forward_stays_on_the_reference() -> None:
     assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
 
 
+def test_controller_and_plant_drive_only_once_at_a_time() -> None:
+    controller, plant = FeedForward(), KinematicPlant()
+    for second, name in (((controller, KinematicPlant()), "controller"), ((FeedForward(), plant), "plant")):
+        with pytest.raises(RuntimeError, match=f"another drive uses this {name}: make a {name} for each thread"):
+            simulate(controller, plant, CIRCLE, on_tick=lambda *_, second=second: simulate(*second, CIRCLE))  # type: ignore[misc]
+    assert simulate(controller, plant, CIRCLE).metrics.completed
+
+
 class UserPlant(KinematicPlant):
     """User plant with attributes `world` and `disturbance`, like shipped plants in a world."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc import core_sources
-from diffdrive_mpc.models.compiled.packaged import Packaged
+from diffdrive_mpc.models.compiled.packaged import Packaged, loaded_once
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc_extras.free_space.config import FreeSpace
 from diffdrive_mpc_extras.free_space.polygons import Footprint, convex_pieces
@@ -61,7 +61,7 @@ def half_space_function() -> ca.Function:
     )
 
 
-@cache
+@loaded_once
 def load_free_space() -> tuple[Any, Any]:
     """Return the cffi declarations and the free-space library from the wheel, or compile it at the first use.
 
