@@ -12,7 +12,7 @@ from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, 
 circle = load_trajectory("circle")
 
 # "ssm" is a shipped configuration; a path loads your own YAML file. Any value can be replaced, here the horizon (25
-# steps of 20 ms) and the weight of the error across the path; the weight of the error along the path is 150.
+# steps of 20 ms) and the weight of the error across the path; the weight of the error along the path is 350.
 config = load_config("ssm", {"horizon": 25, "weights.across": 500.0})
 controller = Controller(config)
 

@@ -254,7 +254,7 @@ def _disturbed_note(rows: DataFrame) -> str:
     finite = np.array([np.isfinite(run.step_time).mean() for run in rows["run"]])
     left_out = not (finite > values(rows, "clean_share")).any()
     rest = "and are omitted" if left_out else "for one controller all ticks, so no ticks are omitted"
-    return f" *: other programs ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
+    return f" *: some ticks were disturbed; {100 * share:.1f} % could not be timed undisturbed, {rest}."
 
 
 def _where(rows: DataFrame) -> str:
