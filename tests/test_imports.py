@@ -24,7 +24,7 @@ assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
 COMMAND = "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.app.cli import main\ntry: main()\nexcept SystemExit: pass"
 PLANT = """
 from diffdrive_mpc.sim import Run, make_plant, simulate
-import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.plants.open_loop
+import diffdrive_mpc.sim.plants.surface
 make_plant("model:ssm")
 """
 PROGRAMS = {

@@ -17,8 +17,8 @@ from diffdrive_mpc.models.load import load_linear_model, load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.sim.plants.open_loop import random_commands
 from diffdrive_mpc_extras.networks.network import NETWORK
+from studies.open_loop import random_commands
 from studies.reproduce.drives import predict_path
 from studies.reproduce.published import CostStudy, PaperFinding, Published, PublishedCost
 

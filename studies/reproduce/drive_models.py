@@ -19,9 +19,9 @@ from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import simulate_records
 from diffdrive_mpc.models.structures.sm import identify_sm
-from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
 from diffdrive_mpc_extras.drives.drive_model import Kind
 from diffdrive_mpc_extras.drives.fitting import DriveFit, fit_drive
+from studies.open_loop import load_command_parameters, random_commands
 from studies.reproduce.drives import record_drive
 from studies.reproduce.published import DriveStudy, PaperFinding, Published, PublishedDriveErrors
 from studies.reproduce.real_logs import divide, load_protocol

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, load_command_parameters, random_commands, step_commands
+from studies.open_loop import drive_open_loop, load_command_parameters, random_commands, step_commands
 from studies.reproduce.published import PaperRange
 
 StepKind = Literal["wheels", "v", "omega"]
@@ -124,7 +124,7 @@ class RobotLogs:
         )
 
     def steps(self, kind: StepKind) -> list[Record]:
-        """Record the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
+        """Record the steps of "wheels", "v" or "omega"; see `studies.open_loop.step_commands`."""
         return self._record_drives(f"step of {kind}", step_commands(kind))
 
     def free(self, drives: int, duration: float, maximum: PaperRange | None = None) -> list[Record]:

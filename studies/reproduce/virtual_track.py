@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from studies.open_loop import drive_open_loop
 from studies.reproduce.published import PaperFinding, Published, PublishedTrack, TrackStudy
 
 

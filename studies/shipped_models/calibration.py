@@ -25,10 +25,10 @@ from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.validation import fit_percent
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 
 _SIGNIFICANT_DIGITS = 4
 

@@ -25,7 +25,7 @@ from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.model_file import SmFile, build_model
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc.sim.plants.open_loop import random_commands
+from studies.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
 _INTERVAL_HALF_WIDTH = 1.959964

@@ -39,13 +39,13 @@ from diffdrive_mpc.models.structures.two_delays import FROM_SM
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
 from diffdrive_mpc_extras.drives.drive_model import write_drive
 from diffdrive_mpc_extras.drives.finding import drive_content
 from diffdrive_mpc_extras.drives.fitting import fit_drive
 from diffdrive_mpc_extras.networks.network import Architecture, fit_percent, split_windows, windows_of
 from diffdrive_mpc_extras.networks.network_model import network_content, write_network
 from diffdrive_mpc_extras.networks.training import method, train, training_settings
+from studies.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.published import load_study

@@ -14,8 +14,8 @@ from diffdrive_mpc.models.structures.model_file import side_by_side
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc.sim.plants.surface import load_surface
+from studies.open_loop import OpenLoopDrive, drive_open_loop
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"

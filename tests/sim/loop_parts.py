@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.sim.plants.open_loop import random_commands
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.run import Run
+from studies.open_loop import random_commands
 
 
 @dataclass(frozen=True)

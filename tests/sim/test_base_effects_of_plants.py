@@ -10,9 +10,9 @@ from diffdrive_mpc.models.load import load_base_effects
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import drive_open_loop, random_commands
 
 DT = 0.0202
 

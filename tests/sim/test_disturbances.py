@@ -18,11 +18,11 @@ from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics, DisturbedPlant
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from refusals import one_line_error
+from studies.open_loop import drive_open_loop
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time

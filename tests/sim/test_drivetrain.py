@@ -9,10 +9,10 @@ from diffdrive_mpc import make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, motor_work
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import drive_open_loop, random_commands
 
 ROBOT, TWIN = load_robot(), load_twin_parameters()
 STEP = ROBOT.sample_time / TWIN.substeps

@@ -10,10 +10,10 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Slope
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 
 FRICTION = {name: load_surface(name).friction or 0.0 for name in ("slippery", "default", "grippy")}
 

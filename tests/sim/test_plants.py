@@ -10,9 +10,9 @@ from diffdrive_mpc import integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion, intensity_features
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, VirtualTrack, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 
 DT = load_robot().sample_time
 PLANTS = ["mujoco", "model:ssm"]

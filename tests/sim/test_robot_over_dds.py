@@ -9,10 +9,10 @@ from diffdrive_mpc import ConfigError, RobotLostError, make_plant
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import drive_open_loop
 
 pytestmark = pytest.mark.system
 

@@ -14,11 +14,11 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox
 from diffdrive_mpc.sim.sensing.odometry import Odometry
+from studies.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 
 ROBOT_NAMES = ROBOTS.names
 GRAVITY = 9.81

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc import make_plant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.open_loop import drive_open_loop, random_commands
 from studies.shipped_models.calibration import PredictionFit, load_calibration_parameters, validate_calibration
 from studies.shipped_models.known_truths import recover_all
 

@@ -9,8 +9,8 @@ from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc.models.structures.sm import SmFile, identify_sm
-from diffdrive_mpc.sim.plants.open_loop import random_commands
 from diffdrive_mpc_extras.excitation.drive_information import REPORTED, DriveInformation
+from studies.open_loop import random_commands
 
 DT = 0.02
 NOISE = np.array([0.01, 0.02])

@@ -18,7 +18,6 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc_extras.twin.fitting import fit_twin, identifiable_parameters
 from diffdrive_mpc_extras.twin.free_run import FreeMotion, cut_stretch, drive, most_active_windows, sensor_readings
@@ -27,6 +26,7 @@ from diffdrive_mpc_extras.twin.nominal import nominal_robot
 from diffdrive_mpc_extras.twin.problem import TwinProblem
 from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import space_of
+from studies.open_loop import drive_open_loop, random_commands
 
 MOTORS = """\
 description: data sheet of the motors

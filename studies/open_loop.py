@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,6 @@ from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stack
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
 class StepCommands(StrictModel):
@@ -48,7 +48,7 @@ class CommandParameters(StrictModel):
 @cache
 def load_command_parameters() -> CommandParameters:
     """Read the parameter file of the commands; raise ConfigError if it is invalid."""
-    return load_checked(CommandParameters, PARAMETERS / "commands.yaml")
+    return load_checked(CommandParameters, Path(__file__).with_suffix(".yaml"))
 
 
 def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = None) -> list[FloatArray]:
