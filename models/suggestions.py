@@ -45,15 +45,25 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "gyro": ("imu",),
     "stamp": ("time",),
     "timestamp": ("time",),
+    **dict.fromkeys(("dps", "degps", "°/s"), ("deg/s",)),
+    "rps": ("rev/s",),
+    "kph": ("km/h",),
+    **dict.fromkeys(("counts", "pulses"), ("ticks",)),
+    **dict.fromkeys(("sec", "seconds"), ("s",)),
+    "milliseconds": ("ms",),
+    "microseconds": ("us",),
+    "nanoseconds": ("ns",),
 }
-"""Keys, or ends of their paths, by synonyms used in the field."""
+"""Keys or units, or ends of the paths of keys, by synonyms used in the field."""
 
 _MAX_SUGGESTIONS = 4
 
 
 def similar_name(name: str, known: Iterable[str]) -> str:
     """Format the most similar known name, if there is one, as the end of a message about an unknown name."""
-    near = difflib.get_close_matches(str(name).lower(), list(known), n=1, cutoff=0.5)
+    text, names = str(name).lower(), list(known)
+    synonyms = [synonym for synonym in SYNONYMS.get(text, ()) if synonym in names]
+    near = synonyms or difflib.get_close_matches(text, names, n=1, cutoff=0.5)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
