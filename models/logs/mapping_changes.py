@@ -14,14 +14,12 @@ from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.csv_log import SIMULATION_MAPPING
 from diffdrive_mpc.models.logs.drive_log.reader import DRIVE_MAPPING, is_drive_log
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
-from diffdrive_mpc.models.logs.record import MappingChange
+from diffdrive_mpc.models.logs.record import EXCHANGES, MappingChange
 
 _TOPICS = {"encoders": "odometry", "gyro": "imu"}
+_DEFAULT_TOPICS = {"command": "/cmd_vel", "odometry": "/odom", "imu": "/imu"}
 _SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
 """Key of a topic that corresponds to each sign of a column."""
-_SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
-_EXCHANGES = {"sides": _SIDES, "axes": (("x", "y"),), "channels": (("v", "omega"),)}
-"""Pairs of columns that a change exchanges, by its key."""
 
 
 def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
@@ -40,19 +38,57 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
         return LogMapping(topics=Topics().resolve({known.topic for known in reader.connections}))
 
 
-def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
-    """Convert changes of columns to changes of topics, in which all readings share one sign."""
-    return tuple(
-        replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
-        for change in changes
-    )
+def stated_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
+    """Express changes by the keys of a mapping and relative to its values; return () if it has no key for one."""
+    data = mapping.model_dump(mode="json", exclude_defaults=True)
+    if data.get("columns") is None:
+        data["topics"] = {name: {"topic": topic} for name, topic in _DEFAULT_TOPICS.items()} | data.get("topics", {})
+        changes = [
+            replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
+            for change in changes
+        ]
+    else:
+        changes = _to_wheel_keys(changes, data["columns"])
+    try:
+        for change in changes:
+            _apply(data, change)
+    except ConfigError:
+        return ()
+    return tuple(replace(change, stated=_stated_value(data, change)) for change in changes)
+
+
+def _to_wheel_keys(changes: Iterable[MappingChange], columns: dict[str, Any]) -> list[MappingChange]:
+    """Convert signs of v and omega to changes of the columns of wheels if v and omega have no columns."""
+    changes = list(changes)
+    for stream in dict.fromkeys(change.stream for change in changes):
+        group = columns.get(stream)
+        wheels = [side for pair in EXCHANGES["sides"] for side in pair if isinstance(group, dict) and side in group]
+        inverted = [c for c in changes if c.stream == stream and c.key in ("v.sign", "omega.sign")]
+        if not wheels or not inverted or "v" in columns[stream]:
+            continue
+        changes = [change for change in changes if change not in inverted]
+        # Exchanged sides invert omega; inverted signs of all wheels invert v and omega.
+        if len(inverted) == 1:
+            changes.append(MappingChange(stream, "sides", "exchanged"))
+        if any(change.key == "v.sign" for change in inverted):
+            changes += [MappingChange(stream, f"{side}.sign", -1) for side in wheels]
+    return changes
+
+
+def _stated_value(data: dict[str, Any], change: MappingChange) -> float | None:
+    """Return the value of a delay or sign in a changed mapping; None for other keys, whose values are not relative."""
+    if change.key.rpartition(".")[2] not in ("delay", "sign"):
+        return None
+    value = (data.get("columns") or data["topics"])[change.stream]
+    for key in change.key.split("."):
+        value = value[key]
+    return float(value) if change.key == "delay" else int(value)
 
 
 def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Return the mapping with all changes applied.
 
     Signs are inverted and delays are added, so these changes do not depend on the current values.
-    For columns of wheels, an exchange of the sides inverts omega; inverted signs and an exchange together invert v.
 
     Raises
     ------
@@ -82,10 +118,11 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     if change.stream == "time" and has_columns:
         _set_time(group, change)
         return
-    # The command of a bag has a default topic, so its entry may be absent.
-    if group.get(change.stream) is None and not (change.stream == "command" and not has_columns):
+    if change.stream == "command" and not has_columns:
+        group.setdefault("command", {"topic": _DEFAULT_TOPICS["command"]})
+    if group.get(change.stream) is None:
         raise ConfigError(f"the mapping has no '{change.stream}' to change")
-    stream = group[change.stream] = _expand_name(group.get(change.stream, "/cmd_vel"), "topic")
+    stream = group[change.stream]
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
     elif change.key in ("held", "on_change") or (change.key == "heading_offset" and has_columns):
@@ -103,47 +140,26 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
         columns.pop("time", None)
         columns["sample_time"] = change.value
     else:
-        columns["time"] = _expand_name(columns.get("time"), "column") | {change.key: change.value}
+        columns["time"] = columns["time"] | {change.key: change.value}
 
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
-    """Change the sign or unit of columns of one stream, or exchange its columns."""
-    if change.key in _EXCHANGES:
-        _exchange(stream, _EXCHANGES[change.key])
-        if change.key == "sides" and "omega" in stream:
-            stream["omega"] = _expand_name(stream["omega"], "column")
-            _invert_sign(stream["omega"])
+    """Change the sign or unit of a column of one stream, or exchange its columns."""
+    for first, second in EXCHANGES.get(change.key, ()):
+        if change.key == "channels":  # v keeps a unit of speeds, and omega a unit of rates
+            stream[first]["column"], stream[second]["column"] = stream[second]["column"], stream[first]["column"]
+        elif first in stream:
+            stream[first], stream[second] = stream[second], stream[first]
+    if change.key in EXCHANGES:
         return
     name, _, key = change.key.rpartition(".")
-    names = [name] if name in stream else []
-    wheels = [side for pair in _SIDES for side in pair if side in stream]
-    if name in ("v", "omega"):
-        # Columns of wheels: inverted signs and exchanged sides invert v; exchanged sides alone invert omega.
-        names += wheels if name == "v" else []
-        if key == "sign":
-            _exchange(stream, _SIDES)
-        elif name == "omega" and not names:
-            raise ConfigError("wheels have no unit of omega")
-    if not names and not (name == "omega" and wheels):
+    if name not in stream:
         raise ConfigError(f"the mapping has no column '{name}' to change")
-    for column_name in names:
-        column = stream[column_name] = _expand_name(stream[column_name], "column")
-        if key == "sign":
-            _invert_sign(column)
-        else:
-            column[key] = change.value
-
-
-def _expand_name(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - content of the mapping
-    """Expand a plain name of a column or topic to a mapping with the key `first`."""
-    return {first: value} if isinstance(value, str) else value
+    if key == "sign":
+        _invert_sign(stream[name])
+    else:
+        stream[name][key] = change.value
 
 
 def _invert_sign(part: dict[str, Any]) -> None:
     part["sign"] = -part.get("sign", 1)
-
-
-def _exchange(stream: dict[str, Any], pairs: Iterable[tuple[str, str]]) -> None:
-    for first, second in pairs:
-        if first in stream:
-            stream[first], stream[second] = stream[second], stream[first]

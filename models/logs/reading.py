@@ -23,7 +23,7 @@ from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.headings import with_headings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.mapping_changes import to_topic_keys
+from diffdrive_mpc.models.logs.mapping_changes import base_mapping, stated_changes
 from diffdrive_mpc.models.logs.record import Finding, Log, Record, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
 from diffdrive_mpc.models.logs.sampling import RawLog, resample, split_at_pauses, usual_step
@@ -71,12 +71,13 @@ def read_log(
     loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     settings = check_settings()
     raw = without_spikes(_read_raw(path, loaded), settings)
+    stated = loaded or (LogMapping() if raw.topics else base_mapping(path, None))
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
     # With a wrong unit of time, all later checks would report consequences of it, so this error ends the reading.
-    if finding := check_period(raw.name, period, settings, is_stated=raw.sample_time is not None):
+    if finding := check_period(raw.name, period, settings, stated):
         raise_on_error([finding])
     max_step = (loaded.gap if loaded else None) or settings.max_step(period)
     records, findings = _build_records(raw, dt, max_step, loaded.times if loaded else (), settings)
@@ -92,14 +93,21 @@ def read_log(
         records, notes = with_headings(raw.name, records)
         findings += notes
     streams = streams_of(records, settings)
-    streams.columns = loaded.columns if loaded else None
+    streams.mapping = stated
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
         # Resampling hides short zeros and dead zones, so these two checks use the raw log.
         raw_faults = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
-        faults = [*raw_faults, *diagnose(raw.name, streams, settings)]
-        findings += [replace(fault, changes=to_topic_keys(fault.changes)) for fault in faults] if raw.topics else faults
+        findings += [*raw_faults, *diagnose(raw.name, streams, settings)]
+    findings = [_as_stated(finding, stated) if finding.changes else finding for finding in findings]
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
+
+
+def _as_stated(finding: Finding, mapping: LogMapping) -> Finding:
+    """Return a finding with its changes relative to a mapping, or without them if the mapping has no key for them."""
+    changes = stated_changes(mapping, finding.changes)
+    message = finding.message if changes else f"{finding.message}; the mapping has no key for this: correct its source"
+    return replace(finding, message=message, changes=changes)
 
 
 def _read_raw(path: Path, mapping: LogMapping | None) -> RawLog:

@@ -171,8 +171,9 @@ class Record:
 Topics = Mapping[str, tuple[str, str]]
 """Topic and message type of each stream: "command", "odometry", "imu", "pose"."""
 
-_EXCHANGED = {"sides": "left and right", "axes": "x and y", "channels": "v and omega"}
-"""Columns that a change exchanges, by its key."""
+_SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
+EXCHANGES = {"sides": _SIDES, "axes": (("x", "y"),), "channels": (("v", "omega"),)}
+"""Pairs of columns that a change exchanges, by its key."""
 
 
 @dataclass(frozen=True)
@@ -185,23 +186,25 @@ class MappingChange:
         "command", "encoders", "gyro", "pose"; "time" for the clock of the log; "log" for the whole log.
     key
         Dotted key in the mapping of the stream: "delay", "held", "on_change", "yaw_rate.sign", "left.unit",
-        "heading_offset"; "sides", "axes" and "channels" for an exchange of columns; "times" for the stream "log". Keys
-        of "v" and "omega" are also valid if wheels are mapped.
+        "heading_offset"; "sides", "axes" and "channels" for an exchange of columns; "times" for the stream "log".
     value
         New value. For "delay" the increment [s]; for "sign" -1, which inverts the sign; for
         "times" start and end [s], as "0.0 to 61.5".
+    stated
+        New value of a "delay" or "sign" in the mapping of the log; None if the mapping is unknown.
     """
 
     stream: str
     key: str
     value: float | str | bool
+    stated: float | None = None
 
     def __str__(self) -> str:
-        """Format the change: "gyro `delay: +0.30`", "pose: exchange x and y"."""
-        if self.key in _EXCHANGED:
-            return f"{self.stream}: exchange {_EXCHANGED[self.key]}"
-        value = str(self.value).lower() if isinstance(self.value, bool) else str(self.value)
-        return f"{self.stream} `{self.key}: {f'{self.value:+.2f}' if self.key == 'delay' else value}`"
+        """Format the change: "gyro `delay: 0.3`", "pose: exchange x and y"."""
+        if self.key in EXCHANGES:
+            return f"{self.stream}: exchange {' and '.join(EXCHANGES[self.key][0])}"
+        value = self.value if self.stated is None else self.stated
+        return f"{self.stream} `{self.key}: {str(value).lower() if isinstance(value, bool) else value}`"
 
 
 @dataclass(frozen=True)

@@ -185,6 +185,13 @@ def in_step(columns, base):
     return robot(seed=9, command=np.column_stack([v, 1.5 * v]))
 
 
+def around_squares(columns, base):
+    """Drive straight and turn in place, mostly to the left, with v and omega of the command exchanged."""
+    is_corner, is_left = columns["t"] % 4.0 < 1.5, columns["t"] % 20.0 < 16.0
+    command = np.column_stack([0.6 * ~is_corner, np.where(is_left, 1.05, -1.05) * is_corner])
+    return swapped("v_ref", "omega_ref")(robot(seed=9, command=command), base)
+
+
 def smooth_and_clipped(columns, base):
     t = columns["t"]
     command = np.column_stack([np.clip(1.2 * np.sin(0.9 * t), -0.6, 0.6), 1.2 * np.sin(0.55 * t + 1.0)])
@@ -378,10 +385,10 @@ def put(old, new):
     return lambda text: text.replace(old, new)
 
 
-def declared(unit, *columns):
-    """Return a function that declares a unit of columns in a mapping."""
-    names = "|".join(columns)
-    return lambda text: re.sub(rf": ({names})([,}}])", rf": {{column: \1, unit: {unit}}}\2", text)
+def declared(value, *columns):
+    """Return a function that declares a unit or a sign of columns in a mapping."""
+    names, key = "|".join(columns), "unit" if isinstance(value, str) else "sign"
+    return lambda text: re.sub(rf": ({names})([,}}])", rf": {{column: \1, {key}: {value}}}\2", text)
 
 
 def write_columns(path, columns):

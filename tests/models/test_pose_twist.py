@@ -108,7 +108,7 @@ def test_heading_from_positions_is_true_heading(tmp_path, with_gyro):
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_mirrored_positions_are_reported_once(tmp_path, with_gyro):
     errors = read_log(*write_log(tmp_path, with_gyro, heading=False, y_sign=-1)).errors
-    assert [(error.kind, *map(str, error.changes)) for error in errors] == [("mirrored pose", "pose `y.sign: -1`")]
+    assert [(error.kind, *map(str, error.changes)) for error in errors] == [("mirrored pose", "pose `y.sign: 1`")]
 
 
 def test_draft_maps_positions_without_heading(tmp_path):

@@ -17,7 +17,14 @@ from diffdrive_mpc.models.logs.diagnosis.commands import check_curve, check_echo
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
 from diffdrive_mpc.models.logs.diagnosis.motions import check_motions, compare_sensors
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
-from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_swap, check_units
+from diffdrive_mpc.models.logs.diagnosis.scales import (
+    check_axes,
+    check_heading_unit,
+    check_presence,
+    check_signs,
+    check_swap,
+    check_units,
+)
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
@@ -47,6 +54,7 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     if duration < settings.min_duration:
         message = f"{duration:.1f} s do not suffice to compare the streams; record {settings.min_duration:g} s or more"
         return [*findings, Finding("little excitation", "warning", log, message)]
+    findings += check_heading_unit(log, streams, settings)
     findings += check_counts(log, streams, settings)
     findings += check_swap(log, streams, settings)
     if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):

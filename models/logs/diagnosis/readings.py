@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.mapping import FACTORS
+from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, TimeUnit
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 
@@ -219,23 +220,24 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     return None
 
 
-def check_period(name: str, period: float, settings: CheckSettings, *, is_stated: bool = False) -> Finding | None:
+def check_period(name: str, period: float, settings: CheckSettings, mapping: LogMapping) -> Finding | None:
     """Return the finding for an implausible sample time [s]; None for a plausible one.
 
-    A sample time that the mapping states (`is_stated`) is corrected itself, because there is no column of times.
+    A sample time that the mapping states is corrected itself, because there is no column of times.
     """
     low, high = settings.sample_times
     if low <= period <= high:
         return None
-    units = [unit for unit in ("ms", "us", "ns") if low <= period * FACTORS[unit] <= high]
-    hint = "" if units else ": check the column and its unit"
+    time = mapping.columns.time if mapping.columns else None
+    steps = {unit: period * FACTORS[unit] / FACTORS[time.unit if time else "s"] for unit in get_args(TimeUnit)}
+    units = [unit for unit, step in steps.items() if low <= step <= high]
+    hint = "" if units and mapping.columns else ": check the times and their unit"
     message = f"the times step by {period:.4g} s, which is not a plausible sample time of a robot{hint}"
-    remedy = tuple(
-        MappingChange("time", "sample_time", float(f"{period * FACTORS[unit]:.4g}"))
-        if is_stated
-        else MappingChange("time", "unit", unit)
-        for unit in units[:1]
-    )
+    remedy: tuple[MappingChange, ...] = ()
+    if units and time:
+        remedy = (MappingChange("time", "unit", units[0]),)
+    elif units and mapping.columns:
+        remedy = (MappingChange("time", "sample_time", float(f"{steps[units[0]]:.4g}")),)
     return Finding("wrong unit", "error", name, message, changes=remedy)
 
 

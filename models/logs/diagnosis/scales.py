@@ -48,21 +48,41 @@ def check_swap(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     if streams.commands_wheels or {GYRO, POSE}.isdisjoint(streams.sensors(1)):
         return []
 
-    def correlations(command: FloatArray) -> list[float]:
+    def correlations(command: FloatArray) -> FloatArray:
         tested = replace(streams, command=command)
         responses = (tested.command_responses(channel, settings).values() for channel in (0, 1))
-        return [abs(response.signed_correlation) for part in responses for response in part]
+        return np.array([response.signed_correlation for part in responses for response in part])
 
     exchanged = streams.command[:, ::-1]
-    if max(correlations(streams.command), default=1.0) > settings.weak_correlation:
+    before, after = correlations(streams.command), np.abs(correlations(exchanged))
+    if len(before) != len(after) or min(after, default=0.0) < settings.clear_correlation:
         return []
-    if min(correlations(exchanged), default=0.0) < settings.clear_correlation:
+    # The paths of some drives correlate v with omega, so that both orders explain a part of every reading.
+    if (1.0 - after**2 > settings.shape_ratio * (1.0 - np.maximum(before, 0.0) ** 2)).any():
         return []
     streams.command = exchanged
     message = "v of the sensors follows omega of the command, and omega follows v: exchange v and omega of the command"
     return [
         Finding("swapped channels", "error", log, message, changes=(MappingChange(COMMAND, "channels", "exchanged"),))
     ]
+
+
+def check_heading_unit(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: the heading agrees with the path only in another unit; correct `streams`."""
+    stated = streams.stated_unit(POSE, "theta")
+    if streams.pose is None or not stated or abs(_mean_directions(streams)[0]) > settings.clear_correlation:
+        return []
+    unit = "rad" if stated == "deg" else "deg"
+    offset = streams.heading_offset
+    theta = (streams.pose[:, 2] + offset) * FACTORS[unit] / FACTORS[stated] - offset
+    known = np.isfinite(theta)
+    theta[known] = np.unwrap(theta[known])
+    tested = replace(streams, pose=np.column_stack([streams.pose[:, :2], theta]))
+    if abs(_mean_directions(tested)[0]) < settings.clear_correlation:
+        return []
+    streams.pose = tested.pose
+    message = f"the heading of the pose agrees with its path only in {unit}: its column is in {unit}, not in {stated}"
+    return [Finding("wrong unit", "error", log, message, changes=(MappingChange(POSE, "theta.unit", unit),))]
 
 
 def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -159,12 +179,7 @@ def _swapped_sides_finding(log: str, relations: dict[str, StreamResponse], strea
         "omega of gyro and pose has the opposite sign to command and encoders: exchange left and right of the "
         "encoders and of the commands"
     )
-    command = (
-        MappingChange(COMMAND, "sides", "exchanged")
-        if streams.commands_wheels
-        else _sign_changes(COMMAND, 1, streams)[0]
-    )
-    changes = (MappingChange(ENCODERS, "sides", "exchanged"), command)
+    changes = (*_sign_changes(ENCODERS, 1, streams), *_sign_changes(COMMAND, 1, streams))
     return Finding("swapped sides", "error", log, message, changes=changes)
 
 
@@ -194,7 +209,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         for name in [COMMAND] if all_inverted else inverted:
             signal = _SIGNALS[name, channel]
             reference = "all sensors" if all_inverted else "the command"
-            has_wheels = name == ENCODERS and channel == 0 and streams.wheels is not None
+            has_wheels = name == ENCODERS and channel == 0 and not streams.has_twist_columns
             minimum = (
                 min(relation.signed_correlation for relation in relations.values())
                 if all_inverted
@@ -316,23 +331,31 @@ def _unit_finding(
     columns = _columns(name, channel, streams)
     factors = {unit: FACTORS[unit] for unit in _UNITS[name, channel]}
     radius = _wheel_radius(streams)
-    wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
+    wheels = (name == ENCODERS and not streams.has_twist_columns) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
         factors = {unit: FACTORS[unit] for unit in ("rad/s", "rpm", "deg/s", "rev/s")} | {"m/s": 1 / radius}
     stated = streams.stated_unit(name, columns[0]) or next(iter(factors))
+    geometry = streams.mapping.wheels
+    ticks = geometry.ticks_per_turn if geometry and stated in ("ticks", "ticks/s") else None
+    if stated == "ticks":
+        factors = {}  # differences of running counts are not speeds in another unit
+    elif ticks:
+        factors[stated] = math.tau / ticks
     expected = skid * factors.get(stated, 1.0)
     deviation = {unit: abs(math.log(ratio * factor / expected)) for unit, factor in factors.items() if unit != stated}
-    unit = min(deviation, key=deviation.__getitem__)
+    unit = min(deviation, key=deviation.__getitem__, default="")
     candidates = [name for name in deviation if deviation[name] < deviation[unit] + _SAME_FACTOR]
     changes: tuple[MappingChange, ...] = ()
     tolerance = settings.unit_tolerance * (1 + channel if skid == 1.0 else 3)
-    if deviation[unit] < tolerance:
+    if deviation and deviation[unit] < tolerance:
         remedy = f"its column is in {unit}, not in {stated}"
         if len(candidates) == 1:
             changes = tuple(MappingChange(name, f"{column}.unit", unit) for column in columns)
         else:
             units = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
             remedy = f"its column has {units}; the log does not distinguish them"
+    elif ticks:
+        remedy = f"check `ticks_per_turn` under `wheels`: {ticks * ratio / skid:.4g} instead of {ticks:g} would agree"
     elif (name == ENCODERS or wheels) and ratio > settings.max_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
@@ -346,7 +369,7 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
     if name == COMMAND:
         return SIDES if streams.commands_wheels else (CHANNELS[channel],)
     if name == ENCODERS:
-        if streams.wheels is None:
+        if streams.wheels is None or streams.has_twist_columns:
             return (CHANNELS[channel],)
         return SIDES if streams.wheels.shape[1] == len(SIDES) else FOUR_WHEELS
     if name == GYRO:
@@ -355,10 +378,8 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
 
 
 def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
-    """Return the changes that invert a channel; `apply_changes` converts those of wheel columns."""
-    columns = _columns(name, channel, streams)
-    if columns[0] in (*SIDES, *FOUR_WHEELS):
-        columns = (CHANNELS[channel],)
+    """Return the changes that invert a channel; `stated_changes` converts those of wheel columns."""
+    columns = (CHANNELS[channel],) if name in (COMMAND, ENCODERS) else _columns(name, channel, streams)
     # With a large offset in the mapping, the offset is more likely wrong than both signs.
     if columns == ("x", "y") and abs(streams.heading_offset) > math.pi / 2:
         return (_turned_by(math.pi, streams),)
@@ -382,7 +403,7 @@ def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
         shared = streams.commands_wheels and factor > 0
         streams.command = streams.command * (factor if shared else columns)
     elif name == ENCODERS and streams.twist is not None:
-        shared = streams.wheels is not None and factor > 0
+        shared = not streams.has_twist_columns and factor > 0
         streams.twist = streams.twist * (factor if shared else columns)
     elif name == GYRO and streams.yaw_rate is not None:
         streams.yaw_rate = streams.yaw_rate * factor

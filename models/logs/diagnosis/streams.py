@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.mapping import Columns
+from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
@@ -48,8 +48,8 @@ class Streams:
         Half of the window for the differentiation of poses [samples].
     commands_wheels
         True if the log commands wheel speeds, so that v and omega share their columns.
-    columns
-        Columns in the mapping; None if the log has no mapping of columns.
+    mapping
+        Mapping of the log.
     """
 
     dt: float
@@ -62,16 +62,23 @@ class Streams:
     slices: tuple[slice, ...]
     half_window: int
     commands_wheels: bool = False
-    columns: Columns | None = None
+    mapping: LogMapping = field(default_factory=LogMapping)
 
     @property
     def heading_offset(self) -> float:
         """Heading offset of the pose in the mapping [rad]."""
-        return self.columns.pose.heading_offset if self.columns and self.columns.pose else 0.0
+        columns = self.mapping.columns
+        return columns.pose.heading_offset if columns and columns.pose else 0.0
+
+    @property
+    def has_twist_columns(self) -> bool:
+        """True if v and omega of the encoders are read from the log, not computed from wheels."""
+        encoders = self.mapping.columns.encoders if self.mapping.columns else None
+        return self.wheels is None or encoders is None or encoders.has("v")
 
     def stated_unit(self, name: str, column: str) -> str:
         """Return the unit of a column of a stream in the mapping; "" if the log has no mapping of columns."""
-        return str(getattr(getattr(getattr(self.columns, name, None), column, None), "unit", ""))
+        return str(getattr(getattr(getattr(self.mapping.columns, name, None), column, None), "unit", ""))
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """Return v (channel 0) or omega (1) of a stream (N,), averaged over the window for poses; None if missing."""

@@ -93,6 +93,15 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
         )
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, message)
+    difference = streams.wheels[:, 1::2].mean(axis=1) - streams.wheels[:, ::2].mean(axis=1)
+    command, omega = streams.command[:, 1], streams.twist[:, 1]
+    is_exchanged = _cosine(difference, omega) < -settings.clear_correlation
+    if is_exchanged and _cosine(command, omega) > settings.weak_correlation:
+        message = (
+            "the wheels turn the robot in the opposite direction to omega of the encoders and of the command: exchange "
+            "left and right of the wheels"
+        )
+        return Finding("swapped sides", "error", log, message, changes=(MappingChange(ENCODERS, "sides", "exchanged"),))
     sides = commanded_sides(streams)
     response = None if sides is None else fit_response(streams, sides, streams.wheels, settings)
     if sides is None or response is None or response.correlation.max() < settings.clear_correlation:
@@ -114,9 +123,7 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
             "each side of the encoders follows the command of the other side: exchange left and right of the encoders, "
             "or of the commands"
         )
-        return Finding(
-            "swapped sides", "error", log, message, changes=(MappingChange("encoders", "sides", "exchanged"),)
-        )
+        return Finding("swapped sides", "error", log, message, changes=(MappingChange(ENCODERS, "omega.sign", -1),))
     is_direct = (np.abs(direct) > np.abs(crossed)) | (not is_distinct)
     # If both sides move alike, the joint gains are uncertain, but the gain from the command of the same side is not.
     side_gains = np.array([_single_gain(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
@@ -170,6 +177,13 @@ def _single_gain(streams: Streams, side: FloatArray, wheel: int, settings: Check
     assert streams.wheels is not None
     response = fit_response(streams, side, streams.wheels[:, wheel], settings)
     return np.nan if response is None else response.size
+
+
+def _cosine(first: FloatArray, second: FloatArray) -> float:
+    """Return the correlation of two signals (N,) about zero, which is also valid for constant signals."""
+    known = np.isfinite(first) & np.isfinite(second)
+    size = float(np.linalg.norm(first[known]) * np.linalg.norm(second[known]))
+    return float(first[known] @ second[known]) / size if size > 0 else 0.0
 
 
 def _are_collinear(sides: FloatArray, settings: CheckSettings) -> bool:
