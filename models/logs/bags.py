@@ -40,7 +40,16 @@ from diffdrive_mpc.models.logs.mapping import (
 )
 from diffdrive_mpc.models.logs.record import Finding, format_ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
-from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap, usual_step
+from diffdrive_mpc.models.logs.sampling import (
+    MAX_VALUE,
+    RawLog,
+    RawStretch,
+    Signal,
+    is_increasing,
+    repeat,
+    unwrap,
+    usual_step,
+)
 
 _WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
 _DECODERS: dict[str, Decoders] = {
@@ -114,9 +123,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     power = _power(signals, mapping.wheels if mapping else None)
     response = next(measured[field] for field in _FIELDS.values() if field in measured)
     if topics.command.on_change:
-        # Repeat the last command at each reading.
-        stamps = np.union1d(command.time, response.time[response.time >= command.time[0]])
-        command = Signal(stamps, command.value[np.searchsorted(command.time, stamps, side="right") - 1])
+        command = repeat(command, response.time)
     stretch = _stretch(path, command, measured)
     # Commands that are sent on change are irregular, so the clock of the sensor is checked for gaps instead.
     clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock

@@ -32,12 +32,16 @@ from diffdrive_mpc.models.logs.mapping import (
 )
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
-from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, unwrap
+from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, repeat, unwrap
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
 SIMULATION_MAPPING = "simulate"
 """Mapping of logs from `diffdrive-mpc simulate --log`, which are recognised by their columns."""
+
+
+_EMPTY = 1e299
+"""Number that represents an empty cell in comparisons of rows."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,16 @@ class RowSignal:
     fresh: BoolArray
     counts: bool = False
 
+    @property
+    def is_complete(self) -> BoolArray:
+        """(n,) True for rows with a time and all values."""
+        return np.asarray(np.isfinite(self.time) & np.isfinite(self.value).all(axis=1))
+
     def signal(self, rows: Rows) -> Signal:
         """Return the readings in `rows`, which must be in order of time."""
-        rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
+        rows = rows[self.fresh[rows] & self.is_complete[rows]]
+        # Use the last of the readings with equal times.
+        rows = rows[np.diff(self.time[rows], append=np.inf) != 0]
         rows = rows[is_increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
         if self.counts:
@@ -81,10 +92,13 @@ class RowReader:
         The table.
     wheels
         Parameters of the wheels from the mapping; None if the mapping has none.
+    time
+        (n,) times of the rows [s].
     """
 
-    def __init__(self, table: CsvTable, wheels: MappedWheels | None) -> None:
+    def __init__(self, table: CsvTable, wheels: MappedWheels | None, time: FloatArray) -> None:
         self.table = table
+        self.time = time
         self.wheels = wheels
         self.findings: list[Finding] = []
 
@@ -136,7 +150,27 @@ class RowReader:
 
     def _columns(self, group: CommandColumns | EncoderColumns, names: tuple[str, ...]) -> tuple[FloatArray, BoolArray]:
         columns = [self.column(getattr(group, name)) for name in names]
-        return np.column_stack([values for values, _ in columns]), np.any([bad for _, bad in columns], axis=0)
+        values = np.column_stack([values for values, _ in columns])
+        is_held = isinstance(group, CommandColumns)
+        return self._align_messages(values, is_held=is_held), np.any([bad for _, bad in columns], axis=0)
+
+    def _align_messages(self, values: FloatArray, *, is_held: bool) -> FloatArray:
+        """Hold or interpolate values (n, k) with columns in separate rows, at all rows or at those of the first."""
+        is_filled = np.isfinite(values) & np.isfinite(self.time)[:, None]
+        if 2 * np.count_nonzero(is_filled.all(axis=1)) >= is_filled.sum(axis=0).min():
+            return values
+        aligned = np.full_like(values, np.nan)
+        rows = np.flatnonzero(is_filled.any(axis=1) if is_held else is_filled[:, 0])
+        for column, cells in enumerate(values.T):
+            filled = np.flatnonzero(is_filled[:, column])
+            before = np.searchsorted(filled, rows, side="right") - 1
+            inside = (before >= 0) & (is_held | (rows <= filled[-1]))
+            first = filled[before[inside]]
+            last = first if is_held else filled[np.minimum(before[inside] + 1, len(filled) - 1)]
+            step = np.maximum(self.time[last] - self.time[first], 1e-9)
+            share = np.clip((self.time[rows[inside]] - self.time[first]) / step, 0.0, 1.0)
+            aligned[rows[inside], column] = cells[first] + share * (cells[last] - cells[first])
+        return aligned
 
     def _twist(self, sides: FloatArray, source: str) -> FloatArray:
         wheels = self._lengths(f"to convert the wheel speeds of the {source} to v and omega")
@@ -214,14 +248,14 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
         Parameters of the wheels from the mapping; None if it has none.
     """
     settings, path = check_settings(), whole.path
-    table, findings = reduce_table(whole, columns, settings)
+    table, findings = reduce_table(whole, columns, _clock_rows(whole, columns), settings)
     findings = [*table.findings, *findings]
     del whole
     if columns.time is not None:
         table, copies = _without_copies(table)
         findings += copies
-    reader = RowReader(table, wheels)
     time = _times(table, columns)
+    reader = RowReader(table, wheels, time)
     commands, wheel_commands, is_invalid = reader.command(columns.command)
     all_rows = np.ones(len(time), dtype=bool)
     sent = time - columns.command.delay
@@ -229,23 +263,48 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, all_rows)
     measured = _measured_signals(reader, columns, time)
     findings += reader.findings
-    is_timed = np.isfinite(time)
+    clock_rows = _clock_rows(table, columns)
+    is_timed = np.isfinite(time) & clock_rows
     # The smoothness of any measured signal indicates the true order of the rows.
     reference = next(iter(measured.values())).value[is_timed, -1]
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
         raise_on_error([finding])
     stretches = []
-    for rows in _split_stretches(table, columns, time, is_invalid, findings):
-        signal = command.signal(rows)
-        if len(signal.time):
+    readings = np.column_stack([part.is_complete for part in (command, *measured.values())])
+    for rows in _split_stretches(table, columns, time, is_invalid, readings, findings):
+        signal, clock = command.signal(rows), time[rows[clock_rows[rows]]]
+        if len(signal.time) and len(clock):
+            clock = clock[np.diff(clock, append=np.inf) > 0]
             parts = {field: row_signal.signal(rows) for field, row_signal in measured.items()}
             if "pose" in parts:
                 parts["pose"] = Signal(parts["pose"].time, unwrap(parts["pose"].value))
             sides = None if wheel_command is None else wheel_command.signal(rows)
-            stretches.append(RawStretch(time[rows], signal, parts, sides))
+            if not clock_rows.all():
+                signal, sides = repeat(signal, clock), None if sides is None else repeat(sides, clock)
+            stretches.append(RawStretch(clock, signal, parts, sides))
     if not stretches:
         raise ConfigError(f"{path}: no row has both a time and a command; are these the right columns?")
     return RawLog(path.name, tuple(stretches), tuple(findings), columns.sample_time)
+
+
+def _clock_rows(table: CsvTable, columns: Columns) -> BoolArray:
+    """Return the rows (n,) of the stream with the most readings if each row holds one message; else all rows.
+
+    Exports of ROS 2 bags and PlotJuggler have a row for each message, with empty cells for the other topics.
+    """
+    all_rows = np.ones(len(table.row), dtype=bool)
+    if columns.time is None or not table.empty:
+        return all_rows
+    streams: list[BoolArray] = []
+    for group in (columns.command, columns.encoders, columns.gyro, columns.pose):
+        names = [part.column for _, part in group or () if isinstance(part, SignalColumn)]
+        if names:
+            cells = np.array([~table.empty.get(name, ~all_rows) for name in names])
+            is_complete = np.asarray(cells.all(axis=0))
+            streams.append(is_complete if is_complete.any() else cells[0])
+    clock = max(streams, key=np.count_nonzero)
+    is_merged = any(np.count_nonzero(stream & clock) < 0.5 * np.count_nonzero(stream) for stream in streams)
+    return clock if is_merged else all_rows
 
 
 def _own_mapping(path: Path) -> LogMapping:
@@ -274,7 +333,9 @@ def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
 
 def _without_copies(table: CsvTable) -> tuple[CsvTable, list[Finding]]:
     """Remove rows that are equal to the row before, including its time; return the finding if there are any."""
-    is_copy = np.append(False, np.all([np.diff(np.nan_to_num(cells)) == 0 for cells in table.values.values()], axis=0))
+    is_copy = np.append(
+        False, np.all([np.diff(np.nan_to_num(cells, nan=_EMPTY)) == 0 for cells in table.values.values()], axis=0)
+    )
     if not is_copy.any():
         return table, []
     place = f"{table.path.name}, line {format_ranges(table.lines[is_copy])}"
@@ -359,16 +420,27 @@ def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Fi
 
 
 def _split_stretches(
-    table: CsvTable, columns: Columns, time: FloatArray, is_invalid: BoolArray, findings: list[Finding]
+    table: CsvTable,
+    columns: Columns,
+    time: FloatArray,
+    is_invalid: BoolArray,
+    readings: BoolArray,
+    findings: list[Finding],
 ) -> list[Rows]:
-    """Split the rows at changes of the segment, steps back in time, omitted rows and commands that are not finite."""
+    """Split the rows at changes of the segment, steps back in time, omitted rows and commands that are not finite.
+
+    `readings` (n, streams) marks the rows with a reading of each stream.
+    """
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
         lines = format_ranges(table.lines[np.isnan(time)])
         findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time and is left out"))
     rows = np.flatnonzero(np.isfinite(time))
+    # Messages of several topics may be logged in another order than their stamps.
+    if all((np.diff(time[rows[stream[rows]]]) >= 0).all() for stream in readings.T):
+        rows = rows[np.argsort(time[rows], kind="stable")]
     steps = np.diff(time[rows])
-    repeated = rows[1:][steps == 0]
+    repeated = rows[1:][(steps == 0) & (readings[rows[1:]] & readings[rows[:-1]]).any(axis=1)]
     if len(repeated):
         message = f"{len(repeated)} rows have the time of the row before; the last row of each time is used"
         findings.append(Finding("time stands still", "warning", where + format_ranges(table.lines[repeated]), message))
@@ -387,5 +459,4 @@ def _split_stretches(
     is_cut |= is_invalid[rows[1:]]
     parts = np.split(rows, np.flatnonzero(is_cut) + 1)
     parts = [part[~is_invalid[part]] for part in parts]
-    # Use the last of the rows with equal times.
-    return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]
+    return [part for part in parts if len(part)]

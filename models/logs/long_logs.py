@@ -9,13 +9,15 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.csv_table import CsvTable
 from diffdrive_mpc.models.logs.mapping import FACTORS, Column, Columns
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import BoolArray, Finding
 
 _PART = 20_000
 """Number of rows of a part; parts are selected or omitted as a whole."""
 
 
-def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
+def reduce_table(
+    table: CsvTable, columns: Columns, clock_rows: BoolArray, settings: CheckSettings
+) -> tuple[CsvTable, list[Finding]]:
     """Reduce a table to the sample rate that the fastest base needs, and to its most informative parts.
 
     Parameters
@@ -24,6 +26,8 @@ def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> 
         All rows.
     columns
         Mapping of the columns.
+    clock_rows
+        (n,) True for the rows that are reduced; other rows are messages of slower streams.
     settings
         The thresholds.
     """
@@ -31,13 +35,13 @@ def reduce_table(table: CsvTable, columns: Columns, settings: CheckSettings) -> 
     if columns.time is None:
         period = columns.sample_time or settings.decimated_step
     else:
-        sample = table.cells(columns.time.column)[:_PART]
+        sample = table.cells(columns.time.column)[clock_rows][:_PART]
         steps = np.diff(sample[np.isfinite(sample)])
         period = FACTORS[columns.time.unit] * float(np.median(steps)) if len(steps) else 0.0
     stride = required_stride(period, settings)
     if stride > 1:
         findings.append(decimation_finding(table.path.name, "row", stride, period))
-        table = table.part(np.arange(0, len(table.row), stride))
+        table = table.part(~clock_rows | ((np.cumsum(clock_rows) - 1) % stride == 0))
     if len(table.row) <= settings.max_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]

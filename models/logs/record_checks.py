@@ -61,13 +61,21 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
 
 def command_changes(records: Sequence[Record], channel: int, settings: CheckSettings) -> int:
     """Count the significant changes of a channel's command within and between stretches."""
-    commands = np.concatenate([record.command[:, channel] for record in records])
+    commands = _without_means(np.concatenate([record.command[:, channel] for record in records]))
     maximum = float(np.abs(commands).max())
     return (
         int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * maximum)))))
         if maximum > settings.zero_command
         else 0
     )
+
+
+def _without_means(command: FloatArray) -> FloatArray:
+    """Return a command (n,) without single samples between two held values, which are means over a change."""
+    steps = np.diff(command) != 0
+    is_mean = np.zeros(len(command), dtype=bool)
+    is_mean[2:-2] = ~steps[:-3] & steps[1:-2] & steps[2:-1] & ~steps[3:]
+    return command[~is_mean]
 
 
 def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
@@ -90,7 +98,7 @@ def _saturation_finding(log: str, records: Sequence[Record], j: int, settings: C
     magnitude = np.abs(np.concatenate([record.command[:, j] for record in records]))
     maximum = float(magnitude.max())
     share = float(np.mean(magnitude >= 0.999 * maximum))
-    if share <= settings.saturated_share or len(np.unique(magnitude)) < settings.saturated_levels:
+    if share <= settings.saturated_share or len(np.unique(_without_means(magnitude))) < settings.saturated_levels:
         return []
     time = np.concatenate([record.time for record in records])
     place = f"{log}, first at {time[np.argmax(magnitude >= 0.999 * maximum)]:.1f} s"

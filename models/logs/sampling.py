@@ -108,6 +108,12 @@ def is_increasing(time: FloatArray) -> BoolArray:
     return np.asarray(time > before)
 
 
+def repeat(signal: Signal, times: FloatArray) -> Signal:
+    """Return a signal that also repeats its last value at each of the `times` [s] after its start."""
+    stamps = np.union1d(signal.time, times[times >= signal.time[0]])
+    return Signal(stamps, signal.value[np.searchsorted(signal.time, stamps, side="right") - 1])
+
+
 def usual_step(times: list[FloatArray]) -> float:
     """Compute the usual step of arrays of times [s]; NaN if no array has two times.
 

@@ -391,12 +391,36 @@ def declared(value, *columns):
     return lambda text: re.sub(rf": ({names})([,}}])", rf": {{column: \1, {key}: {value}}}\2", text)
 
 
+EMPTY = -np.inf
+"""Number that represents an empty cell."""
+
+
+def as_messages(columns, base):
+    """Write a row for each message: commands on change, each wheel and the gyro often, poses rarely."""
+    time, command = columns["t"], np.column_stack([columns[name] for name in base.commands])
+    is_sent = np.append(True, (np.diff(command, axis=0) != 0).any(axis=1))
+    every = np.arange(len(time))
+    messages = [(base.commands, np.flatnonzero(is_sent), 0.0), (("x", "y", base.heading), every[::5], 0.011)]
+    messages += [
+        ((base.gyro,), every, 0.0),
+        *(((side,), every[::2], 0.003 + 0.004 * (side == "left")) for side in base.wheels),
+    ]
+    parts = []
+    for names, rows, offset in messages:
+        cells = {name: columns[name][rows] if name in names else np.full(len(rows), EMPTY) for name in columns}
+        parts.append(cells | {"t": time[rows] + offset})
+    merged = {name: np.concatenate([part[name] for part in parts]) for name in columns}
+    order = np.argsort(merged["t"], kind="stable")
+    return {name: values[order] for name, values in merged.items()}
+
+
 def write_columns(path, columns):
     """Write a CSV file; the cells of an all-NaN column are empty."""
     table = np.column_stack(list(columns.values()))
-    empty = np.isnan(table).all(axis=0)
+    empty = np.isnan(table).all(axis=0) | (table == EMPTY)
     lines = [
-        ",".join("" if e else f"{cell:.12g}" for e, cell in zip(empty, row, strict=True)) for row in table.tolist()
+        ",".join("" if e else f"{cell:.12g}" for e, cell in zip(*cells, strict=True))
+        for cells in zip(empty.tolist(), table.tolist(), strict=True)
     ]
     path.write_text("\n".join([",".join(columns), *lines]) + "\n")
     return path
