@@ -67,10 +67,13 @@ class GrowingArray(Generic[_Scalar]):
 
 _BLOCK = 1 << 24
 """Number of bytes that are parsed at a time."""
+_MIN_RUN = 4
+"""Minimum mean length of runs of numbers in a column with NaN, below which NaN counts as an empty cell."""
 # Maximum number of characters of an invalid cell in a message.
 _MAX_CELL = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
-"""Lower-case words that mark a missing reading, like an empty cell. NaN is not a word; it marks a failed reading."""
+"""Lower-case words that mark a missing reading, like an empty cell. NaN is not a word; it marks a failed reading,
+or a missing one if most readings stand between NaN."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
@@ -234,6 +237,12 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         raise ConfigError(f"{path}: the file has no rows; a log has a header line and a row of numbers per sample")
     cells = {name: column.array() for name, column in values.items()}
     empty_cells = {name: column.array() for name, column in missing.items()}
+    for name, column in cells.items():
+        is_number = ~np.isnan(column)
+        runs = int(np.count_nonzero(np.diff(is_number, prepend=False)[is_number]))
+        # NaN between short runs of numbers marks rows without a new reading, not faults.
+        if np.count_nonzero(is_number) < min(_MIN_RUN * runs, len(column)):
+            empty_cells[name] = ~is_number
     return CsvTable(path, header, np.arange(len(lines)), lines.array(), cells, empty_cells, words, tuple(findings))
 
 

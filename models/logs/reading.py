@@ -75,7 +75,7 @@ def read_log(
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not (np.isfinite(dt) and np.isfinite(period)):
-        raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
+        raise ConfigError(f"{path}: no two rows of a stretch have increasing times; check time, segment and command")
     # With a wrong unit of time, all later checks would report consequences of it, so this error ends the reading.
     if finding := check_period(raw.name, period, settings, stated):
         raise_on_error([finding])
