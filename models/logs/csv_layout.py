@@ -38,6 +38,13 @@ class CsvLayout:
     first_row: int
 
 
+def unreadable(path: Path, error: Exception) -> ConfigError:
+    """Return the error for a file that cannot be read, or is not a table."""
+    remedy = "; is it a log? unpack it if it is compressed, or save it as UTF-8 text"
+    problem = getattr(error, "strerror", None) or error
+    return ConfigError(f"{path}: cannot be read as CSV ({problem}){'' if isinstance(error, OSError) else remedy}")
+
+
 def open_csv(path: Path) -> BinaryIO:
     """Open a CSV file as UTF-8, or as UTF-16 with a byte order mark; raise ConfigError if it cannot be opened."""
     if path.suffix in (".yaml", ".yml"):
@@ -45,7 +52,7 @@ def open_csv(path: Path) -> BinaryIO:
     try:
         file = open_input(path)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
+        raise unreadable(path, error) from error
     if file.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return cast(BinaryIO, codecs.EncodedFile(file, "utf-8", "utf-16"))
     return file
@@ -75,9 +82,7 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
             )
         names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        remedy = "" if isinstance(error, OSError) else "; unpack it if it is compressed, or save it as UTF-8 text"
-        problem = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{path}: cannot be read as CSV ({problem}){remedy}") from error
+        raise unreadable(path, error) from error
     while names and not names[-1]:
         names.pop()
     if _are_numbers(names, separator):

@@ -33,6 +33,7 @@ from diffdrive_mpc.models.logs.mapping import (
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
 from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, repeat, unwrap
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
@@ -40,6 +41,8 @@ SIMULATION_MAPPING = "simulate"
 """Mapping of logs from `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
+_MAX_NAME = 60
+"""Maximum number of characters of a name in a message."""
 _EMPTY = 1e299
 """Number that represents an empty cell in comparisons of rows."""
 
@@ -311,6 +314,11 @@ def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(SIMULATION_MAPPING), read_header(path)
     assert mapping.columns is not None
     required = mapping.columns.without_absent_sensors(header).column_names()
+    if len(header) == 1:
+        raise ConfigError(
+            f"{path}: the first line is '{plain_line(header[0], _MAX_NAME)}', not the names of several columns; delete "
+            "the lines before the names, or give a log"
+        )
     missing = sorted(required - set(header))
     if header and missing:
         shown = f"{', '.join(header[:8])}{', ...' if len(header) > 8 else ''}"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_line
+from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_line, unreadable
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 from diffdrive_mpc.models.table import plain_line
 
@@ -75,6 +75,7 @@ _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-"
 """Lower-case words that mark a missing reading, like an empty cell. NaN is not a word; it marks a failed reading,
 or a missing one if most readings stand between NaN."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
+_WITH_UNIT = re.compile(r"[-+]?[\d.,]*\d([eE][-+]?\d+)?\s*[^\d\s.,:;+-][^\d:]*")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
@@ -131,12 +132,14 @@ class CsvTable:
             index = int(np.argmax(is_invalid))
             cell = next(word for word, number in self.words.items() if number == values[index])
             remedy = "write a number such as 1000.5, or leave the cell empty if a reading is missing"
-            if ":" in cell:
+            if len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
+                remedy = "no cell of this line is one: delete the line, such as a second header or a row of units"
+            elif ":" in cell:
                 remedy = "give seconds, or dates with times such as 2026-01-31T12:30:00"
             elif _DECIMAL_COMMA.fullmatch(cell):
                 remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
-            elif len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
-                remedy = "no cell of this line is one: delete the line, such as a second header or a row of units"
+            elif _WITH_UNIT.fullmatch(cell):
+                remedy = "remove the units from the cells, and state the `unit` of the column in the mapping"
             raise ConfigError(
                 f"{self.path}, line {self.lines[index]}, column '{name}': '{plain_line(cell, _MAX_CELL)}' is not a "
                 f"number; {remedy}"
@@ -232,7 +235,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
                 lines.extend(line + numbers)
                 line += text.count("\n")
         except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
+            raise unreadable(path, error) from error
     if not len(lines):
         raise ConfigError(f"{path}: the file has no rows; a log has a header line and a row of numbers per sample")
     cells = {name: column.array() for name, column in values.items()}
