@@ -40,6 +40,7 @@ class _Table(StrictModel):
 
     sources: dict[str, str]
     quantities: dict[str, str]
+    quaternions: str
     rates: str
     ignored: str
     units: dict[str, str]
@@ -142,7 +143,12 @@ def _draft_from_table(log: Path) -> list[str]:
         lines.append(f"  segment: {_format_flow([name])[1:-1]}    # the pose jumps at each change of its value")
     for role, fields in used.items():
         if not fields:
-            lines.append(f"  # {role}: no complete group of columns{', but it is needed' if role == 'command' else ''}")
+            reason = "no complete group of columns" + (", but it is needed" if role == "command" else "")
+            if role == "pose" and {column.quantity for column in columns if column.source == "encoders"} >= {"x", "y"}:
+                reason = (
+                    "x and y of the odometry are computed from the encoders; name those of a localisation, if logged"
+                )
+            lines.append(f"  # {role}: {reason}")
             continue
         lines += [f"  {role}:", *(f"    {field}: {column.entry()}" for field, column in fields.items())]
         if role in times:
@@ -195,8 +201,11 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     if _common_words(words, known.ignored):
         return None
     quantity = next((key for key, meaning in known.quantities.items() if _common_words(words, meaning)), "")
+    is_heading = bool(_common_words(words, known.quantities["theta"]))
+    if _common_words(words, known.quaternions) and not is_heading:
+        return None
     # The rate of change of a heading is a yaw rate.
-    if _common_words(words, known.quantities["theta"]) and _common_words(words, known.rates):
+    if is_heading and _common_words(words, known.rates):
         quantity = "omega"
     # A mapping uses only the forward speed and the yaw rate of a twist.
     other_axes = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
@@ -208,6 +217,8 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     )
     if not source and unit in ("ticks", "ticks/s"):
         source = "encoders"
+    elif quantity in ("x", "y", "theta") and (localisation := _common_words(words, known.localisation_words)):
+        source, word = "pose", min(localisation)
     try:
         values = table.numbers(name)[0]
     except ConfigError:
@@ -374,7 +385,9 @@ def _add_comparison(command: _Column | None, measured: _Column) -> None:
 def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, float]:
     """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
     # Correlate changes instead of values, because offsets and slow drifts would hide the delay.
-    u, y = (np.diff(interpolate_missing(values)) for values in (first, second))
+    # A command holds until the next one.
+    last = np.maximum.accumulate(np.where(np.isfinite(first), np.arange(len(first)), 0))
+    u, y = (np.diff(interpolate_missing(values)) for values in (first[last], second))
     max_lag = min(_table().max_lag_rows, len(u) // 4)
     lags = range(-max_lag, max_lag + 1)
     size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)

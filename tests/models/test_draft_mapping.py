@@ -17,7 +17,10 @@ ORDER = ("t", "v_ref", "omega_ref", "v", "omega_wheels", "gyro", "x", "y", "thet
 MIXED = ("t", "omega_wheels", "v", "v_ref", "omega_ref", "gyro", "x", "y", "theta")
 WORDS = "time,velCmd,yaw_rate_cmd,velMeasured,yaw_rate_measured,imu.angular_velocity.z,mocap/x,mocap/y,mocap/yaw"
 UNITS = "stamp_us,v_target_km_h,w_target[deg/s],v_enc_mm_s,w_enc_rpm,gyro_z_dps,x (cm),y (cm),heading_deg"
+TOPICS = "/cmd_vel/linear/x,/cmd_vel/angular/z,/odom/twist/linear/x,/odom/twist/angular/z,/imu/angular_velocity/z"
+POSES = ",/amcl/odom/position/x,/amcl/odom/position/y,/amcl/odom/yaw"
 NAMES = {
+    "fields of topics": (ORDER, f"__time,{TOPICS}{POSES}", [1.0] * 9),
     "words and no units": (ORDER, WORDS, [1.0] * 9),
     "units in the names": (ORDER, UNITS, [1e6, 3.6, DEGREE, 1e3, DEGREE / 6.0, DEGREE, 1e2, 1e2, DEGREE]),
     "units by the values, command by what follows it": (
@@ -34,7 +37,8 @@ def draft_of(log, tmp_path):
 @pytest.mark.parametrize("names", NAMES.values(), ids=NAMES)
 def test_columns_and_units_are_guessed(tmp_path, names):
     rows = zip(names[0], names[1].split(","), names[2], strict=True)
-    log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, name, factor in rows})
+    columns = {"/imu/orientation/w": COLUMNS["v"]} | {name: COLUMNS[key] * factor for key, name, factor in rows}
+    log = write_csv(tmp_path / "log.csv", columns)
     (drafted,) = read_log(log, draft_of(log, tmp_path)).records
     (correct,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
     for field in FIELDS:
