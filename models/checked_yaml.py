@@ -314,10 +314,14 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     place = shown(".".join(plain_line(str(part), _MAX_SHOWN_LENGTH) for part in location))
     kind = error["type"]
     if kind == "extra_forbidden":
-        return f"unknown key '{place}'" + suggestion(schema, location, shown)
+        remedy = " Write a space after the colon, as in KEY: VALUE" if ":" in str(location[-1]) else ""
+        return f"unknown key '{place}'" + suggestion(schema, location, shown) + remedy
     if kind == "missing":
         return f"key '{place}' is missing"
     message = plain_line(str(error["msg"]).removeprefix("Value error, ").replace(" after validation", ""))
+    # One sentence for all items of the list.
+    if kind == "tuple_type" and isinstance(location[-1], int) and isinstance(error["input"], (int, float)):
+        return f"{shown('.'.join(map(str, location[:-1])))}: expected a list of lists; write [[A, B]]"
     stated_value, hint = error.get("input"), ""
     if kind.startswith(("less_than", "greater_than", "float", "int")) and (unit := unit_of(schema, location)):
         message += f" {unit}" if "_than" in kind else f" in {unit}"
