@@ -51,8 +51,6 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("counts", "pulses"), ("ticks",)),
     **dict.fromkeys(("sec", "seconds"), ("s",)),
     "milliseconds": ("ms",),
-    "microseconds": ("us",),
-    "nanoseconds": ("ns",),
 }
 """Keys or units, or ends of the paths of keys, by synonyms used in the field."""
 

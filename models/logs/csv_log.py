@@ -33,7 +33,6 @@ from diffdrive_mpc.models.logs.mapping import (
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
 from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, repeat, unwrap
-from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
@@ -41,8 +40,6 @@ SIMULATION_MAPPING = "simulate"
 """Mapping of logs from `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
-_MAX_NAME = 60
-"""Maximum number of characters of a name in a message."""
 _EMPTY = 1e299
 """Number that represents an empty cell in comparisons of rows."""
 
@@ -162,17 +159,16 @@ class RowReader:
         is_filled = np.isfinite(values) & np.isfinite(self.time)[:, None]
         if 2 * np.count_nonzero(is_filled.all(axis=1)) >= is_filled.sum(axis=0).min():
             return values
+        if is_held:
+            last = np.maximum.accumulate(np.where(is_filled, np.arange(len(values))[:, None], 0), axis=0)
+            held = np.take_along_axis(values, last, axis=0)
+            return np.where(is_filled.any(axis=1, keepdims=True), held, np.nan)
+        # Steps back in time start a new stretch; they are left out here, because interpolation needs an order.
+        clock = np.cumsum(np.fmax(np.diff(self.time, prepend=self.time[0]), 0.0))
         aligned = np.full_like(values, np.nan)
-        rows = np.flatnonzero(is_filled.any(axis=1) if is_held else is_filled[:, 0])
-        for column, cells in enumerate(values.T):
-            filled = np.flatnonzero(is_filled[:, column])
-            before = np.searchsorted(filled, rows, side="right") - 1
-            inside = (before >= 0) & (is_held | (rows <= filled[-1]))
-            first = filled[before[inside]]
-            last = first if is_held else filled[np.minimum(before[inside] + 1, len(filled) - 1)]
-            step = np.maximum(self.time[last] - self.time[first], 1e-9)
-            share = np.clip((self.time[rows[inside]] - self.time[first]) / step, 0.0, 1.0)
-            aligned[rows[inside], column] = cells[first] + share * (cells[last] - cells[first])
+        rows = is_filled[:, 0]
+        for column, (cells, filled) in enumerate(zip(values.T, is_filled.T, strict=True)):
+            aligned[rows, column] = np.interp(clock[rows], clock[filled], cells[filled], left=np.nan, right=np.nan)
         return aligned
 
     def _twist(self, sides: FloatArray, source: str) -> FloatArray:
@@ -316,8 +312,8 @@ def _own_mapping(path: Path) -> LogMapping:
     required = mapping.columns.without_absent_sensors(header).column_names()
     if len(header) == 1:
         raise ConfigError(
-            f"{path}: the first line is '{plain_line(header[0], _MAX_NAME)}', not the names of several columns; delete "
-            "the lines before the names, or give a log"
+            f"{path}: the first line does not have the names of several columns; delete the lines before them, or give "
+            "a log"
         )
     missing = sorted(required - set(header))
     if header and missing:

@@ -47,42 +47,10 @@ def stated_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> tup
             replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
             for change in changes
         ]
-    else:
-        changes = _to_wheel_keys(changes, data["columns"])
     try:
-        for change in changes:
-            _apply(data, change)
+        return tuple(replace(change, stated=_apply(data, change)) for change in changes)
     except ConfigError:
         return ()
-    return tuple(replace(change, stated=_stated_value(data, change)) for change in changes)
-
-
-def _to_wheel_keys(changes: Iterable[MappingChange], columns: dict[str, Any]) -> list[MappingChange]:
-    """Convert signs of v and omega to changes of the columns of wheels if v and omega have no columns."""
-    changes = list(changes)
-    for stream in dict.fromkeys(change.stream for change in changes):
-        group = columns.get(stream)
-        wheels = [side for pair in EXCHANGES["sides"] for side in pair if isinstance(group, dict) and side in group]
-        inverted = [c for c in changes if c.stream == stream and c.key in ("v.sign", "omega.sign")]
-        if not wheels or not inverted or "v" in columns[stream]:
-            continue
-        changes = [change for change in changes if change not in inverted]
-        # Exchanged sides invert omega; inverted signs of all wheels invert v and omega.
-        if len(inverted) == 1:
-            changes.append(MappingChange(stream, "sides", "exchanged"))
-        if any(change.key == "v.sign" for change in inverted):
-            changes += [MappingChange(stream, f"{side}.sign", -1) for side in wheels]
-    return changes
-
-
-def _stated_value(data: dict[str, Any], change: MappingChange) -> float | None:
-    """Return the value of a delay or sign in a changed mapping; None for other keys, whose values are not relative."""
-    if change.key.rpartition(".")[2] not in ("delay", "sign"):
-        return None
-    value = (data.get("columns") or data["topics"])[change.stream]
-    for key in change.key.split("."):
-        value = value[key]
-    return float(value) if change.key == "delay" else int(value)
 
 
 def apply_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
@@ -109,57 +77,45 @@ def format_mapping(mapping: LogMapping) -> str:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
 
 
-def _apply(data: dict[str, Any], change: MappingChange) -> None:
+def _apply(data: dict[str, Any], change: MappingChange) -> float | None:
+    """Apply a change; return the new value of a sign or delay, whose change is relative."""
     if change.stream == "log" and change.key == "times":
         data["times"] = [[float(part) for part in str(change.value).split(" to ")]]
-        return
+        return None
     has_columns = data.get("columns") is not None
     group: dict[str, Any] = data["columns"] if has_columns else data.setdefault("topics", {})
     if change.stream == "time" and has_columns:
-        _set_time(group, change)
-        return
+        if change.key == "sample_time":
+            group.pop("time", None)
+            group["sample_time"] = change.value
+        else:
+            group["time"][change.key] = change.value
+        return None
     if change.stream == "command" and not has_columns:
         group.setdefault("command", {"topic": _DEFAULT_TOPICS["command"]})
     if group.get(change.stream) is None:
         raise ConfigError(f"the mapping has no '{change.stream}' to change")
     stream = group[change.stream]
+    name, _, key = change.key.rpartition(".")
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
-    elif change.key in ("held", "on_change") or (change.key == "heading_offset" and has_columns):
+        return float(stream["delay"])
+    if change.key in ("held", "on_change") or (change.key == "heading_offset" and has_columns):
         stream[change.key] = change.value
-    elif not has_columns:
-        if change.key != "sign":
-            raise ConfigError(f"topics have no '{change.key}'")
-        _invert_sign(stream)
+    elif change.key in EXCHANGES and has_columns:
+        _exchange(stream, change.key)
+    elif not (name in stream if has_columns else change.key == "sign"):
+        raise ConfigError(f"the mapping has no '{change.stream}.{change.key}' to change")
     else:
-        _change_columns(stream, change)
+        part = stream[name] if has_columns else stream
+        part[key] = -part.get("sign", 1) if key == "sign" else change.value
+        return int(part["sign"]) if key == "sign" else None
+    return None
 
 
-def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
-    if change.key == "sample_time":
-        columns.pop("time", None)
-        columns["sample_time"] = change.value
-    else:
-        columns["time"] = columns["time"] | {change.key: change.value}
-
-
-def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
-    """Change the sign or unit of a column of one stream, or exchange its columns."""
-    for first, second in EXCHANGES.get(change.key, ()):
-        if change.key == "channels":  # v keeps a unit of speeds, and omega a unit of rates
+def _exchange(stream: dict[str, Any], key: str) -> None:
+    for first, second in EXCHANGES[key]:
+        if key == "channels":  # v keeps a unit of speeds, and omega a unit of rates
             stream[first]["column"], stream[second]["column"] = stream[second]["column"], stream[first]["column"]
         elif first in stream:
             stream[first], stream[second] = stream[second], stream[first]
-    if change.key in EXCHANGES:
-        return
-    name, _, key = change.key.rpartition(".")
-    if name not in stream:
-        raise ConfigError(f"the mapping has no column '{name}' to change")
-    if key == "sign":
-        _invert_sign(stream[name])
-    else:
-        stream[name][key] = change.value
-
-
-def _invert_sign(part: dict[str, Any]) -> None:
-    part["sign"] = -part.get("sign", 1)

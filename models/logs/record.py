@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 BoolArray = NDArray[np.bool_]
 Severity = Literal["note", "warning", "error"]
 
-_WIDTHS = {"command": 2, "twist": 2, "wheels": 2, "wheel_speeds": 4, "wheel_commands": 2, "pose": 3}
+_POWER = {"battery": 2, "motor_current": 2, "motor_currents": 4}
+_WIDTHS = {"command": 2, "twist": 2, "wheels": 2, "wheel_speeds": 4, "wheel_commands": 2, "pose": 3, **_POWER}
 """Number of columns of each signal; signals without an entry are one-dimensional."""
 _MASKS = {
     "twist": "fresh_twist",
@@ -103,17 +104,15 @@ class Record:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"record '{self.name}': sample time {self.dt} s; it must be positive and finite")
         count = len(self.command)
-        for name, width in (("battery", 2), ("motor_current", 2), ("motor_currents", 4)):
-            value = getattr(self, name)
-            if value is not None and value.shape != (count, width):
-                raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {(count, width)}")
-        for name in ("command", "wheel_commands", *_MASKS):
+        for name in ("command", "wheel_commands", *_POWER, *_MASKS):
             value = getattr(self, name)
             if value is None:
                 continue
             shape = (count, _WIDTHS[name]) if name in _WIDTHS else (count,)
             if value.shape != shape:
                 raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {shape}")
+            if name in _POWER:
+                continue
             finite = np.isfinite(value).reshape(count, -1).all(axis=1)
             if name not in _MASKS:
                 required = np.ones(count, dtype=bool)

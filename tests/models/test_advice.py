@@ -12,7 +12,6 @@ from degraded_logs import (
     READINGS,
     REAL_BASES,
     RPM,
-    SIMULATED,
     TIMES,
     Case,
     changed,
@@ -143,28 +142,6 @@ def test_late_response_of_the_robot_is_not_treated_as_shifted_commands(tmp_path)
 def test_log_without_proposals_is_not_read_again():
     selection = LogSelection((Path("there_is_none.csv"),), (), None, 0.6)
     assert advise(selection, [Finding("gap", "note", "", "")], lambda _: pytest.fail("a change was tried")) is None
-
-
-# The written mapping equals the intended mapping.
-
-
-SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
-"""Encoder columns of the simulated base."""
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
-        ("v.sign", -1, {"left": {"column": "right", "sign": -1}, "right": {"column": "left", "sign": -1}}),
-        ("omega.sign", -1, {"left": {"column": "right"}, "right": {"column": "left"}}),
-        ("delay", 0.25, {**SIDES, "delay": 0.25}),
-    ],
-)
-def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected):
-    (tmp_path / "map.yaml").write_text(SIMULATED)
-    mapping = load_mapping(tmp_path / "map.yaml")
-    mapping = apply_changes(mapping, stated_changes(mapping, [MappingChange("encoders", key, value)]))
-    assert mapping.columns.encoders.model_dump(exclude_defaults=True) == expected
 
 
 def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():

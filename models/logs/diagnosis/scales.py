@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -12,31 +13,20 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.limits import apply_best_limits
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, StreamResponse, Streams
-from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
+from diffdrive_mpc.models.logs.mapping import (
+    FACTORS,
+    FOUR_WHEELS,
+    SIDES,
+    AngleUnit,
+    LengthUnit,
+    RateUnit,
+    SpeedUnit,
+)
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-_UNITS: dict[tuple[str, int], tuple[str, ...]] = {
-    (COMMAND, 0): ("m/s", "mm/s", "cm/s", "km/h"),
-    (COMMAND, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
-    (ENCODERS, 0): ("m/s", "mm/s", "cm/s", "km/h"),
-    (ENCODERS, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
-    (GYRO, 1): ("rad/s", "deg/s", "mrad/s", "rpm", "rev/s"),
-    (POSE, 0): ("m", "mm", "cm"),
-    (POSE, 1): ("rad", "deg"),
-}
-"""Possible units of the columns of a stream, the SI unit first, by stream and channel."""
 _SAME_FACTOR = 0.1
 """Maximum log ratio of indistinguishable units: for a wheel radius of 0.16 m, m/s and rev/s have equal factors."""
-_SIGNALS = {
-    (COMMAND, 0): "v of the command",
-    (COMMAND, 1): "omega of the command",
-    (ENCODERS, 0): "v of the encoders",
-    (ENCODERS, 1): "omega of the encoders",
-    (GYRO, 1): "omega of the gyro",
-    (POSE, 0): "v of the pose",
-    (POSE, 1): "omega of the pose",
-}
 
 
 def check_swap(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -207,7 +197,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             continue
         all_inverted = len(inverted) > 1 and len(inverted) == len(relations)
         for name in [COMMAND] if all_inverted else inverted:
-            signal = _SIGNALS[name, channel]
+            signal = f"{CHANNELS[channel]} of the {name}"
             reference = "all sensors" if all_inverted else "the command"
             has_wheels = name == ENCODERS and channel == 0 and not streams.has_twist_columns
             minimum = (
@@ -224,7 +214,7 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 and others[ENCODERS].signed_correlation < 0
             ):
                 _scale(streams, ENCODERS, 1, -1.0)  # reversed wheels invert both v and omega
-                changes += _sign_changes(ENCODERS, 1, streams)
+                changes = changes[1:]  # without the exchange of the sides
             findings.append(Finding("wrong sign", "error", log, message, changes=changes))
     return findings
 
@@ -233,9 +223,10 @@ def _weak_finding(
     log: str, name: str, channel: int, relation: StreamResponse, max_correlation: float, settings: CheckSettings
 ) -> Finding:
     restarts = ": where poses restart, `segment` in the mapping names a column that changes" if name == POSE else ""
+    correlation = relation.signed_correlation
     message = (
-        f"{_SIGNALS[name, channel]} hardly follows the command (correlation {relation.signed_correlation:.2f}); check "
-        f"the column{restarts}; and that the robot executed these commands, or leave the {name} out of the mapping"
+        f"{CHANNELS[channel]} of the {name} hardly follows the command (correlation {correlation:.2f}); check the "
+        f"column{restarts}; and that the robot executed these commands, or leave the {name} out of the mapping"
     )
     # The sensor is faulty if another sensor responds.
     is_faulty = max_correlation > settings.clear_correlation
@@ -329,7 +320,8 @@ def _unit_finding(
     settings: CheckSettings,
 ) -> Finding:
     columns = _columns(name, channel, streams)
-    factors = {unit: FACTORS[unit] for unit in _UNITS[name, channel]}
+    units = (LengthUnit, AngleUnit) if name == POSE else (SpeedUnit, RateUnit)
+    factors = {unit: FACTORS[unit] for unit in get_args(units[channel])}
     radius = _wheel_radius(streams)
     wheels = (name == ENCODERS and not streams.has_twist_columns) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
@@ -352,15 +344,15 @@ def _unit_finding(
         if len(candidates) == 1:
             changes = tuple(MappingChange(name, f"{column}.unit", unit) for column in columns)
         else:
-            units = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
-            remedy = f"its column has {units}; the log does not distinguish them"
+            alternatives = " or ".join(f"`unit: {candidate}`" for candidate in candidates)
+            remedy = f"its column has {alternatives}; the log does not distinguish them"
     elif ticks:
         remedy = f"check `ticks_per_turn` under `wheels`: {ticks * ratio / skid:.4g} instead of {ticks:g} would agree"
     elif (name == ENCODERS or wheels) and ratio > settings.max_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no unit of its column explains this; check all units, `sample_time`, and lengths under `wheels`"
-    message = f"{_SIGNALS[name, channel]} is {ratio:.3g} times that of the {' and '.join(others)}; {remedy}"
+    message = f"{CHANNELS[channel]} of the {name} is {ratio:.3g} times that of the {' and '.join(others)}; {remedy}"
     return Finding("wrong unit", "error", log, message, changes=changes)
 
 
@@ -378,11 +370,16 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
 
 
 def _sign_changes(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
-    """Return the changes that invert a channel; `stated_changes` converts those of wheel columns."""
-    columns = (CHANNELS[channel],) if name in (COMMAND, ENCODERS) else _columns(name, channel, streams)
+    """Return the changes that invert a channel."""
+    columns = _columns(name, channel, streams)
     # With a large offset in the mapping, the offset is more likely wrong than both signs.
     if columns == ("x", "y") and abs(streams.heading_offset) > math.pi / 2:
         return (_turned_by(math.pi, streams),)
+    if columns in (SIDES, FOUR_WHEELS):
+        # Exchanged sides invert omega; inverted signs of all wheels invert v and omega.
+        exchange = MappingChange(name, "sides", "exchanged")
+        columns = columns if channel == 0 else ()
+        return (exchange, *(MappingChange(name, f"{column}.sign", -1) for column in columns))
     return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
 
 

@@ -123,7 +123,8 @@ def _check_each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Fi
             "each side of the encoders follows the command of the other side: exchange left and right of the encoders, "
             "or of the commands"
         )
-        return Finding("swapped sides", "error", log, message, changes=(MappingChange(ENCODERS, "omega.sign", -1),))
+        change = MappingChange(ENCODERS, "omega.sign" if streams.has_twist_columns else "sides", -1)
+        return Finding("swapped sides", "error", log, message, changes=(change,))
     is_direct = (np.abs(direct) > np.abs(crossed)) | (not is_distinct)
     # If both sides move alike, the joint gains are uncertain, but the gain from the command of the same side is not.
     side_gains = np.array([_single_gain(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
