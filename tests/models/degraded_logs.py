@@ -385,6 +385,9 @@ def put(old, new):
     return lambda text: text.replace(old, new)
 
 
+NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
+
+
 def declared(value, *columns):
     """Return a function that declares a unit or a sign of columns in a mapping."""
     names, key = "|".join(columns), "unit" if isinstance(value, str) else "sign"

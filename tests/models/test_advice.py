@@ -9,6 +9,7 @@ from degraded_logs import (
     CAUSES,
     DEGREES,
     FAULTS,
+    NO_POSE,
     READINGS,
     REAL_BASES,
     RPM,
@@ -19,7 +20,6 @@ from degraded_logs import (
     held,
     in_bursts,
     logs_of,
-    put,
     robot,
     rounded,
     scaled,
@@ -41,7 +41,6 @@ from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogE
 SKIDDING = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
 SLOW = {"seed": 62, "seconds": 60.0, "lag": 0.4, "gain": (0.8, 1.2), "dead_time": 0.2}
 QUICK = {"seed": 63, "seconds": 60.0, "lag": 0.05, "dead_time": 0.02}
-NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
 
 
 def simulated_case(robot_, change, mapping=str):

@@ -261,16 +261,19 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             skid = settings.typical_skid if channel == 1 and outlier in (GYRO, POSE) and partner not in sizes else 1.0
             ratio = sizes[outlier] / float(np.exp(np.median([np.log(sizes[name]) for name in others])))
             finding = _unit_finding(log, outlier, channel, ratio, others, skid, streams, settings)
-            if outlier == POSE and (
+            is_pose_right = outlier == POSE and (
                 not finding.changes
                 if channel == 0
                 else abs(_mean_directions(streams)[0]) > settings.clear_correlation  # the heading follows the path
-            ):
-                # If the pose is right, all other streams are in a wrong unit; they are corrected one after another.
-                ratios = {name: size / sizes[POSE] for name, size in sizes.items() if name != POSE}
-                skids = {name: 1 / settings.typical_skid if channel == 1 and name != GYRO else 1.0 for name in ratios}
+            )
+            has_ticks = "ticks" in streams.stated_unit(outlier, _columns(outlier, channel, streams)[0])
+            if is_pose_right or (len(sizes) == 2 and not finding.changes and not has_ticks):
+                # If the outlier is right, all other streams are in a wrong unit; they are corrected one after another.
+                ratios = {name: size / sizes[outlier] for name, size in sizes.items() if name != outlier}
+                is_body = channel == 1 and outlier in (GYRO, POSE)
+                skids = {name: 1 / settings.typical_skid if is_body and name != GYRO else 1.0 for name in ratios}
                 alternatives = [
-                    _unit_finding(log, name, channel, ratios[name], [POSE], skids[name], streams, settings)
+                    _unit_finding(log, name, channel, ratios[name], [outlier], skids[name], streams, settings)
                     for name in ratios
                 ]
                 if all(alternative.changes for alternative in alternatives):
