@@ -32,7 +32,16 @@ from diffdrive_mpc.models.logs.mapping import (
 )
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, format_ranges, raise_on_error
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
-from diffdrive_mpc.models.logs.sampling import MAX_VALUE, RawLog, RawStretch, Signal, is_increasing, repeat, unwrap
+from diffdrive_mpc.models.logs.sampling import (
+    MAX_VALUE,
+    RawLog,
+    RawStretch,
+    Signal,
+    hold_missing,
+    is_increasing,
+    repeat,
+    unwrap,
+)
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
@@ -160,9 +169,7 @@ class RowReader:
         if 2 * np.count_nonzero(is_filled.all(axis=1)) >= is_filled.sum(axis=0).min():
             return values
         if is_held:
-            last = np.maximum.accumulate(np.where(is_filled, np.arange(len(values))[:, None], 0), axis=0)
-            held = np.take_along_axis(values, last, axis=0)
-            return np.where(is_filled.any(axis=1, keepdims=True), held, np.nan)
+            return np.where(is_filled.any(axis=1, keepdims=True), hold_missing(values), np.nan)
         # Steps back in time start a new stretch; they are left out here, because interpolation needs an order.
         clock = np.cumsum(np.fmax(np.diff(self.time, prepend=self.time[0]), 0.0))
         aligned = np.full_like(values, np.nan)
@@ -453,7 +460,7 @@ def _split_stretches(
         message = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch starts"
         findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", message))
     if columns.segment is not None:
-        segment = table.cells(columns.segment)[rows]
+        segment = hold_missing(table.cells(columns.segment)[rows])
         is_cut |= segment[1:] != segment[:-1]
     # After an omission of rows, a gap in the row numbers that exceeds the stride ends a stretch.
     if table.row[-1] - table.row[0] >= len(table.row):

@@ -32,6 +32,7 @@ from diffdrive_mpc.models.logs.mapping import (
     TimeUnit,
     WheelUnit,
 )
+from diffdrive_mpc.models.logs.sampling import hold_missing
 from diffdrive_mpc.models.table import plain_line
 
 
@@ -386,8 +387,7 @@ def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, 
     """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
     # Correlate changes instead of values, because offsets and slow drifts would hide the delay.
     # A command holds until the next one.
-    last = np.maximum.accumulate(np.where(np.isfinite(first), np.arange(len(first)), 0))
-    u, y = (np.diff(interpolate_missing(values)) for values in (first[last], second))
+    u, y = (np.diff(interpolate_missing(values)) for values in (hold_missing(first), second))
     max_lag = min(_table().max_lag_rows, len(u) // 4)
     lags = range(-max_lag, max_lag + 1)
     size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)

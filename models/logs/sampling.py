@@ -108,6 +108,13 @@ def is_increasing(time: FloatArray) -> BoolArray:
     return np.asarray(time > before)
 
 
+def hold_missing(values: FloatArray) -> FloatArray:
+    """Replace missing values (n, ...) by the last value before them."""
+    rows = np.arange(len(values)).reshape(-1, *(1,) * (values.ndim - 1))
+    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, 0), axis=0)
+    return np.take_along_axis(values, last, axis=0)
+
+
 def repeat(signal: Signal, times: FloatArray) -> Signal:
     """Return a signal that also repeats its last value at each of the `times` [s] after its start."""
     stamps = np.union1d(signal.time, times[times >= signal.time[0]])
