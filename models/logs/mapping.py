@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -22,6 +22,9 @@ SpeedUnit = Literal["m/s", "cm/s", "mm/s", "km/h"]
 RateUnit = Literal["rad/s", "deg/s", "mrad/s", "rpm", "rev/s"]
 VoltageUnit = Literal["V", "mV"]
 CurrentUnit = Literal["A", "mA"]
+TWIST_UNITS = (get_args(SpeedUnit), get_args(RateUnit))
+POSE_UNITS = (get_args(LengthUnit), get_args(AngleUnit))
+"""Units of v and omega, and of a position and a heading; the SI unit is the first."""
 WheelUnit = Literal["rad/s", "deg/s", "rpm", "rev/s", "ticks/s", "ticks", "m/s"]
 
 FACTORS: dict[str, float] = {

@@ -12,19 +12,12 @@ from textwrap import wrap
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
+from diffdrive_mpc.models.logs.diagnosis import scales
 from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_parts, check_turning, compare, relations
 from diffdrive_mpc.models.logs.diagnosis.commands import check_curve, check_echo, check_latch, check_rounding
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
 from diffdrive_mpc.models.logs.diagnosis.motions import check_motions, compare_sensors
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
-from diffdrive_mpc.models.logs.diagnosis.scales import (
-    check_axes,
-    check_heading_unit,
-    check_presence,
-    check_signs,
-    check_swap,
-    check_units,
-)
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
@@ -48,15 +41,15 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
         The thresholds.
     """
     streams = replace(streams)  # a copy, because the rules replace its arrays
-    findings = check_presence(log, streams)
+    findings = scales.check_presence(log, streams)
     # A short log does not distinguish responses from chance.
     duration = np.isfinite(streams.command[:, 0]).sum() * streams.dt
     if duration < settings.min_duration:
         message = f"{duration:.1f} s do not suffice to compare the streams; record {settings.min_duration:g} s or more"
         return [*findings, Finding("little excitation", "warning", log, message)]
-    findings += check_heading_unit(log, streams, settings)
+    findings += scales.check_heading_unit(log, streams, settings)
     findings += check_counts(log, streams, settings)
-    findings += check_swap(log, streams, settings)
+    findings += scales.check_swap(log, streams, settings)
     if change := check_order(log, streams, settings) or check_jumps(log, streams, settings):
         return [*findings, *change]  # the parts before and after the change contradict each other in all later checks
     if echo := check_echo(log, streams, settings):
@@ -67,9 +60,9 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings += check_wheels(log, streams, settings)
     if latch := check_latch(log, streams, settings):
         return [*findings, *latch]
-    findings += check_axes(log, streams, settings)
-    findings += check_signs(log, streams, settings)
-    findings += check_units(log, streams, settings)
+    findings += scales.check_axes(log, streams, settings)
+    findings += scales.check_signs(log, streams, settings)
+    findings += scales.check_units(log, streams, settings)
     # Gains and shifts can only be compared after signs and units have been corrected.
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
@@ -13,15 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.limits import apply_best_limits
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, StreamResponse, Streams
-from diffdrive_mpc.models.logs.mapping import (
-    FACTORS,
-    FOUR_WHEELS,
-    SIDES,
-    AngleUnit,
-    LengthUnit,
-    RateUnit,
-    SpeedUnit,
-)
+from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, POSE_UNITS, SIDES, TWIST_UNITS
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -323,8 +314,7 @@ def _unit_finding(
     settings: CheckSettings,
 ) -> Finding:
     columns = _columns(name, channel, streams)
-    units = (LengthUnit, AngleUnit) if name == POSE else (SpeedUnit, RateUnit)
-    factors = {unit: FACTORS[unit] for unit in get_args(units[channel])}
+    factors = {unit: FACTORS[unit] for unit in (POSE_UNITS if name == POSE else TWIST_UNITS)[channel]}
     radius = _wheel_radius(streams)
     wheels = (name == ENCODERS and not streams.has_twist_columns) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
