@@ -43,11 +43,19 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
         If the file cannot be read, has fewer than two rows or a value that is not a finite number, times do not
         increase, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
-    return fit_timed_poses(_read(path), limits, name=path.stem, where=str(path))
+    rows = _read(path)
+    _check_heading_unit(str(path), _spline_rates(rows[:, 0], rows[:, 1:3]), rows[:, 3])
+    return fit_timed_poses(rows, limits, name=path.stem, where=str(path))
 
 
 def fit_timed_poses(
-    rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
+    rows: FloatArray,
+    limits: TrajectoryLimits | None,
+    *,
+    name: str,
+    where: str,
+    rates: FloatArray | None = None,
+    sideways_remedy: str = "let theta [rad] point along the direction of travel, or give more rows",
 ) -> SplineTrajectory:
     """Interpolate timed poses by twice continuously differentiable splines, or by splines with given rates.
 
@@ -65,6 +73,8 @@ def fit_timed_poses(
         Source of the rows in error messages.
     rates
         (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows; None if unknown.
+    sideways_remedy
+        Remedy for sideways travel in error messages.
 
     Raises
     ------
@@ -79,7 +89,7 @@ def fit_timed_poses(
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, slopes = splines(times), splines(times, 1)
-    _check_speeds(where, times + rows[0, 0], poses, slopes, limits)
+    _check_speeds(where, times + rows[0, 0], poses, slopes, limits, sideways_remedy)
     # Hermite interpolation of values and slopes of a cubic spline reproduces the spline.
     return SplineTrajectory.through(name, times, poses, slopes)
 
@@ -150,18 +160,24 @@ def _parse_row(path: Path, line: int, cells: list[str], columns: list[int]) -> l
 
 
 def _check_speeds(
-    where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits | None
+    where: str,
+    times: FloatArray,
+    poses: FloatArray,
+    rates: FloatArray,
+    limits: TrajectoryLimits | None,
+    sideways_remedy: str,
 ) -> None:
     """Raise ConfigError for speeds that exceed the limits, and for sideways travel."""
     settings = load_settings()
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
     slower = "stretch the time or lower the speed"
-    along = "let theta [rad] point along the direction of travel, or give more rows"
+    is_full_turn = np.abs(poses[:, 2]).max() > 2 * np.pi
+    less_turning = f"convert theta to rad if it is in degrees, or {slower}" if is_full_turn else slower
     for name, unit, speed, limit, excess, remedy in (
         ("v", "m/s", forward, limits.v if limits else np.inf, settings.speed_excess, slower),
-        ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, slower),
-        ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, along),
+        ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, less_turning),
+        ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, sideways_remedy),
     ):
         bounds = sides_at(limit, speed)
         worst = int(np.argmax(np.abs(speed) / bounds))
@@ -178,8 +194,8 @@ _MOVING_SHARE = 0.01
 """Share of the maximum speed [-] below which the robot counts as at rest, without a direction of travel."""
 _MAX_TWIST_ERROR_SHARE, _TWIST_NOISE = 0.6, {"v": 0.05, "omega": 0.1}
 """Maximum RMS difference between twists and changes of the poses: share of their RMS [-], and noise [m/s, rad/s]."""
-_MAX_SINE, _MAX_RADIAN_SINE = 0.3, 0.1
-"""Maximum RMS of the sine between heading and path [-], for headings in rad and for headings converted from degrees."""
+_MAX_SINE = 0.1
+"""Maximum RMS of the sine between matching headings and velocities [-]."""
 
 
 def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -> SplineTrajectory:
@@ -189,11 +205,16 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
     where = f"trajectory '{name}'"
     arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
-    rates = CubicSpline(times, points)(times, 1)
+    rates = _spline_rates(times, points)
     v, omega = arrays.get("v"), arrays.get("omega")
     theta = arrays.get("theta")
     chords = np.gradient(points, times, axis=0)
-    theta = _headings(where, rates, chords, v) if theta is None else _check_headings(where, rates, np.unwrap(theta))
+    if theta is None:
+        theta = _headings(where, rates, chords, v)
+        remedy = {"sideways_remedy": "for corners or noisy positions use Trajectory.from_waypoints with few points"}
+    else:
+        _check_heading_unit(where, rates, theta)
+        theta, remedy = np.unwrap(theta), {}
     along = np.column_stack([np.cos(theta), np.sin(theta)])
     turning = CubicSpline(times, theta)(times, 1)
     if v is not None:
@@ -204,9 +225,8 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
         turning = omega
     has_twist = v is not None or omega is not None
     rows = np.column_stack([arrays["t"], points, theta])
-    return fit_timed_poses(
-        rows, None, name=name, where=where, rates=np.column_stack([rates, turning]) if has_twist else None
-    )
+    twists = np.column_stack([rates, turning]) if has_twist else None
+    return fit_timed_poses(rows, None, name=name, where=where, rates=twists, **remedy)
 
 
 def trajectory_from_waypoints(
@@ -317,16 +337,24 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     return np.asarray(np.unwrap(heading) - 2 * np.pi * np.round(heading[0] / (2 * np.pi)))
 
 
-def _check_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return `theta` (n,) unchanged; raise ConfigError if it matches the path only after conversion from degrees."""
+def _spline_rates(times: FloatArray, points: FloatArray) -> FloatArray:
+    """Compute the velocities (n, 2) [m/s] at `times` (n,) of a spline through `points` (n, 2)."""
+    return np.asarray(CubicSpline(times, points)(times, 1))
+
+
+def _check_heading_unit(where: str, rates: FloatArray, theta: FloatArray) -> None:
+    """Raise ConfigError if headings (n,) match the velocities (n, 2) only after conversion from degrees.
+
+    Small headings in rad are almost zero after the conversion. Therefore it must match better than headings of zero.
+    """
 
     def sine(headings: FloatArray) -> float:
         sideways = rates[:, 1] * np.cos(headings) - rates[:, 0] * np.sin(headings)
         return float(np.linalg.norm(sideways)) / max(float(np.linalg.norm(rates)), 1e-9)
 
-    if sine(theta) > _MAX_SINE and sine(np.radians(theta)) < _MAX_RADIAN_SINE:
-        raise ConfigError(f"{where}: theta matches the path in degrees, not in rad; give np.radians(theta)")
-    return theta
+    converted = sine(np.radians(theta))
+    if sine(theta) > _MAX_SINE and converted < min(_MAX_SINE, sine(np.zeros_like(theta))):
+        raise ConfigError(f"{where}: theta matches the path in degrees, not in rad; convert it with np.radians(theta)")
 
 
 def _check_fit(where: str, name: str, unit: str, twist: FloatArray, change: FloatArray, times: FloatArray) -> None:
