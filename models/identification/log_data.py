@@ -127,7 +127,7 @@ def read_data(
         If a log cannot be read or leads to a wrong model, if its sample time is outside the range of a controller, or
         if a signal is missing in all logs.
     """
-    _check_selection(logs, validate, fit_share)
+    _check_share(fit_share)
     loaded_mapping = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     geometry = None if loaded_mapping is None else loaded_mapping.wheels
 
@@ -174,13 +174,10 @@ def read_data(
     return data
 
 
-def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: float) -> None:
+def _check_share(fit_share: float) -> None:
     low, high = identification_settings().shares
     if not low <= checked_number("fit_share", fit_share, "give a share such as 0.6") <= high:
         raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
-    duplicates = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
-    if duplicates:
-        raise ConfigError(f"{duplicates[0]}: this log is given twice; validation data must not be training data")
 
 
 def _read_logs(
@@ -189,14 +186,31 @@ def _read_logs(
     on_log: Callable[[Log], None],
     report_findings: Callable[[Sequence[Finding]], None],
 ) -> list[Log]:
-    """Read the logs with the sample time of the first log; `report_findings` raises ConfigError for unusable logs."""
+    """Read the logs with the sample time of the first log.
+
+    Raise ConfigError for two logs with the same data; `report_findings` raises ConfigError for unusable logs.
+    """
     all_logs: list[Log] = []
+    paths_by_data: dict[tuple[bytes, ...], Path] = {}
     for path in paths:
         log = read_log(path, mapping, all_logs[0].records[0].dt if all_logs else None)
+        data = _measured_data(log)
+        if data in paths_by_data:
+            same = f"this log is given twice, it has the data of {paths_by_data[data]}"
+            raise ConfigError(f"{path}: {same}; validation data must not be training data")
+        paths_by_data[data] = path
         on_log(log)
         report_findings(log.findings)
         all_logs.append(log)
     return all_logs
+
+
+def _measured_data(log: Log) -> tuple[bytes, ...]:
+    """Return commands and readings of a log, by which copies of a file are recognised."""
+    signals = [
+        getattr(record, name) for record in log.records for name in ("command", "twist", "wheels", "yaw_rate", "pose")
+    ]
+    return tuple(signal.tobytes() for signal in signals if signal is not None)
 
 
 def _divide_logs(

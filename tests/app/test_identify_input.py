@@ -39,6 +39,7 @@ def folder(tmp_path_factory):
     write_mapping(folder / "evil.yaml", CODE_IN_YAML.format(folder=folder))
     logs = {
         "good": COLUMNS,
+        "copy": COLUMNS,
         "missing": {name: column for name, column in COLUMNS.items() if name != "gyro"},
         "degrees": COLUMNS | {"gyro": np.degrees(COLUMNS["gyro"])},
         "short": {name: column[:30] for name, column in COLUMNS.items()},
@@ -62,7 +63,7 @@ def folder(tmp_path_factory):
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
-        ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
+        ("good.csv --mapping map.yaml --validate copy.csv", "copy.csv: this log is given twice, it has the data of good"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
     ],
 )
