@@ -46,6 +46,11 @@ def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
 
 Model = VelocityModel | NonlinearModel
 _DEFAULTS = {dimension.name: dimension.default for dimension in DIMENSIONS}
+_OBJECTS = {
+    "model": ((VelocityModel, NonlinearModel), "VelocityModel.from_control(system)"),
+    "trajectory": ((Trajectory,), "Trajectory.from_arrays(t, x, y)"),
+}
+"""Classes of the objects that a dimension accepts in addition to names, and the call that creates one."""
 
 
 @checked_call()
@@ -104,16 +109,18 @@ def sweep(
         remedy = "for objects, use drive_many of diffdrive-mpc-extras"
         raise wrong_type("sweep: config", "a name or path", config, remedy)
     factors = {
-        "model": _as_list(model),
-        "trajectory": _as_list(trajectory),
+        "model": as_list(model),
+        "trajectory": as_list(trajectory),
         "seed": _seeds(seeds),
-        "plant": _as_list(plant),
+        "plant": as_list(plant),
     }
-    factors |= {name: _as_list(value) for name, value in values.items()}
+    factors |= {name: as_list(value) for name, value in values.items()}
     for name, options in factors.items():
         similar = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
         if similar and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
             raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{similar[0]}'?")
+        if name in _DEFAULTS and name != "seed":
+            _check_kinds(name, options)
         check_different(f"sweep: {name}", options)
         if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in options):
             raise ConfigError(
@@ -142,7 +149,7 @@ class _Task:
         self._trajectory = values["trajectory"] if isinstance(values["trajectory"], Trajectory) else None
         dimensions = {name: value for name, value in values.items() if name in _DEFAULTS}
         for name, replacement in (("model", self._model), ("trajectory", self._trajectory)):
-            dimensions[name] = _DEFAULTS[name] if replacement is not None else _name(name, values[name])
+            dimensions[name] = _DEFAULTS[name] if replacement is not None else str(values[name])
         overrides = tuple((name, value) for name, value in values.items() if name not in _DEFAULTS)
         self.case = Case(**dimensions, config=config, overrides=overrides)
         self.has_reference = self._trajectory is not None
@@ -158,9 +165,9 @@ class _Task:
         return {**values, **statistics_of(run, timed=timed), "ended": run.ended}
 
 
-def _as_list(value: Any) -> list[Any]:  # noqa: ANN401
+def as_list(value: Any) -> list[Any]:  # noqa: ANN401
     """Return one or several values as a list."""
-    single = (str, Path, Mapping, VelocityModel, NonlinearModel, Trajectory)
+    single = (str, Path, Mapping, ControllerConfig)
     return [value] if isinstance(value, single) or not isinstance(value, Iterable) else list(value)
 
 
@@ -168,14 +175,17 @@ def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Return `seeds` as a list; a number n stands for the seeds 0 to n - 1."""
     if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
         raise ConfigError(f"sweep: seeds = {seeds}; use 1 to {MAX_SEEDS}, or a list such as [3, 4]")
-    seed_list = list(range(seeds)) if isinstance(seeds, int) else _as_list(seeds)
+    seed_list = list(range(seeds)) if isinstance(seeds, int) else as_list(seeds)
     if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in seed_list):
         raise ConfigError(f"sweep: seeds {seeds!r}; use integers of at least 0, or the number of seeds")
     return [int(seed) for seed in seed_list]
 
 
-def _name(name: str, value: object) -> str:
-    if not isinstance(value, (str, Path)):
-        call = "VelocityModel.from_control(system)" if name == "model" else "Trajectory.from_arrays(t, x, y)"
-        raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"create it with {call}")
-    return str(value)
+def _check_kinds(name: str, options: Sequence[object]) -> None:
+    """Raise ArgumentError for a value of a dimension that is neither a name nor a supported object."""
+    kinds, call = _OBJECTS.get(name, ((), ""))
+    for value in options:
+        if not isinstance(value, (str, Path, *kinds)):
+            expected = f"a name, a path or a {name}" if kinds else "a name"
+            remedy = f"create it with {call}" if kinds else f"give a name such as '{_DEFAULTS[name]}'"
+            raise wrong_type(f"sweep: {name}", expected, value, remedy)

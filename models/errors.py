@@ -67,12 +67,13 @@ def wrong_type(argument: str, expected: str, value: object, remedy: str) -> Argu
     return ArgumentError(f"{argument}: expected {expected}, got {describe_type(value)}; {remedy}")
 
 
-def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def checked_call(no_argument: str = "", **remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that raises ArgumentError for a missing or unknown argument; the message lists all arguments.
 
     It also raises ArgumentError instead of errors of Python and NumPy about the type or shape of an argument.
 
-    `remedies` are hints by name, for names that are arguments of another function.
+    `remedies` are hints by name, for names that are arguments of another function; `no_argument` is the hint for every
+    argument of a function without arguments.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -94,8 +95,10 @@ def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 known = [name for name in names if name not in ("self", "cls")]
                 unknown = [name for name in kwargs if name not in known]
                 name = unknown[0] if unknown else ""
-                hint = f"; {remedies[name]}" if name in remedies else similar_name(name, known)
                 message = str(error).replace(".__init__()", "()")
+                if not known and no_argument:
+                    raise ArgumentError(f"{message}; {no_argument}") from error
+                hint = f"; {remedies[name]}" if name in remedies else similar_name(name, known)
                 raise ArgumentError(f"{message}{hint}; the arguments are {', '.join(known)}") from error
 
         return wrapper

@@ -53,10 +53,14 @@ def named_file(
     check_trusted(name)
     if is_file(name):
         return Path(name)
-    hint = similar_name(Path(text).stem, known)
+    path = Path(text)
+    hint = f"; did you mean '{text}.yaml'?" if is_file(f"{text}.yaml") else similar_name(path.stem, known)
+    # Another path is not a misspelt name, except for the name of a shipped file with its suffix.
+    if path.suffix and path.stem not in known:
+        hint = ""
     missing = "there is no such file; " if looks_like_path(text) else ""
-    if Path(text).is_dir():
-        files = ", ".join(sorted(path.name for path in Path(text).glob("*.yaml")))
+    if path.is_dir():
+        files = ", ".join(sorted(file.name for file in path.glob("*.yaml")))
         missing = f"a folder {f'with {files}' if files else 'without YAML files'}; " if text.strip() else "empty; "
     raise ConfigError(
         f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 PLANT_STATE = ("time", "true_pose", "true_twist")
 """Members of a plant from its first reset on, see `sim.plants.plant.Plant`."""
+_TRUTH = {
+    "true_pose": "x [m], y [m], theta [rad]",
+    "true_twist": "forward speed [m/s], sideways speed [m/s], yaw rate [rad/s]",
+}
+"""Contents of the arrays (3,) of a plant."""
 _STEP = ("command", "mode", "message", "solver", "solve_time", "step_time")
 """Members of the result of a step that each run reads, see `models.interface.ControlStep`."""
 _SAME_PERIOD = 1e-3
@@ -117,6 +122,9 @@ def _drive(
     plant.reset(reference.sample([0.0]).pose[0])
     if not has_members(plant, PLANT_STATE):
         raise wrong_type("plant", "a plant", plant, f"it needs {', '.join(PLANT_STATE)} after reset")
+    for name, values in _TRUTH.items():
+        if np.shape(value := getattr(plant, name)) != (3,):
+            raise wrong_type(f"plant.{name}", "three numbers", value, f"give {values}")
     if hasattr(controller, "set_applied_commands"):
         controller.set_applied_commands(_ZERO_COMMANDS)
     controller.start(reference, plant.time)

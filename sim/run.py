@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.errors import load_pandas
+from diffdrive_mpc.models.errors import checked_call, load_pandas
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReadOnlyArrays, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.logs.drive_log.tick import INPUT_NAMES, measured_cells
 from diffdrive_mpc.models.step_scalars import step_scalars
@@ -252,6 +252,7 @@ class Run(ReadOnlyArrays):
         frame: DataFrame = load_pandas("run.to_dataframe()").DataFrame(dict(self.columns))
         return frame
 
+    @checked_call("run.plot().savefig('run.png') saves the figure")
     def plot(self) -> Figure:
         """Plot path, errors and commands in a matplotlib figure.
 

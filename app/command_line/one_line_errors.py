@@ -98,13 +98,15 @@ class OneLineErrors(FullHelp):
 
 
 def _remedy(parser_error: str, error: Any) -> str:  # noqa: ANN401 - classes that typer does not export
-    """Return a hint for an extra argument, or for an option that is a key of the configuration; otherwise ""."""
+    """Return a hint for an extra argument, or an option that another option or a key replaces; otherwise ""."""
     options = {name for option in error.ctx.command.params for name in option.opts} if error.ctx else set()
     if "--set" in options and (unknown := re.match(r"No such option: --([a-z-]+)", parser_error)):
         from diffdrive_mpc.mpc.config.schema import ControllerConfig  # noqa: PLC0415 - --help does not need it
 
         key = unknown[1].replace("-", "_")
         return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
+    if "--structure" in options and parser_error.startswith("No such option: --model "):
+        return "the option for the kind of model is --structure; "
     if re.match(r"No such option: -\w$", parser_error):
         return "a name of several letters follows two dashes, as in --help; "
     if "extra argument" not in parser_error or not options & {"--model", "--models"}:

@@ -47,6 +47,7 @@ from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
 from diffdrive_mpc.models.suggestions import similar_name
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.whole_file import reason
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -126,8 +127,8 @@ class Identification:
 
         Raises
         ------
-        OSError
-            If a file cannot be written.
+        ConfigError, OSError
+            If the folder or a file cannot be written.
         """
         if force or not self.refusal:
             self.write_model(folder)
@@ -135,8 +136,7 @@ class Identification:
 
     def write_model(self, folder: str | Path) -> None:
         """Write model, configuration, surface and, for bags, the node's parameters to `folder`."""
-        folder, predictor = Path(folder), self.report.fitted.predictor
-        folder.mkdir(parents=True, exist_ok=True)
+        folder, predictor = _make_folder(folder), self.report.fitted.predictor
         if predictor is None:
             write_model_file(folder / MODEL_FILE, self.content)
         else:
@@ -148,9 +148,9 @@ class Identification:
 
     def write_report(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
         """Write the report as Markdown and JSON, and the mapping of `advice`, to `folder`."""
-        folder, text = Path(folder), self.report.markdown(figures)
+        text = self.report.markdown(figures)
         data = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = _make_folder(folder)
         if self.advice:
             self.advice.write(folder)
         (folder / "report.json").write_text(data, encoding="utf-8")
@@ -358,6 +358,14 @@ def identify_data(
     return identification
 
 
+def _make_folder(folder: str | Path) -> Path:
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written to ({reason(error)}); choose another folder") from error
+    return Path(folder)
+
+
 @contextmanager
 def _frames_by_name(folder: str) -> Iterator[None]:
     """Remove the temporary folder of data frames from error messages."""
@@ -366,18 +374,21 @@ def _frames_by_name(folder: str) -> Iterator[None]:
     except ConfigError as error:
         if folder not in (message := str(error)):
             raise
-        remedy = "; first write the data frame to this file: frame.to_csv('data frame 0', index=False)"
+        remedy = "; first write the data frame to this file: frame.to_csv('data frame 0', index=frame.index.name is not None)"
         raise ConfigError(message.replace(f"{folder}/", "") + remedy * ("--draft" in message)) from error
 
 
 def _paths(logs: object, folder: Path, name: str) -> list[Path]:
-    """Return the paths of the logs; write data frames to CSV files in `folder`, with names that start with `name`."""
+    """Return the paths of the logs; write data frames to CSV files in `folder`, with names that start with `name`.
+
+    An index with a name, such as the time, becomes a column.
+    """
     items = logs if isinstance(logs, (list, tuple)) else [logs]
     paths = []
     for number, log in enumerate(items):
         if hasattr(log, "to_csv"):
             paths.append(folder / f"{name} {number}")
-            log.to_csv(paths[-1], index=False)
+            log.to_csv(paths[-1], index=log.index.name is not None)
         elif isinstance(log, (str, Path)):
             paths.append(Path(log))
         else:

@@ -60,12 +60,11 @@ def load_config(
     if isinstance(source, Mapping):
         return _check_config(_apply_overrides(merge_sections(source), overrides), "configuration")
     if not isinstance(source, (str, Path)):
-        raise wrong_type(
-            "configuration",
-            "load_config(...), a name such as 'ssm', a path, or keys and values",
-            source,
-            "pass a model as a separate argument: Controller('ssm', model=model)",
-        )
+        remedy = "pass a model as a separate argument, as in Controller('ssm', model=model)"
+        if isinstance(getattr(source, "config", None), ControllerConfig):
+            remedy = "give the configuration of the controller: controller.config"
+        kinds = "load_config(...), a name such as 'ssm', a path, or keys and values"
+        raise wrong_type("configuration", kinds, source, remedy)
     path = config_path(source)
     data = read_yaml(path)
     if not isinstance(data, Mapping):

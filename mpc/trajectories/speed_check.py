@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
@@ -34,8 +35,14 @@ class CheckedReference:
         return self._reference.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Sample at `times` (n,) [s]; raises ValueError if the reference returns other shapes."""
+        """Sample at `times` (n,) [s].
+
+        Raise ArgumentError if the reference does not return a sample, and ValueError if it has other shapes.
+        """
         sample, count = self._reference.sample(times), np.size(times)
+        if not all(hasattr(sample, name) for name in ReferenceSample._fields):
+            remedy = "return ReferenceSample(pose, twist, arc_length) of diffdrive_mpc.models.interface"
+            raise wrong_type(f"reference '{self.name}': sample(times)", "a ReferenceSample", sample, remedy)
         return ReferenceSample(
             self._check_shape("pose", sample.pose, (count, 3)),
             self._check_shape("twist", sample.twist, (count, 2)),

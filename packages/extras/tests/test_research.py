@@ -133,3 +133,5 @@ def test_invalid_arguments_of_many_drives_raise_config_error_before_the_first_dr
     for seeds in ([], [0.5], [0, 0]):
         with pytest.raises((ArgumentError, ConfigError), match="seeds: (expected at least one|'0' is given twice)"):
             drive_many("ssm", "circle", seeds, plant="model:ssm")
+    with pytest.raises(ArgumentError, match=r"configuration: .*got Controller; give .* controller.config"):
+        drive_many(Controller("ssm"))

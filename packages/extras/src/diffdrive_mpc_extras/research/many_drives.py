@@ -6,13 +6,14 @@ import itertools
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from diffdrive_mpc.bench.case import check_count, check_different
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
+from diffdrive_mpc.bench.sweep import as_list
 from diffdrive_mpc.models.errors import checked_call, load_pandas, wrong_type
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
@@ -72,8 +73,8 @@ def drive_many(
     if isinstance(configs, Mapping):
         named = list(configs.items())
     else:
-        named = [(_name(index, config), config) for index, config in enumerate(_as_list(configs))]
-    drawn, paths = list(seeds), _as_list(trajectories)
+        named = [(_name(index, config), config) for index, config in enumerate(as_list(configs))]
+    drawn, paths = list(seeds), as_list(trajectories)
     loaded = [(name, load_config(config)) for name, config in named]
     if not drawn or any(seed != int(seed) for seed in drawn):
         raise wrong_type("seeds", "at least one whole number", drawn, "give range(5), or a list")
@@ -100,9 +101,5 @@ def _drive(name: str, config: ControllerConfig, reference: Trajectory, plant: st
     return {**key, **statistics_of(run, timed=False), "ended": run.ended}
 
 
-def _as_list(values: Any) -> list[Any]:  # noqa: ANN401 - one value or several
-    return [values] if isinstance(values, (str, Path, ControllerConfig, Trajectory)) else list(values)
-
-
 def _name(index: int, config: Config) -> str:
-    return str(index) if isinstance(config, ControllerConfig) else Path(config).stem
+    return Path(config).stem if isinstance(config, (str, Path)) else str(index)
