@@ -74,6 +74,7 @@ def robot(
     from diffdrive_mpc.bench import controllers  # noqa: PLC0415 - --help needs neither this nor ROS
     from diffdrive_mpc.bench.case import Case  # noqa: PLC0415
     from diffdrive_mpc.bench.drive import odometry_correction, plant_settings  # noqa: PLC0415
+    from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.simulated_base import load_base_settings  # noqa: PLC0415
@@ -96,7 +97,13 @@ def robot(
     for sentence in () if config is None else controllers.other_robots([case]):
         echo(f"note: {sentence}")
     config_option = [] if config is None else ["--config", str(config)]
-    driver = shlex.join(["diffdrive-mpc", "node", *config_option, "--trajectory", case.trajectory, "--drive"])
+    driven = case.trajectory
+    try:
+        controllers.load_reference(case)
+    except BeyondLimitError as error:
+        echo(f"note: the node refuses this trajectory: {error}")
+        driven = "FILE"
+    driver = shlex.join(["diffdrive-mpc", "node", *config_option, "--trajectory", driven, "--drive"])
     run_robot(
         plant,
         controllers.start_pose(case),

@@ -177,3 +177,12 @@ def test_robot_of_a_configuration_corrects_its_odometry_and_notes_another_plant(
     result = invoke(app, "sim-robot", "--config", str(tmp_path / "fast.yaml"))
     assert corrections == [(1.0, -1.0)]
     assert "note: the plant 'mujoco' does not match the robot of the configuration" in result.output
+
+
+def test_driver_of_a_robot_slower_than_its_trajectory_is_a_command_that_the_node_accepts(tmp_path, monkeypatch):
+    drivers = []
+    monkeypatch.setattr("diffdrive_mpc.sim.ros.run_robot.run_robot", lambda *_, driver, **__: drivers.append(driver))
+    (tmp_path / "slow.yaml").write_text("model: ssm\nlimits: {v: 0.3}\n")
+    result = invoke(app, "sim-robot", "--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"))
+    assert "--trajectory FILE --drive" in drivers[0]
+    assert "note: the node refuses this trajectory: " in result.output
