@@ -118,5 +118,5 @@ def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
 def _timing_note(timing: TimingPass) -> str:
     return (
         f"{100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs used the core for "
-        f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."
+        f"{100 * timing.others_share:.1g} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."
     )
