@@ -251,7 +251,7 @@ class Controller:
         """
         # The core's memory is initialised with zeros, while H of a program has positive weights on its diagonal.
         if not self._program.H.any():
-            raise RuntimeError("no tick has set up a quadratic program yet: call start, and then step with poses until its mode is TRACKING")
+            raise RuntimeError("there is no quadratic program yet: call start, and step with poses until TRACKING")
         if plan is not None:
             self._fresh_estimate()
             pairs = _pairs(plan)

@@ -374,7 +374,8 @@ def _frames_by_name(folder: str) -> Iterator[None]:
     except ConfigError as error:
         if folder not in (message := str(error)):
             raise
-        remedy = "; first write the data frame to this file: frame.to_csv('data frame 0', index=frame.index.name is not None)"
+        remedy = "; first write the data frame to this file: frame.to_csv('data frame 0', index=INDEX), INDEX is "
+        remedy += "True for an index with a name, otherwise False"
         raise ConfigError(message.replace(f"{folder}/", "") + remedy * ("--draft" in message)) from error
 
 

@@ -99,7 +99,7 @@ def _match_random(name_or_path: str | Path) -> re.Match[str] | None:
 def trajectory_file(name_or_path: str | Path) -> Path:
     """Return the path of a trajectory file; raise ConfigError if it does not exist. Random splines have no file."""
     # The most similar built-in name is fast_circle, which is no path for a first drive.
-    if isinstance(name_or_path, (str, Path)) and Path(name_or_path).stem == "first_circle" and not is_file(name_or_path):
+    if Path(str(name_or_path)).stem == "first_circle" and not is_file(name_or_path):
         remedy = "give the path of first_circle.yaml in the folder that identify wrote"
         raise ConfigError(f"trajectory '{name_or_path}': there is no such file; {remedy}")
     return named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")

@@ -44,18 +44,12 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
         increase, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
     rows = _read(path)
-    _check_heading_unit(str(path), _spline_rates(rows[:, 0], rows[:, 1:3]), rows[:, 3])
+    _check_heading_unit(str(path), CubicSpline(rows[:, 0], rows[:, 1:3])(rows[:, 0], 1), rows[:, 3])
     return fit_timed_poses(rows, limits, name=path.stem, where=str(path))
 
 
 def fit_timed_poses(
-    rows: FloatArray,
-    limits: TrajectoryLimits | None,
-    *,
-    name: str,
-    where: str,
-    rates: FloatArray | None = None,
-    sideways_remedy: str = "let theta [rad] point along the direction of travel, or give more rows",
+    rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
 ) -> SplineTrajectory:
     """Interpolate timed poses by twice continuously differentiable splines, or by splines with given rates.
 
@@ -73,8 +67,6 @@ def fit_timed_poses(
         Source of the rows in error messages.
     rates
         (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows; None if unknown.
-    sideways_remedy
-        Remedy for sideways travel in error messages.
 
     Raises
     ------
@@ -89,7 +81,7 @@ def fit_timed_poses(
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, slopes = splines(times), splines(times, 1)
-    _check_speeds(where, times + rows[0, 0], poses, slopes, limits, sideways_remedy)
+    _check_speeds(where, times + rows[0, 0], poses, slopes, limits)
     # Hermite interpolation of values and slopes of a cubic spline reproduces the spline.
     return SplineTrajectory.through(name, times, poses, slopes)
 
@@ -160,24 +152,23 @@ def _parse_row(path: Path, line: int, cells: list[str], columns: list[int]) -> l
 
 
 def _check_speeds(
-    where: str,
-    times: FloatArray,
-    poses: FloatArray,
-    rates: FloatArray,
-    limits: TrajectoryLimits | None,
-    sideways_remedy: str,
+    where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits | None
 ) -> None:
     """Raise ConfigError for speeds that exceed the limits, and for sideways travel."""
     settings = load_settings()
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
     slower = "stretch the time or lower the speed"
+    along = (
+        "let theta [rad] point along the direction of travel, or give more rows; for corners or noisy positions use "
+        "few points with Trajectory.from_waypoints, or waypoints in YAML"
+    )
     is_full_turn = np.abs(poses[:, 2]).max() > 2 * np.pi
     less_turning = f"convert theta to rad if it is in degrees, or {slower}" if is_full_turn else slower
     for name, unit, speed, limit, excess, remedy in (
         ("v", "m/s", forward, limits.v if limits else np.inf, settings.speed_excess, slower),
         ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, less_turning),
-        ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, sideways_remedy),
+        ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, along),
     ):
         bounds = sides_at(limit, speed)
         worst = int(np.argmax(np.abs(speed) / bounds))
@@ -205,16 +196,15 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
     where = f"trajectory '{name}'"
     arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
-    rates = _spline_rates(times, points)
+    rates = CubicSpline(times, points)(times, 1)
     v, omega = arrays.get("v"), arrays.get("omega")
     theta = arrays.get("theta")
     chords = np.gradient(points, times, axis=0)
     if theta is None:
         theta = _headings(where, rates, chords, v)
-        remedy = {"sideways_remedy": "for corners or noisy positions use Trajectory.from_waypoints with few points"}
     else:
         _check_heading_unit(where, rates, theta)
-        theta, remedy = np.unwrap(theta), {}
+        theta = np.unwrap(theta)
     along = np.column_stack([np.cos(theta), np.sin(theta)])
     turning = CubicSpline(times, theta)(times, 1)
     if v is not None:
@@ -226,7 +216,7 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
     has_twist = v is not None or omega is not None
     rows = np.column_stack([arrays["t"], points, theta])
     twists = np.column_stack([rates, turning]) if has_twist else None
-    return fit_timed_poses(rows, None, name=name, where=where, rates=twists, **remedy)
+    return fit_timed_poses(rows, None, name=name, where=where, rates=twists)
 
 
 def trajectory_from_waypoints(
@@ -335,11 +325,6 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     # At rest the heading is that of the last moving row, or that of the first moving row before the first motion.
     heading = headings[moving[last_moving]]
     return np.asarray(np.unwrap(heading) - 2 * np.pi * np.round(heading[0] / (2 * np.pi)))
-
-
-def _spline_rates(times: FloatArray, points: FloatArray) -> FloatArray:
-    """Compute the velocities (n, 2) [m/s] at `times` (n,) of a spline through `points` (n, 2)."""
-    return np.asarray(CubicSpline(times, points)(times, 1))
 
 
 def _check_heading_unit(where: str, rates: FloatArray, theta: FloatArray) -> None:

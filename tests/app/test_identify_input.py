@@ -63,7 +63,7 @@ def folder(tmp_path_factory):
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
-        ("good.csv --mapping map.yaml --validate copy.csv", "copy.csv: this log is given twice, it has the data of good"),
+        ("good.csv --mapping map.yaml --validate copy.csv", "copy.csv: this log is given twice"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
     ],
 )
