@@ -45,14 +45,17 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "gyro": ("imu",),
     "stamp": ("time",),
     "timestamp": ("time",),
-    **dict.fromkeys(("dps", "degps", "°/s"), ("deg/s",)),
-    "rps": ("rev/s",),
-    "kph": ("km/h",),
-    **dict.fromkeys(("counts", "pulses"), ("ticks",)),
-    **dict.fromkeys(("sec", "seconds"), ("s",)),
-    "milliseconds": ("ms",),
 }
-"""Keys or units, or ends of the paths of keys, by synonyms used in the field."""
+"""Keys, or ends of their paths, by synonyms used in the field."""
+_UNITS = {
+    **dict.fromkeys(("dps", "degps", "°/s"), "deg/s"),
+    "rps": "rev/s",
+    "kph": "km/h",
+    **dict.fromkeys(("counts", "pulses"), "ticks"),
+    **dict.fromkeys(("sec", "seconds"), "s"),
+    "milliseconds": "ms",
+}
+"""Units by other names."""
 
 _MAX_SUGGESTIONS = 4
 
@@ -60,7 +63,7 @@ _MAX_SUGGESTIONS = 4
 def similar_name(name: str, known: Iterable[str]) -> str:
     """Format the most similar known name, if there is one, as the end of a message about an unknown name."""
     text, names = str(name).lower(), list(known)
-    synonyms = [synonym for synonym in SYNONYMS.get(text, ()) if synonym in names]
+    synonyms = [synonym for synonym in (*SYNONYMS.get(text, ()), _UNITS.get(text)) if synonym in names]
     near = synonyms or difflib.get_close_matches(text, names, n=1, cutoff=0.5)
     return f"; did you mean '{near[0]}'?" if near else ""
 

@@ -39,7 +39,7 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
 
 
 def stated_changes(mapping: LogMapping, changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
-    """Express changes by the keys of a mapping and relative to its values; return () if it has no key for one."""
+    """Convert changes to keys of a mapping and values relative to its own; return () if it has no key for one."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     if data.get("columns") is None:
         data["topics"] = {name: {"topic": topic} for name, topic in _DEFAULT_TOPICS.items()} | data.get("topics", {})
