@@ -299,13 +299,13 @@ def _clock_rows(table: CsvTable, columns: Columns) -> BoolArray:
     Exports of ROS 2 bags and PlotJuggler have a row for each message, with empty cells for the other topics.
     """
     all_rows = np.ones(len(table.row), dtype=bool)
-    if columns.time is None or not table.empty:
+    if columns.time is None:
         return all_rows
     streams: list[BoolArray] = []
     for group in (columns.command, columns.encoders, columns.gyro, columns.pose):
         names = [part.column for _, part in group or () if isinstance(part, SignalColumn)]
         if names:
-            cells = np.array([~table.empty.get(name, ~all_rows) for name in names])
+            cells = np.array([np.abs(table.cells(name)) < MAX_VALUE for name in names])
             is_complete = np.asarray(cells.all(axis=0))
             streams.append(is_complete if is_complete.any() else cells[0])
     clock = max(streams, key=np.count_nonzero)

@@ -42,6 +42,8 @@ def reduce_table(
     if stride > 1:
         findings.append(decimation_finding(table.path.name, "row", stride, period))
         table = table.part(~clock_rows | ((np.cumsum(clock_rows) - 1) % stride == 0))
+        if not clock_rows.all():
+            table.row = np.arange(len(table.row))  # the rest of the rows has no gaps
     if len(table.row) <= settings.max_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]

@@ -400,21 +400,17 @@ EMPTY = -np.inf
 
 def as_messages(columns, base):
     """Write a row for each message: commands on change, each wheel and the gyro often, poses rarely."""
-    time, command = columns["t"], np.column_stack([columns[name] for name in base.commands])
-    is_sent = np.append(True, (np.diff(command, axis=0) != 0).any(axis=1))
-    every = np.arange(len(time))
-    messages = [(base.commands, np.flatnonzero(is_sent), 0.0), (("x", "y", base.heading), every[::5], 0.011)]
-    messages += [
-        ((base.gyro,), every, 0.0),
-        *(((side,), every[::2], 0.003 + 0.004 * (side == "left")) for side in base.wheels),
-    ]
-    parts = []
+    is_sent = np.append(True, np.any([np.diff(columns[name]) != 0 for name in base.commands], axis=0))
+    every, (left, right) = np.arange(len(is_sent)), base.wheels
+    messages = [(base.commands, every[is_sent], 0.0), (("x", "y", base.heading), every[::5], 0.011)]
+    messages += [((base.gyro,), every, 0.0), ((left,), every[::2], 0.007), ((right,), every[::2], 0.003)]
+    merged = {name: [] for name in columns}
     for names, rows, offset in messages:
-        cells = {name: columns[name][rows] if name in names else np.full(len(rows), EMPTY) for name in columns}
-        parts.append(cells | {"t": time[rows] + offset})
-    merged = {name: np.concatenate([part[name] for part in parts]) for name in columns}
-    order = np.argsort(merged["t"], kind="stable")
-    return {name: values[order] for name, values in merged.items()}
+        for name, values in columns.items():
+            merged[name].append(values[rows] if name in names else np.full(len(rows), EMPTY))
+        merged["t"][-1] = columns["t"][rows] + offset
+    order = np.argsort(np.concatenate(merged["t"]), kind="stable")
+    return {name: np.concatenate(parts)[order] for name, parts in merged.items()}
 
 
 def write_columns(path, columns):
