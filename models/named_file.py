@@ -54,10 +54,12 @@ def named_file(
     if is_file(name):
         return Path(name)
     path = Path(text)
-    hint = f"; did you mean '{text}.yaml'?" if is_file(f"{text}.yaml") else similar_name(path.stem, known)
-    # Another path is not a misspelt name, except for the name of a shipped file with its suffix.
-    if path.suffix and path.stem not in known:
-        hint = ""
+    if is_file(f"{text}.yaml"):
+        hint = f"; did you mean '{text}.yaml'?"
+    elif path.suffix:  # a path is not a misspelt name, except for the name of a shipped file with its suffix
+        hint = similar_name(path.stem, {path.stem} & {*known})
+    else:
+        hint = similar_name(text, known)
     missing = "there is no such file; " if looks_like_path(text) else ""
     if path.is_dir():
         files = ", ".join(sorted(file.name for file in path.glob("*.yaml")))

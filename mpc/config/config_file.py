@@ -103,6 +103,12 @@ def config_path(name: str | Path) -> Path:
     if str(name) in packaged:
         return packaged[str(name)]
     check_package("models", name)
+    if not is_file(name):
+        from diffdrive_mpc.models.stated_robot import STATED_ROBOTS  # noqa: PLC0415 - only for unknown names
+
+        if str(name) in STATED_ROBOTS.names:
+            remedy = f"data of the robot, for a first one: diffdrive-mpc config show kinematic --robot {name}"
+            raise ConfigError(f"unknown configuration '{name}': {remedy}")
     return named_file("configuration", PARAMETERS, name, (*shipped, *packaged))
 
 

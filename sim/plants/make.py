@@ -22,7 +22,7 @@ from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.plug_ins import Scene, make_part
-from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import Surface, load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
@@ -242,9 +242,10 @@ def _model_plant(
 
 def _suggest_plant(name: str) -> str:
     """Format a similar name as a suggestion for the message about an unknown plant; empty if no name is similar."""
-    from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
+    from diffdrive_mpc.models.load import ROBOT_NAMES, model_names  # noqa: PLC0415 - see make_plant
 
-    names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
+    names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {robot: f"{PHYSICS}:{robot}" for robot in ROBOTS.names}
+    names |= {model: _MODEL_PREFIX + model for model in (*model_names(), *ROBOT_NAMES)}
     similar = difflib.get_close_matches(name.lower(), names, n=1)
     return f"; did you mean '{names[similar[0]]}'?" if similar else ""
 
