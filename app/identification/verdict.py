@@ -106,7 +106,8 @@ class TrialVerdict:
         if self.failure:
             return (self.failure,)
         has_no_stand_in = self.drives and not any(drive.plant == HELD_OUT for drive in self.drives)
-        missing = ("there are too few held-out data for a held-out model",) if has_no_stand_in else ()
+        held_out = f"{self.identification.report.data.held_out} do not determine a held-out model"
+        missing = (f"{held_out}: record steps of both signs in v and in omega there, too",) if has_no_stand_in else ()
         return (*self.changes, *missing, *self._unexplained_reasons, *trust.reasons)
 
     @property

@@ -156,13 +156,19 @@ class AdvisedError(UnsoundLogError):
 
 
 def drop_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Remove the proposed changes that are not part of the advice from the findings."""
+    """Remove the proposed changes that are not part of the advice from the findings, and name them as unconfirmed."""
     advised = set() if advice is None else set(advice.changes)
     advised_keys = {(change.stream, change.key) for change in advised}
+
+    def without_changes(finding: Finding) -> Finding:
+        proposal = ", ".join(map(str, finding.changes))
+        message = f"{finding.message}; not confirmed by a quick fit: {proposal}"
+        return replace(finding, message=message, changes=())
+
     return tuple(
         finding
         if all((change.stream, change.key) in advised_keys for change in finding.changes)
-        else replace(finding, changes=())
+        else without_changes(finding)
         for finding in findings
     )
 

@@ -205,8 +205,8 @@ def identify(
     on_log
         Function that is called with each log after it is read, before the fit.
     on_findings
-        Function that is called with notes and warnings of each log after it is read, even if an error follows. The
-        findings contain no proposals for the mapping, because these are not yet tested.
+        Function that is called with notes and warnings of the logs after proposals for the mapping are tried, even if
+        an error follows.
     on_progress
         Function that is called with a description of the next step.
 
@@ -254,14 +254,16 @@ def identify(
                 max_rows=identification_settings().max_rows["effects" if effects else "plain"],
             )
         except (ValueError, OSError) as error:
-            report(drop_rejected(log_findings, None))
-            if isinstance(error, UnsoundLogError):
-                raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
-            raise
+            if not isinstance(error, UnsoundLogError):
+                report(log_findings)
+                raise
+            advice = advise(selection, error.findings, on_progress)
+            report(drop_rejected(log_findings, advice))
+            raise AdvisedError(error.findings, advice) from error
         corrections = find_corrections(data.logs[0], data.train, effective_mapping)
-        report(drop_rejected(corrections.merged(log_findings), None))
         findings = corrections.merged(data.findings)
         advice = advise(selection, findings, on_progress)
+        report(drop_rejected(corrections.merged(log_findings), advice))
     data = replace(
         data,
         train=corrections.correct(data.train),

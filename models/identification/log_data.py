@@ -259,7 +259,8 @@ def most_informative(records: Sequence[Record], max_rows: int) -> list[Record]:
         return list(records)
     commands = np.concatenate([record.command for record in records])
     scale = np.maximum(commands.std(axis=0), 1e-12)
-    span = max(1, round(identification_settings().part_time / records[0].dt))
+    # A part longer than the maximum would never be selected.
+    span = min(max_rows, max(1, round(identification_settings().part_time / records[0].dt)))
     parts = [(i, start) for i, record in enumerate(records) for start in range(0, len(record.command), span)]
     scores = [
         float((np.abs(np.diff(records[i].command[start : start + span], axis=0)) / scale).sum()) for i, start in parts
