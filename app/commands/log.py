@@ -40,9 +40,18 @@ def check(
 
     content = read_log(log, mapping)
     corrections = find_corrections(content.name, content.records, mapping)
-    echo("\n".join([*summary(content), *format_labelled_findings(corrections.merged(content.findings))]))
+    findings = corrections.merged(content.findings)
+    echo("\n".join([*summary(content), *format_labelled_findings(findings)]))
     sensor_settings = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
-    otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
-    echo(sensor_settings.rstrip() if corrections.settings and not content.errors else otherwise)
+    if content.errors:
+        conclusion = "unknown until the errors are corrected"
+    elif any(finding.changes and finding.severity == "warning" for finding in findings):
+        conclusion = "unknown until the mapping is corrected as proposed"
+    elif any(finding.severity == "warning" for finding in findings):
+        conclusion = "no setting corrects the warnings above"
+    else:
+        conclusion = "no correction needed"
+    is_known = corrections.settings and not conclusion.startswith("unknown")
+    echo(sensor_settings.rstrip() if is_known else f"sensors: {conclusion}")
     if content.errors:
         raise typer.Exit(FAILED)

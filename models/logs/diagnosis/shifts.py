@@ -66,9 +66,9 @@ def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) ->
     if abs(delay) <= settings.sensor_shift:
         return []  # the sensor is later than one sensor and earlier than another
     others = sorted({sensor for pair in significant for sensor in pair} - {name})
+    verb, order = "are" if name == ENCODERS else "is", "later" if delay > 0 else "earlier"
     message = (
-        f"the {name} is {abs(delay):.2f} +- {1.96 * deviation:.2f} s {'later' if delay > 0 else 'earlier'} than the "
-        f"{' and the '.join(others)}"
+        f"the {name} {verb} {abs(delay):.2f} +- {1.96 * deviation:.2f} s {order} than the {' and the '.join(others)}"
     )
     # No reading precedes the motion: a sensor that is early but follows its command shows that the others are late.
     is_shifted = delay > 0 or _precedes_its_command(name, streams, settings)
