@@ -205,10 +205,11 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
     """
     windows = pose_windows(records, "yaw_rate", pose_lag)
     measured = np.concatenate([part.signal[..., 0].mean(axis=1) for part in windows])
-    true_rate = np.concatenate([part.displacement[:, 2] / (part.signal.shape[1] * part.dt) for part in windows])
+    pose_rate = np.concatenate([part.displacement[:, 2] / (part.signal.shape[1] * part.dt) for part in windows])
 
     def errors(parameters: FloatArray) -> FloatArray:
-        return np.asarray(measured - parameters[0] * true_rate - parameters[1])[:, None]
+        # The residual is that of the poses: as a regressor, their noise would reduce the scale.
+        return np.asarray(pose_rate - (measured - parameters[1]) / parameters[0])[:, None]
 
     return _solve(errors, np.array([1.0, 0.0]), ("gyro_scale", "gyro_offset"))
 

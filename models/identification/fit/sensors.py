@@ -149,7 +149,9 @@ def find_corrections(
             readings, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
             # A sensor with a negative delay in the mapping is corrected in the log only, see `settings`.
             minimum = max(limits.min_delay, -stated.get(key, {}).get("delay", 0.0))
-            if abs(delay) > max(minimum, limits.significance * deviation):
+            if abs(delay) <= max(minimum, limits.significance * deviation):
+                delay = 0.0
+            else:
                 inferred[key] = {"delay": round(abs(delay), 3)}
                 text = f"{readings} are {abs(delay):.3f} +- {1.96 * deviation:.3f} s older than their stamps"
                 report("late sensor", text)
@@ -157,7 +159,8 @@ def find_corrections(
             scale, deviation = gyro.value("gyro_scale"), gyro.deviation("gyro_scale")
             # A scale beyond the plausible gains is a wrong unit or a dead sensor, which the checks of the log report.
             is_plausible = plausible.gain_of_omega[0] < scale < plausible.gain_of_omega[1]
-            if is_plausible and abs(scale - 1.0) > max(limits.min_scale, limits.significance * deviation):
+            is_known = 1.96 * deviation < plausible.known_gain * scale
+            if is_plausible and is_known and abs(scale - 1.0) > max(limits.min_scale, limits.significance * deviation):
                 inferred["yaw_rate"] = {"scale": round(scale, 4), **inferred.get("yaw_rate", {})}
                 text = f"rotation of the gyro is {scale:.4f} +- {1.96 * deviation:.4f} times that of the poses"
                 report("scaled sensor", text)
