@@ -44,6 +44,7 @@ class CheckSettings(StrictModel):
     lags: tuple[float, ...] = Field(description="candidate time constants of the two equal lags [s]")
     weak_correlation: Share = Field(description="minimum correlation of a response with its command")
     clear_correlation: Share = Field(description="correlation above which a response is clear")
+    known_gain: Share = Field(description="relative 95 % interval of a steady-state gain below which it is known")
     wrong_sign: float = Field(ge=-1, lt=0, description="correlation of a response below which its sign is wrong")
     gain_of_v: tuple[Positive, Positive] = Field(description="minimum and maximum ratio of v of two streams")
     gain_of_omega: tuple[Positive, Positive] = Field(description="minimum and maximum ratio of omega of two streams")

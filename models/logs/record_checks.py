@@ -15,7 +15,7 @@ from diffdrive_mpc.models.logs.sampling import RawLog
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 UNITS = {"v": "m/s", "omega": "rad/s"}
-_REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
+REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
 _SENSORS = {
     "encoders": ("twist", "fresh_twist", (0, 1)),
     "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
@@ -30,22 +30,20 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
     is_constant = [bool(np.ptp(column) < settings.zero_command) for column in commands.T]
     if all(is_constant):
         v, omega = commands[0]
-        message = (
-            f"the command never changes (v {v:g} m/s, omega {omega:g} rad/s), so there is no excitation; {_REMEDY}"
-        )
+        message = f"the command never changes (v {v:g} m/s, omega {omega:g} rad/s), so there is no excitation; {REMEDY}"
         return [Finding("constant input", "error", log, message)]
     findings = []
     for j, channel in enumerate(CHANNELS):
         if is_constant[j]:
             level = commands[0, j] if abs(commands[0, j]) > settings.zero_command else 0.0
             message = f"{channel} is always commanded {level:g} {UNITS[channel]}: its response cannot be identified"
-            findings.append(Finding("constant input", "warning", log, f"{message}; {_REMEDY}"))
+            findings.append(Finding("constant input", "warning", log, f"{message}; {REMEDY}"))
             continue
         changes = command_changes(records, j, settings)
         if changes < settings.min_changes:
             message = (
                 f"the command of {channel} changes {changes} times, too few to separate gain, lag and dead time; "
-                f"{_REMEDY}"
+                f"{REMEDY}"
             )
             findings.append(Finding("little excitation", "warning", log, message))
         findings += _saturation_finding(log, records, j, settings)
@@ -55,7 +53,7 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
             message = (
                 f"the commands of v and omega are correlated ({correlation:.2f}), so their effects cannot be separated"
             )
-            findings.append(Finding("little excitation", "warning", log, f"{message}; {_REMEDY}"))
+            findings.append(Finding("little excitation", "warning", log, f"{message}; {REMEDY}"))
     return findings
 
 
@@ -87,7 +85,7 @@ def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettin
             reason = f"its command changes {changes} times" if changes else "its command never changes"
             message = (
                 f"{channel} was {'hardly' if changes else 'never'} driven ({reason}): its response cannot be "
-                f"identified; {_REMEDY}"
+                f"identified; {REMEDY}"
             )
             findings.append(Finding("little excitation" if changes else "constant input", "error", logs, message))
     return findings

@@ -514,6 +514,15 @@ def latched(rows):
     return lambda values: values[np.clip((np.arange(len(values)) - first) // rows * rows + first, 0, None)]
 
 
+def circling(twist, seconds, jitter, seed):
+    """Drive a circle with the small changes of a tracking controller, starting and stopping in one second."""
+    t, rng = 0.02 * np.arange(round(seconds / 0.02)), np.random.default_rng(seed)
+    share = np.clip(np.minimum(t, seconds - t), 0.0, 1.0)[:, None]
+    command = share * (twist + low_passed(rng.normal(size=(len(t), 2)), 0.02, 0.02) * jitter)
+    columns = robot(seed=seed, seconds=seconds, skid=0.9, command=command)
+    return columns | {name: columns[name] + rng.normal(0.0, 0.005, len(t)) for name in ("x", "y", "theta")}
+
+
 def straight(columns, base):
     """Drive straight only; the commanded omega consists of rounding errors."""
     columns = robot(drive=(1, 0), seed=41)

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, 
 from diffdrive_mpc.models.logs.diagnosis.motions import check_motions, compare_sensors
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, GYRO, Streams, fit_response, steady_gain
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
@@ -126,10 +126,15 @@ def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -
         if response is None:
             lines.append(f"{name} not driven")
             continue
-        interval = 1.96 * response.size_deviation
-        times = f"{response.size:.3f} +- {interval:.3f} times, {response.delay:.2f} s later"
+        # At a constant rate, the offset of a gyro cannot be separated from its gain.
+        fits = [
+            steady_gain(streams, name, channel, response.dead_time, settings, has_offset=has_offset)
+            for has_offset in ((True, False) if name == GYRO else (False,))
+        ]
+        gain, interval = min(fits, key=lambda fit: fit[1])
+        times = f"{gain:.3f} +- {interval:.3f} times, {response.delay:.2f} s later"
         # With such an interval, the delay is arbitrary as well.
-        times = times if interval < 0.5 * abs(response.size) else "not determined"
+        times = times if interval < 0.5 * abs(gain) else "not determined"
         lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
     needed = "encoders or poses" if channel == 0 else "encoders, gyro or poses"
     return "command -> " + "; ".join(lines) if lines else f"no sensor; identify needs {needed}"

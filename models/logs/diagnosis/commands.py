@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Streams, fit_response
+from diffdrive_mpc.models.logs.diagnosis.streams import (
+    COMMAND,
+    ENCODERS,
+    Streams,
+    fit_response,
+    jackknife,
+    past_commands,
+    residual_variance,
+)
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -97,15 +106,21 @@ def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     for channel in (0, 1):
         for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
-            share = command / max(float(np.nanmax(np.abs(command))), settings.zero_command)
-            # Expo curve of a remote control: a share `expo` of the command is replaced by its cube.
-            trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
-            responses = [fit_response(streams, trial, values, settings) for trial in trials]
-            residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
-            linear, best = residuals[0], int(np.argmin(residuals))
-            if best and settings.min_curve < linear < 1.0 and residuals[best] < settings.shape_ratio * linear:
+            relative = command / max(float(np.nanmax(np.abs(command))), settings.zero_command)
+            # Expo curve of a remote control: a share of the command is replaced by its cube.
+            linear, cubic = (past_commands(streams, part, settings) for part in (command, command * relative**2))
+            rows = np.column_stack([streams.crop(linear, settings.max_shift), np.ones(len(values)), cubic, values])
+            rows = rows[np.isfinite(rows).all(axis=1)]
+            count, variance = linear.shape[1], float(np.var(rows[:, -1])) if len(rows) else 0.0
+            if len(rows) < 8 * rows.shape[1] or variance == 0:
+                continue
+            curved, values = rows[:, :-1], rows[:, -1]
+            share, deviation = jackknife(curved, values, partial(_cubic_share, count=count))
+            residuals = [residual_variance(part, values) / variance for part in (curved[:, : count + 1], curved)]
+            is_curve = settings.min_curve < residuals[0] and residuals[1] < settings.shape_ratio * residuals[0]
+            if is_curve and share > settings.significance * deviation:
                 # At a third of the maximum, the cubic term is a ninth of the linear term, so 8/9 of the share is lost.
-                effects.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
+                effects.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * share * 8 / 9:.0f} %")
     if not effects:
         return []
     message = (
@@ -113,6 +128,12 @@ def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         "command and the base; switch it off, or log the command after it"
     )
     return [Finding("curved command", "warning", log, message)]
+
+
+def _cubic_share(coefficients: FloatArray, count: int) -> float:
+    """Return the share of the cubic term in the gain; the first `count` coefficients are linear."""
+    linear, cubic = float(coefficients[:count].sum()), float(coefficients[count + 1 :].sum())
+    return cubic / (linear + cubic)
 
 
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:

@@ -11,9 +11,20 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.limits import apply_best_limits
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, StreamResponse, Streams
+from diffdrive_mpc.models.logs.diagnosis.streams import (
+    COMMAND,
+    ENCODERS,
+    GYRO,
+    POSE,
+    StreamResponse,
+    Streams,
+    jackknife,
+    residual_variance,
+    steady_gain,
+)
 from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, POSE_UNITS, SIDES, TWIST_UNITS
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
+from diffdrive_mpc.models.logs.record_checks import REMEDY
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _SAME_FACTOR = 0.1
@@ -114,31 +125,31 @@ def _mean_directions(streams: Streams) -> tuple[complex, complex]:
 def _rotation_finding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return the finding for a constant angle between the heading of the pose and the direction of motion.
 
-    A point away from the centre of rotation also moves sideways in proportion to omega; a regression separates this
-    part from the rotation.
+    A point away from the centre of rotation also moves sideways in proportion to omega, and a skidding body in
+    proportion to v omega; a regression separates these parts from the rotation. In a drive along a circle it cannot,
+    so the angle must be significant.
     """
     assert streams.pose is not None
     step = streams.pose_rates()
     velocity = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * streams.pose[:, 2])
     v = streams.smooth(streams.delay(streams.low_pass(streams.command[:, 0], 0.1), 0.2))
-    is_used = np.isfinite(velocity) & np.isfinite(v) & np.isfinite(step[:, 2])
-    rows, velocity = np.column_stack([v, step[:, 2]])[is_used].astype(complex), velocity[is_used]
-    commands = streams.command[is_used]
+    rows = np.column_stack([v, step[:, 2], v * step[:, 2]]).astype(complex)
+    is_used = np.isfinite(velocity) & np.isfinite(rows).all(axis=1)
+    rows, velocity, commands = rows[is_used], velocity[is_used], streams.command[is_used]
     if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinearity:
         return []  # the effects of v and omega cannot be separated
-    coefficients, *_ = np.linalg.lstsq(rows, velocity, rcond=None)
-    explained = 1 - np.sum(np.abs(velocity - rows @ coefficients) ** 2) / max(
-        float(np.sum(np.abs(velocity) ** 2)), 1e-300
-    )
-    offset = -float(np.angle(coefficients[0]))
+    angle, deviation = jackknife(rows, velocity, lambda row: float(np.angle(row[0])))
+    explained = 1 - residual_variance(rows, velocity) / max(float(np.mean(np.abs(velocity) ** 2)), 1e-300)
     # Half a turn indicates a wrong sign.
-    if explained < settings.clear_correlation**2 or not settings.pose_rotation < abs(offset) < np.pi - 0.5:
+    is_clear = max(settings.pose_rotation, settings.significance * deviation) < abs(angle) < np.pi - 0.5
+    if explained < settings.clear_correlation**2 or not is_clear:
         return []
-    streams.pose = streams.pose - [0.0, 0.0, offset]
+    streams.pose = streams.pose + [0.0, 0.0, angle]
     message = (
-        f"the pose moves at {math.degrees(-offset):.0f} deg to its heading: its frame is rotated relative to the robot"
+        f"the pose moves at {math.degrees(angle):.0f} +- {math.degrees(1.96 * deviation):.0f} deg to its heading: "
+        "its frame is rotated relative to the robot"
     )
-    return [Finding("turned pose", "warning", log, message, changes=(_turned_by(offset, streams),))]
+    return [Finding("turned pose", "warning", log, message, changes=(_turned_by(-angle, streams),))]
 
 
 def _turned_by(angle: float, streams: Streams) -> MappingChange:
@@ -177,6 +188,10 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 abs(relation.signed_correlation) < settings.weak_correlation
                 or -settings.weak_correlation > relation.signed_correlation > settings.wrong_sign
             ):
+                gain, interval = steady_gain(streams, name, channel, relation.dead_time, settings)
+                if interval < settings.known_gain * abs(gain):
+                    findings.append(_steady_finding(log, name, channel, relation))
+                    continue
                 findings.append(_weak_finding(log, name, channel, relation, max_correlation, settings))
                 streams.remove(name)
                 del relations[name]
@@ -222,6 +237,15 @@ def _weak_finding(
     # The sensor is faulty if another sensor responds.
     is_faulty = max_correlation > settings.clear_correlation
     return Finding("weak response", "error" if is_faulty else "warning", log, message)
+
+
+def _steady_finding(log: str, name: str, channel: int, relation: StreamResponse) -> Finding:
+    """Return the finding for a sensor that follows a nearly constant command in the mean only."""
+    message = (
+        f"{CHANNELS[channel]} is nearly constant: its changes do not show in the noise of the {name} (correlation "
+        f"{relation.signed_correlation:.2f}), although its mean does; {REMEDY}"
+    )
+    return Finding("little excitation", "warning", log, message)
 
 
 def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:

@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from scipy import fft
+from numpy.typing import NDArray
+from scipy import fft, special
 from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -20,7 +22,9 @@ COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
 SENSORS = (ENCODERS, GYRO, POSE)
 _FIELDS = {ENCODERS: "twist", GYRO: "yaw_rate", POSE: "pose"}
 _BLOCKS = 5
-"""Number of parts of a log for the standard deviation of a dead time."""
+"""Number of parts of a log for standard deviations."""
+_MIN_SINGULAR = 1e-3
+"""Relative singular value below which a short drive does not separate lags and dead times."""
 
 
 @dataclass
@@ -93,7 +97,9 @@ class Streams:
         step = self.pose_rates()
         # Velocity in the frame of the robot; the real part is forward.
         velocity = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * self.pose[:, 2])
-        return np.asarray(velocity.real if channel == 0 else step[:, 2])
+        # On an arc, the chord between two poses is shorter than the path.
+        half_turn = np.clip(step[:, 2] * self.half_window * self.dt, -0.5 * np.pi, 0.5 * np.pi)
+        return np.asarray(velocity.real / np.sinc(half_turn / np.pi) if channel == 0 else step[:, 2])
 
     def pose_rates(self) -> FloatArray:
         """Compute rates of x, y, theta of the pose (N, 3) by central differences over its window."""
@@ -281,9 +287,9 @@ class StreamResponse:
         (c, m) steady-state gains from c inputs to m outputs.
     correlation
         (m,) correlation of each output with the best combination of inputs; for one input, with the sign of the gain.
-    size, size_deviation
+    size
         Ratio of the first output to the first input, including their means, which is also valid for drives at almost
-        constant speed; and its standard deviation, by the jackknife over parts of the log.
+        constant speed.
     """
 
     dead_time: float
@@ -292,7 +298,6 @@ class StreamResponse:
     gain: FloatArray
     correlation: FloatArray
     size: float
-    size_deviation: float
 
     @property
     def signed_correlation(self) -> float:
@@ -353,13 +358,10 @@ def fit_response(
         # A part of the log without excitation has no clear maximum.
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * explained_variance.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
-    blocks = (np.array_split(part[:, 0], _BLOCKS) for part in finite_pairs(filtered, y, low + index))
-    products = np.array([[before @ after, before @ before] for before, after in zip(*blocks, strict=True)])
-    without_one = products.sum(axis=0) - products
-    size, *sizes = (float(product / max(square, 1e-300)) for product, square in [products.sum(axis=0), *without_one])
-    size_deviation = float(np.sqrt(_BLOCKS - 1) * np.std(sizes))
+    before, after = (part[:, 0] for part in finite_pairs(filtered, y, low + index))
+    size = float(before @ after) / max(float(before @ before), 1e-300)
     dead_time = streams.dt * _peak(explained_variance, low)
-    return StreamResponse(dead_time, deviation, lag, gain, correlation, size, size_deviation)
+    return StreamResponse(dead_time, deviation, lag, gain, correlation, size)
 
 
 def _with_initial_commands(
@@ -440,6 +442,39 @@ def finite_pairs(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, 
     return u[both], y[both]
 
 
+def steady_gain(
+    streams: Streams, name: str, channel: int, dead_time: float, settings: CheckSettings, *, has_offset: bool = False
+) -> tuple[float, float]:
+    """Return the steady-state gain from a command to a sensor, and half of its 95 % interval.
+
+    The gain is the sum of the coefficients of several lags and dead times near `dead_time` [s], so that it does not
+    depend on the shape of the response. With `has_offset`, the sensor may have a constant offset.
+    """
+    command, values = streams.pair(COMMAND, name, channel)
+    lagged = [streams.low_pass(command, lag) for lag in settings.lags]
+    columns = [streams.delay(part, dead_time + delay) for part in lagged for delay in (-0.1, 0.0, 0.1)]
+    regressors = np.column_stack([*columns, *([np.ones(len(values))] if has_offset else [])])
+    rows = np.column_stack([streams.crop(regressors, settings.max_dead_time), values])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    gain, deviation = jackknife(rows[:, :-1], rows[:, -1], lambda row: float(row[: len(columns)].sum()))
+    return gain, -float(special.stdtrit(_BLOCKS - 1, 0.025)) * deviation
+
+
+def jackknife(
+    rows: NDArray[Any], values: NDArray[Any], quantity: Callable[[NDArray[Any]], float]
+) -> tuple[float, float]:
+    """Return a quantity of the least-squares coefficients (k,) of rows (n, k), and its standard deviation.
+
+    The deviation is estimated by omission of one part of the log after the other, so it includes correlated errors.
+    """
+    parts = [np.empty(0, dtype=int), *np.array_split(np.arange(len(rows)), _BLOCKS)]
+    whole, *quantities = (
+        quantity(np.linalg.lstsq(np.delete(rows, part, axis=0), np.delete(values, part), rcond=_MIN_SINGULAR)[0])
+        for part in parts
+    )
+    return whole, float(np.sqrt(_BLOCKS - 1) * np.std(quantities))
+
+
 def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
     u, y = finite_pairs(u, y, shift)
     if len(y) < 2:
@@ -451,6 +486,17 @@ def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, Floa
     return np.asarray(gain), np.asarray(correlation * (np.sign(gain[0]) if u.shape[1] == 1 else 1.0))
 
 
+def past_commands(streams: Streams, command: FloatArray, settings: CheckSettings) -> FloatArray:
+    """Return a command (N,) with lags and dead times that cover all bases (N, columns)."""
+    lagged = [streams.low_pass(command, lag) for lag in settings.lags]
+    return np.column_stack([streams.delay(part, delay) for part in lagged for delay in (0.0, 0.1, 0.3)])
+
+
+def residual_variance(rows: NDArray[Any], values: NDArray[Any]) -> float:
+    """Return the variance of values (n,) that a regression on rows (n, k) does not explain."""
+    return float(np.mean(np.abs(values - rows @ np.linalg.lstsq(rows, values, rcond=None)[0]) ** 2))
+
+
 def explained_by_future(streams: Streams, inputs: FloatArray, outputs: FloatArray, settings: CheckSettings) -> float:
     """Compute the share of the residual variance of `outputs` (N,) that later commands explain.
 
@@ -458,13 +504,13 @@ def explained_by_future(streams: Streams, inputs: FloatArray, outputs: FloatArra
     robot the share is small.
     """
     cropped = streams.crop(outputs, settings.max_shift)
-    past = [streams.delay(streams.low_pass(inputs, lag), delay) for lag in settings.lags for delay in (0.0, 0.1, 0.3)]
+    past = past_commands(streams, inputs, settings)
     future = [streams.delay(inputs, -lead) for lead in (0.1, 0.2, 0.3)]
-    rows = np.column_stack([cropped, np.ones(len(cropped)), *past, *future])
+    rows = np.column_stack([cropped, np.ones(len(cropped)), past, *future])
     rows = rows[np.isfinite(rows).all(axis=1)]
     # With few samples per coefficient, later commands explain the rest by chance.
     if len(rows) < 4 * rows.shape[1]:
         return 0.0
-    y, past_rows = rows[:, 0], rows[:, 1 : 2 + len(past)]
-    before, after = (y - part @ np.linalg.lstsq(part, y, rcond=None)[0] for part in (past_rows, rows[:, 1:]))
-    return float(1 - (after @ after) / max(float(before @ before), 1e-300))
+    y, past_rows = rows[:, 0], rows[:, 1 : 2 + past.shape[1]]
+    before, after = (residual_variance(part, y) for part in (past_rows, rows[:, 1:]))
+    return 1 - after / max(before, 1e-300)
