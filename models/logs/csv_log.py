@@ -74,14 +74,13 @@ class RowSignal:
     fresh: BoolArray
     counts: bool = False
 
-    @property
-    def is_complete(self) -> BoolArray:
-        """(n,) True for rows with a time and all values."""
-        return np.asarray(np.isfinite(self.time) & np.isfinite(self.value).all(axis=1))
+    def is_complete(self, rows: Rows | slice) -> BoolArray:
+        """Mark the rows among `rows` that have a time and all values."""
+        return np.asarray(np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1))
 
     def signal(self, rows: Rows) -> Signal:
         """Return the readings in `rows`, which must be in order of time."""
-        rows = rows[self.fresh[rows] & self.is_complete[rows]]
+        rows = rows[self.fresh[rows] & self.is_complete(rows)]
         # Use the last of the readings with equal times.
         rows = rows[np.diff(self.time[rows], append=np.inf) != 0]
         rows = rows[is_increasing(self.time[rows])]
@@ -276,7 +275,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
         raise_on_error([finding])
     stretches = []
-    readings = np.column_stack([part.is_complete for part in (command, *measured.values())])
+    readings = np.column_stack([part.is_complete(slice(None)) for part in (command, *measured.values())])
     for rows in _split_stretches(table, columns, time, is_invalid, readings, findings):
         signal, clock = command.signal(rows), time[rows[clock_rows[rows]]]
         if len(signal.time) and len(clock):
