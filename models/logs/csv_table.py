@@ -123,11 +123,8 @@ class CsvTable:
         is_invalid = np.isin(values, list(self.words.values())) if self.words else np.zeros(len(values), dtype=bool)
         if is_invalid.any():
             is_missing = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
-            values, empty, is_invalid = (
-                np.where(is_missing, np.nan, values),
-                empty | is_missing,
-                is_invalid & ~is_missing,
-            )
+            values, empty = np.where(is_missing, np.nan, values), empty | is_missing
+            is_invalid &= ~is_missing
         if is_invalid.any():
             index = int(np.argmax(is_invalid))
             cell = next(word for word, number in self.words.items() if number == values[index])

@@ -438,11 +438,8 @@ def check_presence(log: str, streams: Streams) -> list[Finding]:
             if name == POSE and streams.pose is not None:
                 values = streams.pose[:, :2] if channel == 0 else streams.pose[:, 2]
             assert values is not None
-            readings: FloatArray = values[np.isfinite(values)]
-            if (
-                len(readings)
-                and np.ptp(values[np.isfinite(values).reshape(len(values), -1).all(axis=1)], axis=0).max() > 0
-            ):
+            readings = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+            if len(readings) and np.ptp(readings, axis=0).max() > 0:
                 continue
             message = (
                 f"{CHANNELS[channel]} of the {name} never changes, although the command does; check the column and "
