@@ -40,6 +40,7 @@ class SensorSettings(StrictModel):
     """Thresholds above which a sensor counts as late or scaled."""
 
     min_delay: Positive = Field(description="minimum delay [s]")
+    max_delay_interval: Positive = Field(description="maximum half of the 95 % interval of a delay [s]")
     min_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
     min_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
     min_slip: Positive = Field(description="ratio of encoder and pose distance above which the wheels slip [-]")

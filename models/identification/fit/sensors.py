@@ -15,6 +15,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
+from diffdrive_mpc.models.logs.record_checks import REMEDY
 
 _DISTANCES = ("scaled sensor", "scaled poses", "slipping wheels")
 """Kinds of findings from ratios of distances or rotations, which a dead or reversed sensor changes, too."""
@@ -149,7 +150,11 @@ def find_corrections(
             readings, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
             # A sensor with a negative delay in the mapping is corrected in the log only, see `settings`.
             minimum = max(limits.min_delay, -stated.get(key, {}).get("delay", 0.0))
-            if abs(delay) <= max(minimum, limits.significance * deviation):
+            if abs(delay) <= max(minimum, plausible.significance * deviation):
+                delay = 0.0
+            elif 1.96 * deviation > limits.max_delay_interval:
+                text = f"the delay of the poses is not determined ({delay:.2f} +- {1.96 * deviation:.2f} s); {REMEDY}"
+                findings.append(Finding("late sensor", "note", name, text))
                 delay = 0.0
             else:
                 inferred[key] = {"delay": round(abs(delay), 3)}
