@@ -241,6 +241,7 @@ class Run(ReadOnlyArrays):
             columns |= part.series(self)
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
 
+    @checked_call("run.to_dataframe().to_csv('run.csv') writes the table")
     def to_dataframe(self) -> DataFrame:
         """Convert the run to a pandas DataFrame with one row per tick and the names of `columns`.
 
