@@ -7,6 +7,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import FrameType
 from typing import Any, ClassVar, NoReturn, TextIO
 
@@ -89,7 +90,9 @@ class OneLineErrors(FullHelp):
             if type(error).__name__ == "NoArgsIsHelpError":
                 echo(error.format_message())
             else:
-                parser_error = error.format_message().rstrip(".").replace(" (Possible options: --help)", "")
+                with suppress(ValueError):  # no other option is similar
+                    (getattr(error, "possibilities", None) or []).remove("--help")
+                parser_error = error.format_message().rstrip(".")
                 _print_error(f"{parser_error}; {_remedy(parser_error, error)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
