@@ -62,7 +62,11 @@ def named_file(
         hint = similar_name(text, known)
     missing = "there is no such file; " if looks_like_path(text) else ""
     if path.is_dir():
-        files = ", ".join(sorted(file.name for file in path.glob("*.yaml")))
+        inside = sorted(path.glob("*.yaml"))
+        files = ", ".join(file.name for file in inside)
+        # Folders of identify contain model.yaml, config.yaml, robot.yaml and surface.yaml.
+        fitting = [file for file in inside if kind.startswith(file.stem)]
+        hint = f"; did you mean '{fitting[0]}'?" if fitting else hint
         missing = f"a folder {f'with {files}' if files else 'without YAML files'}; " if text.strip() else "empty; "
     raise ConfigError(
         f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"

@@ -113,5 +113,5 @@ def schema(
     if out is None:
         echo(text, nl=False)
         return
-    with whole_file(out) as draft:
+    with whole_file(out, begins=b"{") as draft:
         draft.write_text(text, encoding="utf-8")

@@ -246,6 +246,8 @@ def _suggest_plant(name: str) -> str:
 
     names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {robot: f"{PHYSICS}:{robot}" for robot in ROBOTS.names}
     names |= {model: _MODEL_PREFIX + model for model in (*model_names(), *ROBOT_NAMES)}
+    if is_file(robot := Path(name) / "robot.yaml"):
+        return f"; did you mean '{_MODEL_PREFIX}{robot}'?"
     similar = difflib.get_close_matches(name.lower(), names, n=1)
     return f"; did you mean '{names[similar[0]]}'?" if similar else ""
 

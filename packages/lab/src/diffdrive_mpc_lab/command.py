@@ -19,7 +19,7 @@ def lab(
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from diffdrive_mpc_lab.build import has_compiler, page_text  # noqa: PLC0415
 
-    with whole_file(out) as draft:
+    with whole_file(out, begins=b"<!DOCTYPE html>") as draft:
         if has_compiler():
             echo("compiling the controller to WebAssembly, about 20 s")
         size = draft.write_text(page_text(), encoding="utf-8")

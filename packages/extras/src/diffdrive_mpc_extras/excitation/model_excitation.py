@@ -25,6 +25,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
+from diffdrive_mpc_extras.excitation.slip_excitation import WRITTEN_BY
 
 Objective = Callable[[FloatArray], float]
 """Objective of the search, a function of twists (K, 2), one per tick; it is maximised."""
@@ -176,7 +177,7 @@ def path_of(twists: FloatArray, tick: float) -> FloatArray:
 def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
     """Write a trajectory file that `load_trajectory` reads; raise ConfigError if it cannot be written."""
     lines = [
-        "# Written by `diffdrive-mpc excite --for model`. v [m/s], omega [rad/s], duration [s].",
+        f"{WRITTEN_BY} --for model`. v [m/s], omega [rad/s], duration [s].",
         f"name: model excitation, {drive.family}",
         "timing: commanded",
         "segments:",
@@ -184,7 +185,7 @@ def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
     for twist, ticks in _group_twists(drive.twists):
         segment = {"v": round(twist[0], 4), "omega": round(twist[1], 4), "duration": round(ticks * tick, 4)}
         lines.append("- " + yaml.safe_dump(segment, sort_keys=False, default_flow_style=True).strip())
-    with whole_file(path) as draft:
+    with whole_file(path, begins=WRITTEN_BY.encode()) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

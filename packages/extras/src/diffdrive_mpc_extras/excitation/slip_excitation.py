@@ -16,6 +16,8 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment
 
+WRITTEN_BY = "# Written by `diffdrive-mpc excite"
+"""Start of the files of `excite`; it replaces no other file."""
 SPEEDS = (1 / 3, 2 / 3, 1.0)
 """Fractions of the maximum speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""
 YAW_RATES = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
@@ -117,8 +119,9 @@ def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
         "timing": "smooth",
         "segments": [{key: round(value, 4) for key, value in segment.model_dump().items()} for segment in segments],
     }
-    with whole_file(path) as draft:
-        draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    text = yaml.safe_dump(drive, sort_keys=False, default_flow_style=None)
+    with whole_file(path, begins=WRITTEN_BY.encode()) as draft:
+        draft.write_text(f"{WRITTEN_BY} --for slip`.\n{text}", encoding="utf-8")
     return (
         f"{path}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without transitions. "
         f"Maximum correlation of the terms v, omega and v omega: {max_term_correlation(segments):.2f} "

@@ -75,7 +75,10 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
     commands = diagnostic_commands(settings.radii, settings.speeds, hold, rest)
     plant.reset(np.zeros(3))
     assert isinstance(plant, MujocoPlant)
-    with whole_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+    with (
+        whole_file(path, begins=",".join(_COLUMNS).encode()) as draft,
+        draft.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
         for command in commands:
