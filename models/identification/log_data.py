@@ -197,7 +197,7 @@ def _read_logs(
         data = _measured_data(log)
         if data in paths_by_data:
             same = f"this log is given twice, it has the data of {paths_by_data[data]}"
-            raise ConfigError(f"{path}: {same}; validation data must not be training data")
+            raise ConfigError(f"{path}: {same}; remove one, since validation data must not be training data")
         paths_by_data[data] = path
         on_log(log)
         report_findings(log.findings)
