@@ -32,6 +32,7 @@ class CheckSettings(StrictModel):
     stuck_time: Positive = Field(description="duration of an unchanged reading [s]")
     stuck_command: Share = Field(description="share of the maximum command above which the robot should move")
     zero_command: Positive = Field(description="v [m/s] or omega [rad/s] below which a command counts as zero")
+    position_step: Positive = Field(description="step of positions above which they are coarse [m]")
     significant_change: Share = Field(description="minimum significant change, as a share of the maximum command")
     min_changes: int = Field(ge=1, description="minimum number of changes of the command per channel")
     min_total_changes: int = Field(ge=1, description="minimum number of changes per channel in all logs together")

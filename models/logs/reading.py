@@ -17,6 +17,7 @@ from diffdrive_mpc.models.logs.diagnosis.readings import (
     check_dead_readings,
     check_period,
     check_publishers,
+    check_resolution,
     without_spikes,
 )
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
@@ -96,9 +97,10 @@ def read_log(
     streams.mapping = stated
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
-        # Resampling hides short zeros and dead zones, so these two checks use the raw log.
-        raw_faults = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
-        findings += [*raw_faults, *diagnose(raw.name, streams, settings)]
+        # Resampling hides short zeros, dead zones and rounding, so these checks use the raw log.
+        checks = (check_publishers, check_dead_readings, check_resolution)
+        findings += [finding for raw_check in checks for finding in raw_check(raw, settings)]
+        findings += diagnose(raw.name, streams, settings)
     findings = [_as_stated(finding, stated) if finding.changes else finding for finding in findings]
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -178,9 +179,13 @@ class PoseResults:
     @property
     def place(self) -> tuple[float, float]:
         """Position of the pose point ahead and left of the rotation centre [m]; zeros if it is near or unknown."""
-        ahead, left = [self.parameters.value(name) for name in self.mount] or (0.0, 0.0)
-        is_far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
-        return (ahead, left) if is_far else (0.0, 0.0)
+        if not self.mount:
+            return (0.0, 0.0)
+        ahead, left = (self.parameters.value(name) for name in self.mount)
+        deviation, settings = max(self.parameters.deviation(name) for name in self.mount), identification_settings()
+        # Rounded positions and wheel speeds leave the point uncertain by centimetres.
+        minimum = max(settings.warn.lever_arm, settings.sensors.significance * deviation)
+        return (ahead, left) if math.hypot(ahead, left) >= minimum else (0.0, 0.0)
 
     def at_rotation_centre(self, records: Sequence[Record]) -> list[Record]:
         """Return the records with poses, converted to poses of the rotation centre."""

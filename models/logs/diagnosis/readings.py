@@ -106,6 +106,47 @@ def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     return []
 
 
+def check_resolution(raw: RawLog, settings: CheckSettings) -> list[Finding]:
+    """Return notes about positions and speeds of the encoders that are multiples of a coarse step."""
+    findings = []
+    for name, values in _readings(raw).items():
+        step, limit = _step(values), settings.position_step
+        if name != "positions":
+            limit = settings.significant_change * float(np.nanmax(np.abs(values), initial=0.0))
+        if step is not None and step >= limit:
+            unit = {"positions": "m", "wheel_speeds": "rad/s", "wheels": "rad/s"}.get(name, "m/s")
+            subject = "positions of the pose" if name == "positions" else "speeds of the encoders"
+            text = (
+                f"the {subject} are multiples of {step:.3g} {unit}: record more decimals, or results are less accurate"
+            )
+            findings.append(Finding("coarse readings", "note", raw.name, text))
+    return findings
+
+
+def _readings(raw: RawLog) -> dict[str, FloatArray]:
+    """Return all positions x, y, and all speeds of the encoders; of a twist, only v."""
+    fields = [name for name in ("wheel_speeds", "wheels", "twist") if name in raw.stretches[0].measured][:1]
+    fields += ["pose"] if "pose" in raw.stretches[0].measured else []
+    tables = {name: np.concatenate([stretch.measured[name].value for stretch in raw.stretches]) for name in fields}
+    columns = {"pose": 2, "twist": 1}
+    return {
+        "positions" if name == "pose" else name: table[:, : columns.get(name, table.shape[1])]
+        for name, table in tables.items()
+    }
+
+
+def _step(values: FloatArray) -> float | None:
+    """Return the step if all finite values are multiples of it, apart from an offset of each column; else None."""
+    columns = [column[np.isfinite(column)] for column in values.T]
+    if min(map(len, columns), default=0) < _MIN_READINGS:
+        return None
+    levels = [np.unique(np.round(column - column[0], 9)) for column in columns]
+    steps = [float(np.diff(part).min()) for part in levels if len(part) > 2]
+    step = min(steps, default=0.0)
+    is_multiple = step > 0 and all(np.allclose(part / step, np.round(part / step), atol=0.01) for part in levels)
+    return step if is_multiple else None
+
+
 def check_publishers(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: commands repeatedly fall to zero for a short time and return."""
     zero_count = total = 0
