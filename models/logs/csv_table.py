@@ -129,12 +129,12 @@ class CsvTable:
             index = int(np.argmax(is_invalid))
             cell = next(word for word, number in self.words.items() if number == values[index])
             remedy = "write a number such as 1000.5, or leave the cell empty if a reading is missing"
-            if len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
+            if _DECIMAL_COMMA.fullmatch(cell):
+                remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
+            elif len(self.values) > 1 and all(cells[index] <= _FIRST_WORD for cells in self.values.values()):
                 remedy = "no cell of this line is one: delete the line, such as a second header or a row of units"
             elif ":" in cell:
                 remedy = "give seconds, or dates with times such as 2026-01-31T12:30:00"
-            elif _DECIMAL_COMMA.fullmatch(cell):
-                remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
             elif _WITH_UNIT.fullmatch(cell):
                 remedy = "remove the units from the cells, and state the `unit` of the column in the mapping"
             raise ConfigError(
