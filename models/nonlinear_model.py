@@ -238,6 +238,17 @@ class NonlinearModel:
             "use step, or a linear model"
         )
 
+    def to_control(self, dt: float | None = None) -> NoReturn:
+        """Raise ModelError: python-control has no system of a nonlinear model; `linearised` approximates it near rest.
+
+        Raises
+        ------
+        ModelError
+            Always.
+        """
+        del dt
+        raise ModelError(f"model '{self.name}' is nonlinear and has no transfer function; use its `linearised`")
+
     def simulate(
         self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
     ) -> FloatArray:

@@ -420,20 +420,24 @@ class Controller:
         ArgumentError, ValueError
             If the reference is invalid, see `start`.
         """
-        if isinstance(reference, (str, Path)):
-            from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
-
-            reference = load_trajectory(reference, self._config)
+        reference = self._loaded(reference)
         self._check(reference, t0)
         return reference
 
-    def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
+    def _loaded(self, reference: Reference | str | Path) -> Reference:
+        if not isinstance(reference, (str, Path)):
+            return reference
+        from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
+
+        return load_trajectory(reference, self._config)
+
+    def find_shortfall(self, reference: Reference | str | Path, *, is_moving: bool = False) -> Shortfall | None:
         """Find the first point where `reference` exceeds the robot's limits, and a feasible duration.
 
         The robot starts at rest, or with the twist of the reference if `is_moving` is True. The result is None if the
         reference is feasible. `start` does not call this method and accepts infeasible references.
         """
-        return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
+        return find_shortfall(self._loaded(reference), self._config, self.model, is_moving=is_moving)
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):
@@ -468,7 +472,7 @@ class Controller:
             tracked = feature.modify_reference(tracked)
         return NativeReference(tracked), tracked
 
-    def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
+    def switch_reference(self, reference: Reference | str | Path, t0: float | None = None) -> None:
         """Replace the current reference by `reference` while driving.
 
         Unlike `start`, this method keeps the estimate including the learned slip, the plan and the commands. A robot
@@ -479,7 +483,7 @@ class Controller:
         ----------
         reference
             The current reference transformed by a pose, for example after a frame correction; or a different reference,
-            which requires `t0`.
+            or its name or path, which requires `t0`.
         t0
             Time 0 of a different reference on the clock of `step` [s]; None for the transformed current reference,
             whose clock continues.
@@ -494,6 +498,7 @@ class Controller:
         """
         if self._reference is None:
             raise RuntimeError("no reference: call start(reference, t0) before switch_reference")
+        reference = self._loaded(reference)
         if t0 is not None:
             self._check(reference, t0)
         elif reference.duration != self._reference.duration:
@@ -750,9 +755,7 @@ class Controller:
         """Return a message if the reference begins after this step or ended before the first step, else ""."""
         # At an invalid time the clock itself is reported.
         if since_start < 0.0 and not self._c_result.reasons & self._messages.not_a_new_tick:
-            return (
-                f"the reference begins in {-since_start:.4g} s, at the t0 of start: start and step need the same clock"
-            )
+            return f"the reference begins in {-since_start:.4g} s, at t0: start and step need the same clock"
         overdue = self._first_step - (self._reference.duration if self._reference else math.inf)
         if overdue > 0.0 and self._c_result.mode == self._tick.lib.DDMPC_FINISHED:
             return f"the reference ended {overdue:.4g} s before the first step: give start a t0 on the clock of step"

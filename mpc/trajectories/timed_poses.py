@@ -350,5 +350,5 @@ def _check_fit(where: str, name: str, unit: str, twist: FloatArray, change: Floa
         worst = int(np.argmax(gap))
         raise ConfigError(
             f"{where}: {name} = {twist[worst]:.3g} {unit} at t = {times[worst]:.3g} s, but the poses change by "
-            f"{change[worst]:.3g} {unit}; check unit and sign, or remove {name}"
+            f"{change[worst]:.3g} {unit}; check unit and sign of {name} and theta, or remove {name}"
         )

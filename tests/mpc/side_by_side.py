@@ -25,8 +25,8 @@ ACTIVE_SET = {"solver.tolerance": 1e-9, "monitor.enabled": False}
 
 def assert_same(result, expected, accuracy=EXACT):
     """Compare two step results; `accuracy` is that of the solver and does not affect the estimate."""
-    # Messages of the oracle do not name limits.
-    message = re.sub("; at [^;]+", "", result.message)
+    # Messages of the oracle do not name limits and references that end before the first step.
+    message = re.sub("; at [^;]+|(^|; )the reference ended [^;]+", "", result.message)
     assert (result.mode, message, result.solver.status) == (expected.mode, expected.message, expected.solver.status)
     assert_close(result.command, expected.command, accuracy)
     for name in ("plan", "planned_commands", "reference"):

@@ -145,7 +145,7 @@ def test_start_time_of_the_clock_does_not_change_commands():
 @pytest.mark.parametrize(
     ("t0", "step_times", "message"),
     [
-        (1.7e9, [0.0], "the reference begins in 1.7e+09 s, at the t0 of start: start and step need the same clock"),
+        (1.7e9, [0.0], "the reference begins in 1.7e+09 s, at t0: start and step need the same clock"),
         (0.0, [1.7e9], "the reference ended 1.7e+09 s before the first step: give start a t0 on the clock of step"),
         (0.0, [0.0, 1e3 * DT], "1000 sample times: give step its t in seconds"),
     ],
