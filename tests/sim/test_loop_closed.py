@@ -26,11 +26,16 @@ def test_perfect_plant_with_feed_forward_stays_on_the_reference() -> None:
     assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
 
 
-def test_controller_and_plant_drive_only_once_at_a_time() -> None:
+@pytest.mark.parametrize("name", ["controller", "plant"])
+def test_controller_and_plant_drive_only_once_at_a_time(name: str) -> None:
     controller, plant = FeedForward(), KinematicPlant()
-    for second, name in (((controller, KinematicPlant()), "controller"), ((FeedForward(), plant), "plant")):
-        with pytest.raises(RuntimeError, match=f"another drive uses this {name}: make a {name} for each thread"):
-            simulate(controller, plant, CIRCLE, on_tick=lambda *_, second=second: simulate(*second, CIRCLE))  # type: ignore[misc]
+    second = (controller, KinematicPlant()) if name == "controller" else (FeedForward(), plant)
+
+    def drive_again(_done: int, _total: int) -> None:
+        simulate(*second, CIRCLE)
+
+    with pytest.raises(RuntimeError, match=f"another drive uses this {name}: make a {name} for each thread"):
+        simulate(controller, plant, CIRCLE, on_tick=drive_again)
     assert simulate(controller, plant, CIRCLE).metrics.completed
 
 
