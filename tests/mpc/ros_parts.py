@@ -182,20 +182,22 @@ class FakeBase:
 class WallClockBase(FakeBase):
     """Base in approximately real time, which does not wait for commands and publishes no clock."""
 
+    _moved = 0
+
     @property
     def now(self):
         return self.node.get_clock().now().nanoseconds
 
-    def advance_clock(self):
-        self.publish_sensors()
-        time.sleep(DT)
+    def spin(self):
+        """Move and publish the sensors when a sample is due, also while a test waits for a service."""
+        if self.now >= self._moved + PERIOD:
+            self._moved = self.now
+            self.plant.advance(self.commands[-1] if self.commands else (0.0, 0.0))
+            self.publish_sensors()
+        super().spin()
 
-    def drive(self):
-        """Run one sample: sensors, arriving commands, motion."""
-        self.advance_clock()
-        for _ in range(10):
-            self.spin()
-        self.plant.advance(self.commands[-1])
+    def advance_clock(self):
+        time.sleep(DT)
 
 
 class Stack:
@@ -218,14 +220,8 @@ class Stack:
         parameters = {"discovery_wait": 0.0, **parameters}
         # The files come first: if two rules match a node, the later rule applies.
         file_arguments = [argument for file in files for argument in ("--params-file", str(file))]
-        arguments = [
-            "--ros-args",
-            *file_arguments,
-            "-p",
-            f"use_sim_time:={str(sim_time).lower()}",
-            "--log-level",
-            "warn",
-        ]
+        clock = f"use_sim_time:={str(sim_time).lower()}"
+        arguments = ["--ros-args", *file_arguments, "-p", clock, "--log-level", "warn"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.context = Context()
@@ -245,7 +241,8 @@ class Stack:
             if parameters["autostart"]:
                 self.await_inputs()
             if drive:
-                assert self.trigger("start").success
+                response = self.trigger("start")
+                assert response.success, response.message
         except BaseException:
             self.close()
             raise
